@@ -1,0 +1,66 @@
+"""The backend is the one asked for, or an error."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tiswarm.compute import backend
+from tiswarm.errors import EnvironmentTroubleError, InputError
+
+
+def test_a_missing_device_is_refused_not_replaced():
+    """Metal never exists on Linux; asking for it names the way out."""
+    if sys.platform == "darwin":
+        pytest.skip("this machine has metal")
+
+    with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
+        backend.start("metal")
+
+
+@pytest.mark.parametrize(("arch", "threads"), [("abacus", None), ("cpu", 0), ("cpu", -2)])
+def test_nonsense_is_refused(arch, threads):
+    """An unknown device or a thread count below one is the user's mistake."""
+    with pytest.raises(InputError, match=r"choose one of|give 1 or more"):
+        backend.start(arch, threads=threads)
+
+
+def test_starting_twice_is_starting_once():
+    """The same settings give the very same running backend; others start anew."""
+    first = backend.start(threads=1)
+
+    assert backend.start(threads=1) is first
+    assert backend.start(threads=2).threads == 2
+    assert backend.start(precision="f32").precision == "f32"
+
+
+def test_environment_variables_cannot_change_the_backend_unseen():
+    """The kernel library obeys TI_ARCH over its caller; that is noticed."""
+    code = "from tiswarm.compute import backend; backend.start()"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"TI_ARCH": "vulkan"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert done.returncode == 1
+    assert "EnvironmentTroubleError" in done.stderr
+
+
+def test_a_home_that_cannot_be_written_does_no_harm():
+    """Compiled kernels then go to a folder that is gone afterwards."""
+    code = "from tiswarm.compute import backend; print(backend.start().cache)"
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("XDG", "TI_"))}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=env | {"HOME": "/proc/nowhere"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert not Path(done.stdout.strip()).exists()

@@ -1,0 +1,83 @@
+"""The paper's equations and a flip's geometry, written out slowly in NumPy."""
+
+import numpy as np
+
+FINE = 4000
+
+
+def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
+    """Eq. (1), with `offset` from the robot's own dock to the other one."""
+    distance = np.sqrt(sum(component**2 for component in offset))
+    direction = np.array(offset) / distance
+    if distance > spacing:
+        return attraction_gain * ramp * (distance - spacing) * direction
+    return -repulsion_gain * (1.0 - ramp) * (distance - spacing) ** 4 * direction
+
+
+def matrix(wxyz):
+    """Rotation matrix of a unit quaternion, from the textbook."""
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def localize(log, params):
+    """Algorithm 1, robot by robot, dock by dock; everything in units of the dock radius."""
+    turn = [matrix(q) for q in log.orientation_wxyz]
+    dock = [[r @ b for b in log.dock_offset_body] for r in turn]
+    position = [np.array(log.anchor_position)]
+    rows = {tuple(row) for row in log.contacts}
+    for j in range(1, log.robot_count):
+        neighbors = sorted({i for i, _, other, _ in rows if other == j})
+        start = np.mean([position[i] for i in neighbors], axis=0)
+        up = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[j][:, 2]
+        here = start + params.initial_offset * up
+        for t in range(1, params.iterations + 1):
+            force = np.zeros(3)
+            for i in range(j):
+                for a, own in enumerate(dock[j]):
+                    for b, other in enumerate(dock[i]):
+                        offset = position[i] + other - here - own
+                        force += pair_force(offset, (i, b, j, a) in rows, params, t)
+            if params.z_correction:
+                force[2] += params.height_gain * (log.flip_height[j] - here[2])
+            length = np.linalg.norm(force)
+            here = here + force * min(1.0, params.max_step / length if length else 1.0)
+        position.append(here)
+    return np.array(position)
+
+
+def pair_force(offset, connected, params, t):
+    """Eq. (1) for connected docks, Eq. (2) for others closer than D."""
+    ramp = t / params.iterations
+    if connected:
+        return dock_pair_force(offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp)
+    if params.undocked_repulsion and np.linalg.norm(offset) < 2.0:
+        return dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)
+    return np.zeros(3)
+
+
+def turned(vector, axis, angle):
+    """Rodrigues' rotation formula, for one angle or an array of them."""
+    angle = np.asarray(angle)[..., None]
+    along = axis * np.dot(axis, vector)
+    return (vector - along) * np.cos(angle) + np.cross(axis, vector) * np.sin(angle) + along
+
+
+def first_meeting(arm, axis, obstacle, spacing):
+    """Angle in steps of a fine circle at which a turning dock first comes within `spacing`."""
+    angles = np.linspace(0.0, 2.0 * np.pi, FINE, endpoint=False)
+    inside = np.linalg.norm(turned(arm, axis, angles) - obstacle, axis=1) < spacing
+    entering = np.flatnonzero(inside & ~np.roll(inside, 1))
+    return angles[entering[0]] if len(entering) else np.inf
+
+
+def closest_approach(arm, axis, obstacle):
+    """Least distance between an obstacle and the circle of a turning dock."""
+    angles = np.linspace(0.0, 2.0 * np.pi, FINE)
+    return np.linalg.norm(turned(arm, axis, angles) - obstacle, axis=1).min()

@@ -1,0 +1,1 @@
+"""The only room that knows the compute backend: start-up, rotations, random numbers, cells."""

@@ -1,0 +1,173 @@
+"""Starts the compute backend and knows what was started: device, precision, threads.
+
+Nothing else may call `ti.init`. A device that is not there is an error, never a silent
+change of device.
+"""
+
+import atexit
+import contextlib
+import io
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiswarm.compute.choices import ARCHS, Arch, Precision
+from tiswarm.compute.dialect import ti
+from tiswarm.compute.kernels import probe_square_root
+from tiswarm.errors import EnvironmentTroubleError, InputError
+
+DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.float32}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backend:
+    """What runs the kernels."""
+
+    arch: Arch
+    """Device."""
+
+    threads: int
+    """Threads that a CPU kernel may use."""
+
+    precision: Precision
+    """Type of a kernel's own real numbers."""
+
+    library: str
+    """Kernel library and its version."""
+
+    cache: str
+    """Folder of compiled kernels."""
+
+    @property
+    def dtype(self) -> type[np.floating[Any]]:
+        """NumPy type of the precision."""
+        return DTYPES[self.precision]
+
+
+_started: Backend | None = None
+
+
+def available_threads() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def start(
+    arch: Arch = "cpu", *, threads: int | None = None, precision: Precision = "f64"
+) -> Backend:
+    """Start the backend, or do nothing where the very same one is running.
+
+    Args:
+        arch: Device; it is started or an error is raised.
+        threads: CPU threads; all that this process may use if None.
+        precision: Real type of the kernels' own arithmetic.
+
+    Raises:
+        InputError: for a device or thread count that makes no sense.
+        EnvironmentTroubleError: where the machine lacks the device or the precision.
+    """
+    global _started  # noqa: PLW0603 - the kernel library itself is one per process
+    if arch not in ARCHS:
+        msg = f"unknown backend {arch!r}; choose one of {', '.join(ARCHS)}"
+        raise InputError(msg, key="--arch")
+    if threads is not None and threads < 1:
+        msg = f"{threads} threads cannot compute; give 1 or more"
+        raise InputError(msg, key="--threads")
+    count = threads or available_threads()
+    if _started and (_started.arch, _started.threads, _started.precision) == (
+        arch,
+        count,
+        precision,
+    ):
+        return _started
+    cache = _cache_folder()
+    _init(arch, count, precision, cache)
+    _started = Backend(
+        arch=arch,
+        threads=count,
+        precision=precision,
+        library=f"taichi {'.'.join(map(str, ti.__version__))}",
+        cache=str(cache),
+    )
+    _check_arithmetic(_started)
+    return _started
+
+
+def current() -> Backend:
+    """Return the running backend, starting the default one where none runs."""
+    return _started or start()
+
+
+def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
+    """Call the library's own start-up, quietly, and check what came of it."""
+    wanted = getattr(ti, arch)
+    real = ti.f64 if precision == "f64" else ti.f32
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            ti.init(
+                arch=wanted,
+                enable_fallback=False,
+                default_fp=real,
+                cpu_max_num_threads=threads,
+                fast_math=False,  # it would drop NaN checks and change bits
+                offline_cache=True,
+                offline_cache_file_path=str(cache),
+                debug=os.environ.get("TISWARM_DEBUG") == "1",
+                log_level=ti.ERROR,
+            )
+    except RuntimeError as error:
+        raise EnvironmentTroubleError(_missing(arch)) from error
+    running = ti.lang.impl.current_cfg()
+    if running.arch != wanted or running.default_fp != real:
+        msg = f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
+        raise EnvironmentTroubleError(msg)
+
+
+def _missing(arch: Arch) -> str:
+    return f"backend {arch} is not available on this machine; use --arch cpu"
+
+
+def _cache_folder() -> Path:
+    """Find a folder for compiled kernels; one that cannot be written would crash at exit."""
+    folders = [os.environ.get("TI_OFFLINE_CACHE_FILE_PATH"), os.environ.get("XDG_CACHE_HOME")]
+    if home := os.environ.get("HOME"):
+        folders.append(str(Path(home) / ".cache"))
+    for folder in filter(None, folders):
+        choice = Path(folder) / "tiswarm" / "kernels"
+        with contextlib.suppress(OSError):
+            choice.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=choice):
+                return choice
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix="tiswarm-kernels-"))
+    except OSError as error:
+        msg = "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
+        raise EnvironmentTroubleError(msg) from error
+    atexit.register(_discard, temporary)
+    return temporary
+
+
+def _discard(folder: Path) -> None:
+    """Remove a temporary folder of compiled kernels, once the library has written to it."""
+    ti.reset()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _check_arithmetic(backend: Backend) -> None:
+    """Refuse a device that takes float64 and computes in float32, as some do."""
+    value = np.array([2.0], dtype=backend.dtype)
+    probe_square_root(value)
+    expected = np.sqrt(np.array([2.0], dtype=backend.dtype))
+    if abs(value[0] - expected[0]) > 4 * np.finfo(backend.dtype).eps:
+        msg = (
+            f"backend {backend.arch} does not compute in {backend.precision}; "
+            "use --precision f32 or --arch cpu"
+        )
+        raise EnvironmentTroubleError(msg)

@@ -1,0 +1,61 @@
+"""The one place that imports the kernel language.
+
+Every kernel file says `from tiswarm.compute.dialect import ti`, so moving to another
+implementation of the language is a change here alone.
+"""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+
+import taichi as ti
+
+if TYPE_CHECKING:
+    from dataclasses import dataclass as kernel_struct
+
+    Float = float
+    F64 = float
+    I32 = int
+    Vec3 = Any
+    Vec4 = Any
+    Reals1 = Any
+    Reals2 = Any
+    Reals3 = Any
+    Ints1 = Any
+    Ints2 = Any
+    Ints3 = Any
+    Ints4 = Any
+else:
+    kernel_struct = ti.dataclass
+
+    Float = float
+    F64 = ti.f64
+    I32 = ti.i32
+    Vec3 = ti.types.vector(3, ti.f64)
+    Vec4 = ti.types.vector(4, ti.f64)
+    # Without a dtype an array argument takes what it is given: one source for f32 and f64.
+    Reals1 = ti.types.ndarray(ndim=1)
+    Reals2 = ti.types.ndarray(ndim=2)
+    Reals3 = ti.types.ndarray(ndim=3)
+    Ints1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
+    Ints2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
+    Ints3 = ti.types.ndarray(dtype=ti.i32, ndim=3)
+    Ints4 = ti.types.ndarray(dtype=ti.i32, ndim=4)
+
+__all__ = [
+    "F64",
+    "I32",
+    "Float",
+    "Ints1",
+    "Ints2",
+    "Ints3",
+    "Ints4",
+    "Reals1",
+    "Reals2",
+    "Reals3",
+    "Vec3",
+    "Vec4",
+    "kernel_struct",
+    "ti",
+]

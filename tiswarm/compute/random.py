@@ -1,0 +1,50 @@
+"""Random numbers that are a hash of (seed, stream, robot, draw).
+
+They depend on nothing else: not on threads, not on the order in which robots are asked, not
+on how many other numbers were drawn. The mixing function is that of SplitMix64 (Steele, Lea
+and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+"""
+
+import zlib
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_A = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_B = np.uint64(0x94D049BB133111EB)
+_TO_UNIT = 2.0**-53
+
+
+def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray[np.float64]:
+    """Draw numbers in [0, 1); `robot` and `draw` broadcast against each other.
+
+    Args:
+        seed: Seed of the study, 0 or more.
+        stream: Purpose, for example "spawn"; streams are independent of each other.
+        robot: Index of each robot.
+        draw: Which of the robot's draws.
+
+    >>> bool(uniform(1, "spawn", 7, 0) == uniform(1, "spawn", [6, 7, 8], 0)[1])
+    True
+    """
+    key = _mix(np.asarray([seed], dtype=np.uint64))
+    key = _mix(key ^ np.uint64(zlib.crc32(stream.encode())))
+    bits = _mix(_mix(key ^ np.asarray(robot, dtype=np.uint64)) ^ np.asarray(draw, dtype=np.uint64))
+    shape = np.broadcast_shapes(np.shape(robot), np.shape(draw))
+    return ((bits >> np.uint64(11)).astype(np.float64) * _TO_UNIT).reshape(shape)
+
+
+def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray[np.float64]:
+    """Draw standard normal numbers (Box and Muller); arguments as for `uniform`."""
+    pair = 2 * np.asarray(draw, dtype=np.uint64)
+    radius = np.sqrt(-2.0 * np.log1p(-uniform(seed, stream, robot, pair)))
+    return radius * np.cos(2.0 * np.pi * uniform(seed, stream, robot, pair + np.uint64(1)))
+
+
+def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Scatter 64 bits; multiplication wraps on purpose."""
+    mixed = value + _GOLDEN
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * _MIX_A
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * _MIX_B
+    return mixed ^ (mixed >> np.uint64(31))

@@ -1,0 +1,46 @@
+"""The robot: spherical docks at fixed places around a centre.
+
+Lengths are in R, the radius of a dock sphere. FireAntV3 carries three docks in one plane,
+120 degrees apart; the distance from its centre to a dock, rho, is 1.506 R by the FireAnt3D
+design files, or 2 / sqrt(3) R if a robot's own docks are taken to touch.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from tiswarm.params import STRICT
+
+DOCK_COUNT = 3
+FIREANT_RHO = 1.506
+TANGENT_RHO = 2.0 / math.sqrt(3.0)
+DOCK_RADIUS_MM = 32.9
+"""Radius of a FireAntV3 dock sphere [mm]; for display only."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RobotGeometry:
+    """Three docks in the x-y plane of the body, at 0, 120 and 240 degrees."""
+
+    rho: Annotated[float, Field(ge=TANGENT_RHO - 1e-12, le=10.0)] = FIREANT_RHO
+    """Distance from the robot's centre to each dock centre [R]."""
+
+    @property
+    def dock_radius(self) -> float:
+        """Radius of a dock sphere [R]."""
+        return 1.0
+
+    @property
+    def spacing(self) -> float:
+        """D: distance between the centres of two docks that touch [R]."""
+        return 2.0 * self.dock_radius
+
+    @property
+    def dock_offset_body(self) -> NDArray[np.float64]:
+        """Centre to dock in the body frame [R], shape (3, 3)."""
+        angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
+        return self.rho * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])
