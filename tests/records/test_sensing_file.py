@@ -1,0 +1,264 @@
+"""A log survives its file, and a file that is read and written again keeps its bytes."""
+
+import json
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
+
+number = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)
+place = st.tuples(number, number, number)
+dock = st.integers(0, 2)
+docks = st.sets(dock).map(sorted)
+orientation = (
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4)
+    .filter(lambda wxyz: np.linalg.norm(wxyz) > 0.1)
+    .map(lambda wxyz: np.array(wxyz) / np.linalg.norm(wxyz))
+)
+
+
+def table(rows, dtype, width):
+    """Rows, perhaps none, as an array of so many columns."""
+    return np.array(list(rows), dtype=dtype).reshape(-1, width)
+
+
+def touches(earlier_robots):
+    """Contacts of one robot at one stance: (own dock, other robot, other dock), sorted."""
+    if earlier_robots == 0:
+        return st.just([])
+    rows = st.tuples(dock, st.integers(0, earlier_robots - 1), dock)
+    return st.sets(rows, max_size=4).map(sorted)
+
+
+@st.composite
+def stances_of(draw, robots, *, ground):
+    """Draw up to three earlier stances of every robot."""
+    counts = [draw(st.integers(0, 3)) for _ in range(robots)]
+    owner = np.repeat(np.arange(robots), counts).tolist()
+    return Stances(
+        start=np.cumsum([0, *counts]),
+        orientation_wxyz=table([draw(orientation) for _ in owner], np.float64, 4),
+        pivot_dock=np.array([draw(dock) for _ in owner], dtype=np.int32),
+        contacts=table(
+            [(row, *touch) for row, i in enumerate(owner) for touch in draw(touches(i))],
+            np.int32,
+            4,
+        ),
+        ground_docks=table(
+            [(row, a) for row in range(len(owner)) if ground for a in draw(docks)], np.int32, 2
+        ),
+    )
+
+
+@st.composite
+def logs(draw):
+    """Draw any log that a file can hold."""
+    robots = draw(st.integers(1, 5))
+    names = st.lists(
+        st.integers(-(2**63), 2**63 - 1), min_size=robots, max_size=robots, unique=True
+    )
+    ground_z = draw(st.none() | number)
+    contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(touches(i))]
+    unknown = (np.nan,) * 3
+    return SensingLog(
+        robot_id=np.array(draw(names), dtype=np.int64),
+        dock_radius=draw(st.floats(1e-300, 1e300)),
+        dock_offset_body=np.array([draw(place) for _ in range(3)]),
+        anchor_position=np.array(draw(place)),
+        orientation_wxyz=np.array([draw(orientation) for _ in range(robots)]),
+        contacts=table(contacts, np.int32, 4),
+        ground_z=ground_z,
+        ground_docks=table(
+            [(i, a) for i in range(robots) if ground_z is not None for a in draw(docks)],
+            np.int32,
+            2,
+        ),
+        flip_height=np.array([draw(number | st.just(np.nan)) for _ in range(robots)]),
+        spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
+        stances=draw(st.none() | stances_of(robots, ground=ground_z is not None)),
+        noise=draw(st.none() | st.just(SensingNoise(tilt_deg=1.0, yaw_deg=0.1))),
+        length_unit=draw(st.text(st.characters(codec="utf-8"), min_size=1, max_size=5)),
+    )
+
+
+def content(record):
+    """Everything in a record, arrays as type, shape and bytes."""
+    if is_dataclass(record):
+        return {field.name: content(getattr(record, field.name)) for field in fields(record)}
+    if isinstance(record, np.ndarray):
+        return record.dtype.str, record.shape, record.tobytes()
+    return repr(record)
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    """Offer a file name that every example of a property test may use again."""
+    return tmp_path_factory.mktemp("logs") / "sensing.jsonl"
+
+
+HEADER = {
+    "format": "tiswarm-sensing",
+    "version": 1,
+    "dock_radius": 1.0,
+    "dock_offsets": [[1.5, 0.0, 0.0], [-0.75, 1.3, 0.0], [-0.75, -1.3, 0.0]],
+    "anchor_position": [0.0, 0.0, 1.0],
+    "ground_z": 0.0,
+    "length_unit": "R",
+    "noise": {"tilt_deg": 1.0, "yaw_deg": 2.0},
+}
+STANCE = {
+    "orientation_wxyz": [0.0, 1.0, 0.0, 0.0],
+    "pivot_dock": 1,
+    "contacts": [[0, 7, 2]],
+    "ground_docks": [1],
+}
+ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
+JOINER = {
+    "robot": -3,
+    "orientation_wxyz": [0.6, 0.0, 0.0, 0.8],
+    "contacts": [[2, 7, 0], [0, 7, 1]],
+    "ground_docks": [2],
+    "flip_height": 5.31,
+    "spawn_position": [9.0, 0.0, 1.0],
+    "stances": [STANCE],
+}
+
+
+def written(path, *lines):
+    """Write lines to a file, each an object."""
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    return path
+
+
+@settings(deadline=None, max_examples=60)
+@given(log=logs())
+def test_a_log_comes_back_bit_for_bit(scratch, log):
+    """Whatever a log holds, its file holds too; written again, the file keeps its bytes."""
+    write_sensing_log(log, scratch)
+    first = scratch.read_bytes()
+
+    back = read_sensing_log(scratch)
+    write_sensing_log(back, scratch)
+
+    assert content(back) == content(log)
+    assert scratch.read_bytes() == first
+
+
+def test_the_format_is_the_published_one(tmp_path):
+    """The keys of header, robot and stance stand as documented, in that order."""
+    path = tmp_path / "sensing.jsonl"
+    write_sensing_log(read_sensing_log(written(path, HEADER, ANCHOR, JOINER)), path)
+
+    header, anchor, joiner = map(json.loads, path.read_text().splitlines())
+
+    assert list(header.items()) == list(HEADER.items())
+    assert anchor == {**ANCHOR, "ground_docks": [], "stances": []}
+    assert joiner == {**JOINER, "contacts": [[0, 7, 1], [2, 7, 0]]}
+    assert list(joiner) == list(JOINER)
+    assert list(joiner["stances"][0]) == list(STANCE)
+
+
+def test_names_become_numbers_in_join_order(tmp_path):
+    """Contacts name robots in the file and count them in the log."""
+    log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR, JOINER))
+
+    assert log.robot_id.tolist() == [7, -3]
+    assert log.contacts.tolist() == [[0, 1, 1, 0], [0, 0, 1, 2]]
+    assert log.stances.contacts.tolist() == [[0, 0, 0, 2]]
+    assert log.stances.start.tolist() == [0, 0, 1]
+
+
+def test_what_is_missing_or_null_is_unknown(tmp_path):
+    """Optional keys may be left out or null, with the same meaning."""
+    header = {key: value for key, value in HEADER.items() if key != "noise"}
+    optional = dict.fromkeys(["ground_docks", "flip_height", "spawn_position", "stances"])
+    without = read_sensing_log(written(tmp_path / "a", header, ANCHOR))
+
+    null = read_sensing_log(written(tmp_path / "b", {**header, "noise": None}, ANCHOR | optional))
+
+    assert content(without) == content(null)
+    assert without.stances is None
+    assert without.noise is None
+    assert np.isnan(without.flip_height).all()
+    assert np.isnan(without.spawn_position).all()
+
+
+def test_a_rounded_quaternion_is_scaled_to_one(tmp_path):
+    """Four decimals are no offence, and give a unit quaternion."""
+    rounded = {**ANCHOR, "orientation_wxyz": [0.5774, 0.5774, 0.5774, 0.0]}
+
+    log = read_sensing_log(written(tmp_path / "log", HEADER, rounded))
+
+    np.testing.assert_allclose(np.linalg.norm(log.orientation_wxyz), 1.0, atol=1e-15)
+
+
+def test_files_of_other_systems_are_read(tmp_path):
+    """A byte order mark, Windows line ends and a missing last line end do not matter."""
+    path = written(tmp_path / "log", HEADER, ANCHOR, JOINER)
+    ours = read_sensing_log(path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n").rstrip())
+
+    theirs = read_sensing_log(path)
+
+    assert content(theirs) == content(ours)
+
+
+def test_a_number_that_is_not_finite_is_not_written(tmp_path):
+    """A broken log leaves the old file as it was, and nothing beside it."""
+    path = written(tmp_path / "log", HEADER, ANCHOR)
+    log = read_sensing_log(path)
+    before = path.read_bytes()
+    log.anchor_position[0] = np.nan
+
+    with pytest.raises(ValueError, match="JSON"):
+        write_sensing_log(log, path)
+
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_folder_is_told(tmp_path):
+    """Writing where there is no folder names the file and says what to check."""
+    log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR))
+
+    with pytest.raises(EnvironmentTroubleError, match=r"gone.log: cannot be written: .*; check"):
+        write_sensing_log(log, tmp_path / "gone" / "log")
+
+
+def test_rows_are_put_in_order_once():
+    """Contacts sort by joiner, its dock, the other robot, its dock; repeated ones go."""
+    rows = np.array([[1, 0, 2, 1], [0, 2, 2, 0], [0, 1, 1, 2], [0, 2, 2, 0]], dtype=np.int32)
+
+    ordered = canonical_contacts(rows)
+
+    assert ordered.tolist() == [[0, 1, 1, 2], [0, 2, 2, 0], [1, 0, 2, 1]]
+
+
+@settings(deadline=None, max_examples=400)
+@given(
+    edits=st.lists(
+        st.tuples(st.sampled_from("dif"), st.integers(0, 2000), st.binary(min_size=1, max_size=3)),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_a_damaged_file_is_read_or_refused(scratch, edits):
+    """Bytes deleted, inserted or flipped end in a log or an InputError, never otherwise."""
+    data = bytearray(written(scratch, HEADER, ANCHOR, JOINER).read_bytes())
+    for kind, position, new in edits:
+        at = position % len(data)
+        data[at : at + (0 if kind == "i" else len(new))] = b"" if kind == "d" else new
+    scratch.write_bytes(data)
+
+    try:
+        log = read_sensing_log(scratch)
+    except InputError as error:
+        assert str(error).startswith(f"{scratch}:")  # noqa: PT017 (either outcome is right)
+    else:
+        assert log.robot_count > 0

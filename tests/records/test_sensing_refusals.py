@@ -1,0 +1,200 @@
+"""A malformed sensing file is refused with file, line, key and a way out."""
+
+import json
+
+import pytest
+
+from tiswarm.errors import InputError
+from tiswarm.records import lines
+from tiswarm.records.sensing_file import read_sensing_log
+
+HEADER = {
+    "format": "tiswarm-sensing",
+    "version": 1,
+    "dock_radius": 1.0,
+    "dock_offsets": [[1.5, 0.0, 0.0], [-0.75, 1.3, 0.0], [-0.75, -1.3, 0.0]],
+    "anchor_position": [0.0, 0.0, 1.0],
+    "ground_z": 0.0,
+    "length_unit": "R",
+}
+UPRIGHT = [1.0, 0.0, 0.0, 0.0]
+ANCHOR = {"robot": 10, "orientation_wxyz": UPRIGHT, "contacts": []}
+JOINER = {"robot": 11, "orientation_wxyz": UPRIGHT, "contacts": [[0, 10, 1]]}
+STANCE = {"orientation_wxyz": UPRIGHT, "pivot_dock": 0}
+
+
+def header(**changes):
+    """Give a whole file whose header is changed; a key set to ... is left out."""
+    return [_changed(HEADER, changes), ANCHOR]
+
+
+def joiner(**changes):
+    """Give a whole file whose third line is changed; a key set to ... is left out."""
+    return [HEADER, ANCHOR, _changed(JOINER, changes)]
+
+
+def stance(**changes):
+    """Give a whole file whose third line has a second stance that is changed."""
+    return joiner(stances=[STANCE, _changed(STANCE, changes)])
+
+
+def _changed(entries, changes):
+    merged = {**entries, **changes}
+    return {key: value for key, value in merged.items() if value is not ...}
+
+
+NAN = float("nan")
+REFUSED = [
+    # the header
+    (header(format=...), 1, "format", "is not a header; start it with"),
+    (header(format="other"), 1, "format", "is not a header; start it with"),
+    ([ANCHOR], 1, "format", "is not a header; start it with"),
+    (header(version=2), 1, "version", "2 is not supported; this program reads version 1"),
+    (header(version=True), 1, "version", "true is not supported"),
+    (header(version=...), 1, "version", "null is not supported"),
+    (header(dock_radius=0), 1, "dock_radius", "0 is too small; it must be above 0"),
+    (header(dock_radius="1"), 1, "dock_radius", '"1" is not a number; write it like'),
+    (header(dock_radius=...), 1, "dock_radius", "is missing; add it"),
+    (header(dock_radius=10**400), 1, "dock_radius", "is not a number; write it like"),
+    (header(dock_offsets=[]), 1, "dock_offsets", "has 0 entries; it needs at least 1"),
+    (header(dock_offsets=[[1, 2]]), 1, "dock_offsets[0]", "has 2 entries; it needs at least 3"),
+    (header(dock_offsets=[[1, NAN, 0]]), 1, "dock_offsets[0][1]", "NaN is not a finite number;"),
+    (header(anchor_position=[0, 0, 0, 0]), 1, "anchor_position", "4 entries; it takes at most 3"),
+    (header(anchor_position={}), 1, "anchor_position", "{} is not a list; write it in square"),
+    (header(ground_z="flat"), 1, "ground_z", '"flat" is not a number; write it like'),
+    (header(ground_z=...), 1, "ground_z", "is missing; add it"),
+    (header(length_unit=""), 1, "length_unit", "the text is empty; it needs at least 1"),
+    (header(length_unit=3), 1, "length_unit", "3 is not text; put it in quotes"),
+    (header(noise={"tilt_deg": 1.0}), 1, "noise.yaw_deg", "is missing; add it"),
+    (header(noise={"tilt_deg": -1, "yaw_deg": 0}), 1, "noise.tilt_deg", "must be at least 0"),
+    (
+        header(noise={"tilt_deg": 1, "yaw_deg": 0, "yaw": 0}),
+        1,
+        "noise.yaw",
+        "unknown key; did you mean yaw_deg?",
+    ),
+    (header(ground=0.0), 1, "ground", "unknown key; did you mean ground_z?"),
+    # a robot
+    (joiner(robot="11"), 3, "robot", '"11" is not a whole number; write digits only'),
+    (joiner(robot=11.0), 3, "robot", "11.0 is not a whole number; write digits only"),
+    (joiner(robot=True), 3, "robot", "true is not a whole number; write digits only"),
+    (joiner(robot=2**63), 3, "robot", "9223372036854775808 is too large; it must be at most"),
+    (joiner(robot=10), 3, "robot", "robot 10 has a line already; give every robot its own"),
+    (joiner(orientation_wxyz=...), 3, "orientation_wxyz", "is missing; add it"),
+    (joiner(orientation_wxyz=[1, 0, 0]), 3, "orientation_wxyz", "it needs at least 4"),
+    (joiner(orientation_wxyz=[0] * 4), 3, "orientation_wxyz", "has length 0; scale it to 1"),
+    (joiner(orientation_wxyz=[1, 0.1, 0, 0]), 3, "orientation_wxyz", "length 1.00499; scale it"),
+    (joiner(orientation_wxyz=[1e200] * 4), 3, "orientation_wxyz", "length 2e+200; scale it"),
+    (joiner(orientation_wxyz=[NAN] * 4), 3, "orientation_wxyz[0]", "NaN is not a finite number;"),
+    (joiner(flip_height=float("inf")), 3, "flip_height", "Infinity is not a finite number;"),
+    (joiner(flip_height="high"), 3, "flip_height", '"high" is not a number; write it like'),
+    (joiner(spawn_position=[1, 2]), 3, "spawn_position", "has 2 entries; it needs at least 3"),
+    (joiner(color="red"), 3, "color", "unknown key; the keys here are robot, orientation_wxyz"),
+    (joiner(contact=[]), 3, "contact", "unknown key; did you mean contacts?"),
+    # its contacts
+    (joiner(contacts=...), 3, "contacts", "is missing; add it"),
+    (joiner(contacts=[[0, 10]]), 3, "contacts[0]", "has 2 entries; it needs at least 3"),
+    (joiner(contacts=[[0, 10, 1.5]]), 3, "contacts[0][2]", "1.5 is not a whole number; write"),
+    (joiner(contacts=[[0, 10, 3]]), 3, "contacts[0]", "no dock 3; the header has docks 0 to 2"),
+    (joiner(contacts=[[-1, 10, 0]]), 3, "contacts[0]", "no dock -1; the header has docks 0 to 2"),
+    (
+        joiner(contacts=[[0, 10, 1], [0, 99, 1]]),
+        3,
+        "contacts[1]",
+        "robot 99 is not on an earlier line; list a contact at the later robot",
+    ),
+    (joiner(contacts=[[0, 11, 1]]), 3, "contacts[0]", "the robot touches itself; name another"),
+    (
+        joiner(contacts=[[0, 10, 1], [2, 10, 1], [0, 10, 1]]),
+        3,
+        "contacts[2]",
+        "says the same as contacts[0]; list it once",
+    ),
+    (
+        [HEADER, {**ANCHOR, "contacts": [[0, 11, 0]]}, JOINER],
+        2,
+        "contacts[0]",
+        "robot 11 is not on an earlier line; list a contact at the later robot",
+    ),
+    # the ground
+    (joiner(ground_docks=[0, 5]), 3, "ground_docks[1]", "no dock 5; the header has docks 0 to 2"),
+    (joiner(ground_docks=[1, 1]), 3, "ground_docks[1]", "same as ground_docks[0]; list it once"),
+    (
+        [{**HEADER, "ground_z": None}, {**ANCHOR, "ground_docks": [0]}],
+        2,
+        "ground_docks",
+        "there is no ground; give ground_z in the header",
+    ),
+    # the stances
+    (stance(pivot_dock=...), 3, "stances[1].pivot_dock", "is missing; add it"),
+    (stance(pivot_dock=3), 3, "stances[1].pivot_dock", "no dock 3; the header has docks 0 to 2"),
+    (stance(pivot=0), 3, "stances[1].pivot", "unknown key; did you mean pivot_dock?"),
+    (stance(ground_docks=[9]), 3, "stances[1].ground_docks[0]", "no dock 9; the header has"),
+    (stance(contacts=[[0, 12, 0]]), 3, "stances[1].contacts[0]", "robot 12 is not on an earlier"),
+    (
+        stance(orientation_wxyz=[0, 0, 0, 0]),
+        3,
+        "stances[1].orientation_wxyz",
+        "has length 0; scale it to 1",
+    ),
+    ([HEADER], 2, "", "there are no robots; add a line for each, the anchor first"),
+]
+
+
+@pytest.mark.parametrize(("file", "line", "key", "problem"), REFUSED)
+def test_a_malformed_line_is_told_with_its_place_and_remedy(tmp_path, file, line, key, problem):
+    """The message reads `file:line: key: what is wrong; what to do`."""
+    path = tmp_path / "log.jsonl"
+    path.write_text("".join(f"{json.dumps(entries)}\n" for entries in file))
+
+    with pytest.raises(InputError) as refusal:
+        read_sensing_log(path)
+
+    assert str(refusal.value).startswith(": ".join(filter(None, [f"{path}:{line}", key, ""])))
+    assert problem in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+FIRST = json.dumps(HEADER).encode() + b"\n"
+BROKEN = [
+    (b"", 1, "the file is empty; start it with a header line"),
+    (b"robot,x\n", 1, "not JSON at column 1: Expecting value; write one JSON object a line"),
+    (b"[1, 2]\n", 1, "[1, 2] is not a JSON object; write the line as {...}"),
+    (FIRST + b"\n", 2, "the line is empty; delete it"),
+    (FIRST + json.dumps(ANCHOR).encode()[:-9], 2, "write one JSON object a line"),
+    (FIRST + b'{"robot": 1, "robot": 2}', 2, "robot: the key stands twice in one object; keep one"),
+    (FIRST + b"[" * 100_000, 2, "nested too deep, or a number of thousands of digits; write one"),
+    (FIRST + b'{"robot": ' + b"9" * 5000 + b"}", 2, "a number of thousands of digits; write one"),
+    (FIRST + b'{"robot": "\xff"}', 2, "byte 0xff is not UTF-8; save the file as UTF-8"),
+    (FIRST + b'{"\\ud800": 1}', 2, "Input should be a valid string"),
+]
+
+
+@pytest.mark.parametrize(("raw", "line", "problem"), BROKEN)
+def test_what_is_not_json_is_told_with_its_line(tmp_path, raw, line, problem):
+    """Bytes that are no JSON object end in one line that names the file and the line."""
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(raw)
+
+    with pytest.raises(InputError) as refusal:
+        read_sensing_log(path)
+
+    assert str(refusal.value).startswith(f"{path}:{line}: ")
+    assert problem in str(refusal.value)
+
+
+def test_a_line_without_end_is_not_read_whole(tmp_path, monkeypatch):
+    """Beyond a limit the line is refused before it fills the memory."""
+    monkeypatch.setattr(lines, "MAX_LINE_BYTES", 1000)
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(FIRST + b" " * 1001)
+
+    with pytest.raises(InputError, match=r":2: the line is longer than .*; write one robot a line"):
+        read_sensing_log(path)
+
+
+@pytest.mark.parametrize(("name", "problem"), [("gone", "no such file; "), (".", "a folder; ")])
+def test_a_file_that_cannot_be_opened_is_told(tmp_path, name, problem):
+    """A missing file and a folder are named, with what to do."""
+    with pytest.raises(InputError, match=problem):
+        read_sensing_log(tmp_path / name)

@@ -1,0 +1,95 @@
+"""Positions survive their table; malformed tables are refused with file and line."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tiswarm.errors import InputError
+from tiswarm.records.tables import read_positions, write_positions
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    """Offer a file name that every example of a property test may use again."""
+    return tmp_path_factory.mktemp("tables") / "truth.csv"
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    position=hnp.arrays(
+        np.float64,
+        st.tuples(st.integers(1, 5), st.just(3)),
+        elements=st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False),
+    ),
+    first=st.integers(-(2**63), 2**63 - 6),
+)
+def test_positions_come_back_bit_for_bit(scratch, position, first):
+    """Names and coordinates are the same numbers after a round trip."""
+    robot_id = np.arange(len(position), dtype=np.int64) + first
+    write_positions(scratch, robot_id, position)
+
+    names, back = read_positions(scratch)
+
+    assert names.tolist() == robot_id.tolist()
+    assert back.tobytes() == position.tobytes()
+
+
+def test_the_table_looks_as_documented(tmp_path):
+    """Units are in the column names; an unknown deviation is an empty cell."""
+    path = tmp_path / "estimate.csv"
+    position = np.array([[0.0, 1.0, -2.5], [1e-9, 1 / 3, 1e22]])
+
+    write_positions(path, np.array([7, 3]), position, np.array([0.25, np.nan]))
+
+    assert path.read_text() == (
+        "robot,x_R,y_R,z_R,sd_R\n7,0.0,1.0,-2.5,0.25\n3,1e-09,0.3333333333333333,1e+22,\n"
+    )
+    assert read_positions(path)[0].tolist() == [7, 3]
+
+
+def test_another_unit_is_not_taken_for_ours(tmp_path):
+    """A table in mm is read as mm or not at all."""
+    path = tmp_path / "truth.csv"
+    write_positions(path, np.array([0]), np.zeros((1, 3)), length_unit="mm")
+
+    names, _ = read_positions(path, length_unit="mm")
+
+    assert names.tolist() == [0]
+    with pytest.raises(InputError, match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]; rename"):
+        read_positions(path)
+
+
+def test_a_position_that_is_not_finite_is_not_written(tmp_path):
+    """Nobody is handed a table with NaN in it."""
+    with pytest.raises(ValueError, match="finite"):
+        write_positions(tmp_path / "t.csv", np.array([0]), np.full((1, 3), np.nan))
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R]; rename them"),
+        ("robot,x,y,z\n", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R]; rename them"),
+        ("robot,x_R,y_R,z_R\n", "{path}:2: there are no robots; add a row for each"),
+        ("robot,x_R,y_R,z_R\n1,0,0\n", "{path}:2: has 3 cells; 4 are needed"),
+        ("robot,x_R,y_R,z_R\n1,0,0,0\n\n", "{path}:3: has 0 cells; 4 are needed"),
+        ("robot,x_R,y_R,z_R\n1,0,0,0\n1,0,0,0\n", "{path}:3: robot: robot 1 has a row already;"),
+        ("robot,x_R,y_R,z_R\na,0,0,0\n", "{path}:2: robot: 'a' is not a robot; write a whole"),
+        ("robot,x_R,y_R,z_R\n1_0,0,0,0\n", "{path}:2: robot: '1_0' is not a robot; write"),
+        ("robot,x_R,y_R,z_R\n1,0,nan,0\n", "{path}:2: y_R: 'nan' is not a finite number; write"),
+        ("robot,x_R,y_R,z_R\n1,0,0,x\n", "{path}:2: z_R: 'x' is not a finite number; write"),
+        ("robot,x_R,y_R,z_R,sd_R\n1,0,0,0,inf\n", "{path}:2: sd_R: 'inf' is not a finite"),
+        ('robot,x_R,y_R,z_R\n"1,0,0,0\n', "{path}:2: not a row of a table: "),
+    ],
+)
+def test_a_malformed_table_is_refused(tmp_path, text, problem):
+    """The message names file, line and column, and says what to do."""
+    path = tmp_path / "truth.csv"
+    path.write_text(text)
+
+    with pytest.raises(InputError) as refusal:
+        read_positions(path)
+
+    assert str(refusal.value).startswith(problem.format(path=path))

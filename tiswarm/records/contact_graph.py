@@ -1,0 +1,31 @@
+"""Who touches whom: robots are the nodes, contacts the edges."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from tiswarm.records.sensing_log import SensingLog
+
+
+def located(log: SensingLog) -> NDArray[np.bool_]:
+    """Whether a chain of contacts ties each robot to the anchor, shape (N,)."""
+    i, j = log.contacts[:, 0], log.contacts[:, 2]
+    size = log.robot_count
+    graph = coo_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(size, size))
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part == part[0])
+
+
+def contact_count(log: SensingLog) -> NDArray[np.int64]:
+    """Contacts that each robot takes part in, shape (N,); every contact counts at both ends."""
+    return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
+
+
+def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
+    """Contacts of each robot with robots that joined before it, shape (N,).
+
+    Their mean over all robots but the anchor is what is meant by contacts per robot: the
+    equations that a robot has for its three unknowns when it joins.
+    """
+    return np.bincount(log.contacts[:, 2], minlength=log.robot_count)

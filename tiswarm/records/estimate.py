@@ -1,0 +1,40 @@
+"""What a localizer returns."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Estimated positions of N robots, in join order, and how they were reached."""
+
+    robot_id: NDArray[np.int64]
+    """Name of each robot, shape (N,)."""
+
+    position: NDArray[np.float64]
+    """Estimated centres, in the log's unit, shape (N, 3)."""
+
+    located: NDArray[np.bool_]
+    """Whether a chain of contacts ties the robot to the anchor, shape (N,)."""
+
+    sd: NDArray[np.float64] | None = None
+    """Standard deviation of each position where the method knows it, shape (N,)."""
+
+    iteration: NDArray[np.int64]
+    """Iterations at which the trace was recorded, ascending, shape (K,)."""
+
+    trace: NDArray[np.float64]
+    """Estimated centres at those iterations, shape (K, N, 3)."""
+
+    residual: NDArray[np.float64]
+    """What the method drives to zero, at those iterations, shape (K,).
+
+    For virtual-force: root mean square step of the robots [log unit per iteration].
+    """
+
+    @property
+    def robot_count(self) -> int:
+        """N."""
+        return len(self.robot_id)

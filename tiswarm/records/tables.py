@@ -1,0 +1,125 @@
+"""Positions as a table: `robot,x_R,y_R,z_R` and, where it is known, `sd_R`."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.errors import InputError
+from tiswarm.records.atomic import write_text
+from tiswarm.records.lines import numbered_lines, placed
+
+_ID_LIMIT = 2**63
+
+
+def write_positions(
+    path: Path,
+    robot_id: NDArray[np.int64],
+    position: NDArray[np.float64],
+    sd: NDArray[np.float64] | None = None,
+    *,
+    length_unit: str = "R",
+) -> None:
+    """Write a table of positions, every number in the shortest form that reads back exactly.
+
+    Args:
+        path: Where to.
+        robot_id: Name of each robot, shape (N,).
+        position: Centres, finite, shape (N, 3).
+        sd: Standard deviation of each position, NaN where unknown, shape (N,).
+        length_unit: Unit of all lengths; part of the column names.
+
+    Raises:
+        ValueError: a position is not finite.
+    """
+    if not np.isfinite(position).all():
+        message = f"{path.name}: positions must be finite"
+        raise ValueError(message)
+    columns = [robot_id.tolist(), *position.T.tolist()]
+    if sd is not None:
+        columns.append(["" if math.isnan(value) else value for value in sd.tolist()])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_header(length_unit)[: len(columns)])
+    writer.writerows(zip(*columns, strict=True))
+    write_text(path, text.getvalue())
+
+
+def read_positions(
+    path: Path, *, length_unit: str = "R"
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read the names, shape (N,), and the positions, shape (N, 3), of such a table.
+
+    Raises:
+        InputError: the table cannot be read or a row is malformed; tells file and line.
+    """
+    lines = numbered_lines(path)
+    number, text = next(lines, (1, ""))
+    columns = _header(length_unit)
+    with placed(path, number):
+        header = _cells(text)
+        if header not in (columns[:4], columns):
+            problem = f"the columns are not {','.join(columns[:4])}[,{columns[4]}]; rename them"
+            raise InputError(problem)
+    rows = dict(_rows(lines, header, path))
+    if not rows:
+        problem = "there are no robots; add a row for each"
+        raise InputError(problem, path=path, line=2)
+    return np.array(list(rows), dtype=np.int64), np.array(list(rows.values()), dtype=np.float64)
+
+
+def _header(length_unit: str) -> list[str]:
+    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd"))]
+
+
+def _cells(line: str) -> list[str]:
+    try:
+        return next(csv.reader([line], strict=True), [])
+    except csv.Error as error:
+        problem = f"not a row of a table: {error}; write numbers with commas between them"
+        raise InputError(problem) from error
+
+
+def _rows(
+    lines: Iterable[tuple[int, str]], header: list[str], path: Path
+) -> Iterator[tuple[int, list[float]]]:
+    seen: set[int] = set()
+    for number, text in lines:
+        with placed(path, number):
+            cells = _cells(text)
+            if len(cells) != len(header):
+                problem = f"has {len(cells)} cells; {len(header)} are needed"
+                raise InputError(problem)
+            robot = _robot(cells[0])
+            if robot in seen:
+                problem = f"robot {robot} has a row already; keep one"
+                raise InputError(problem, key="robot")
+            seen.add(robot)
+            position = [_length(cells[k], header[k]) for k in (1, 2, 3)]
+            if cells[4:] not in ([], [""]):
+                _length(cells[4], header[4])
+        yield robot, position
+
+
+def _robot(cell: str) -> int:
+    try:
+        if "_" not in cell and -_ID_LIMIT <= (robot := int(cell)) < _ID_LIMIT:
+            return robot
+    except ValueError:
+        pass
+    problem = f"{cell[:40]!r} is not a robot; write a whole number"
+    raise InputError(problem, key="robot")
+
+
+def _length(cell: str, key: str) -> float:
+    try:
+        if "_" not in cell and math.isfinite(length := float(cell)):
+            return length
+    except ValueError:
+        pass
+    problem = f"{cell[:40]!r} is not a finite number; write it like 0.5 or 1e-3"
+    raise InputError(problem, key=key)
