@@ -1,0 +1,67 @@
+"""Errors and shapes are measured as Eqs. (4) to (7) say."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+
+from tests.strategies import rotations, vectors
+from tiswarm.evaluation import metrics
+
+SHAPE = np.random.default_rng(1).normal(size=(40, 3)) * [1.0, 2.0, 6.0]
+
+
+def test_sums_are_those_of_the_equations():
+    """SSE and RMSE on numbers small enough to do by hand."""
+    truth = np.zeros((2, 3))
+    estimate = np.array([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]])
+
+    assert metrics.sse(estimate, truth) == 25.0
+    assert metrics.rmse(estimate, truth) == pytest.approx(np.sqrt(12.5))
+    np.testing.assert_array_equal(metrics.robot_errors(estimate, truth), [5.0, 0.0])
+
+
+@given(turn=rotations, shift=vectors)
+def test_disparity_ignores_where_the_shape_is_and_how_it_is_turned(turn, shift):
+    """A rotated and shifted copy is congruent."""
+    copy = Rotation.from_quat(turn, scalar_first=True).apply(SHAPE) + shift
+
+    assert metrics.procrustes_disparity(copy, SHAPE) < 1e-12
+
+
+def test_a_mirror_image_is_not_congruent():
+    """No reflection is allowed, unlike in scipy.spatial.procrustes."""
+    assert metrics.procrustes_disparity(SHAPE * [-1, 1, 1], SHAPE) > 0.05
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0, 3.0])
+def test_a_scaled_copy_is_not_congruent(scale):
+    """No scaling is allowed: a copy scaled by s scores (s - 1)^2, beyond 1 if need be."""
+    assert metrics.procrustes_disparity(scale * SHAPE, SHAPE) == pytest.approx((scale - 1) ** 2)
+
+
+def test_disparity_is_the_least_over_rotations():
+    """No rotation near the one found fits better."""
+    rng = np.random.default_rng(2)
+    estimate = SHAPE + rng.normal(size=SHAPE.shape)
+    aligned = metrics.rigidly_aligned(estimate, SHAPE)
+    best = metrics.sse(aligned, SHAPE)
+
+    center = aligned.mean(axis=0)
+    for _ in range(50):
+        nudge = Rotation.from_rotvec(rng.normal(size=3) * 0.05)
+        assert metrics.sse(nudge.apply(aligned - center) + center, SHAPE) >= best
+
+
+def test_straight_and_flat_shapes_are_handled():
+    """Points on a line or a plane align without complaint."""
+    line = np.outer(np.arange(5.0), [0.0, 0.0, 1.0])
+
+    assert metrics.procrustes_disparity(line + 3.0, line) < 1e-12
+    assert metrics.procrustes_disparity(SHAPE * [1, 1, 0], SHAPE * [1, 1, 0]) < 1e-12
+
+
+def test_a_shape_without_extent_is_refused():
+    """Robots all in one place have no shape to compare."""
+    with pytest.raises(ValueError, match="coincide"):
+        metrics.procrustes_disparity(np.ones((3, 3)), np.zeros((3, 3)))

@@ -1,0 +1,200 @@
+"""Algorithm 1 does what the paper says, whatever the frame, the company or the threads."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests import oracle
+from tests.strategies import rotations, vectors
+from tiswarm.compute import backend
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.registry import localize, localize_many
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams, observe
+
+SHORT = VirtualForceParams(iterations=40, repulsion_gain=2.0)
+CUES = [
+    SHORT,
+    dataclasses.replace(SHORT, z_correction=False),
+    dataclasses.replace(SHORT, z_correction=False, undocked_repulsion=False),
+    dataclasses.replace(SHORT, initial_offset_axis="body", initial_offset=1.0, max_step=0.3),
+]
+
+
+@pytest.fixture(scope="module")
+def log(towers) -> SensingLog:
+    """What the robots of a small tower sensed."""
+    return _first(observe(towers[0], SensingParams(tilt_noise_deg=1.0)), 12)
+
+
+def _first(log: SensingLog, count: int) -> SensingLog:
+    """The log as it was when `count` robots had joined."""
+    return dataclasses.replace(
+        log,
+        robot_id=log.robot_id[:count],
+        orientation_wxyz=log.orientation_wxyz[:count],
+        contacts=log.contacts[log.contacts[:, 2] < count],
+        ground_docks=log.ground_docks[log.ground_docks[:, 0] < count],
+        flip_height=log.flip_height[:count],
+        spawn_position=log.spawn_position[:count],
+        stances=None,
+    )
+
+
+@pytest.mark.parametrize("params", CUES)
+def test_algorithm_1_matches_the_paper_written_out_slowly(log, params):
+    """Every robot ends where loops over all docks put it, whichever cues are on."""
+    estimate = localize(log, params)
+
+    np.testing.assert_allclose(estimate.position, oracle.localize(log, params), atol=1e-9)
+
+
+def test_a_wrong_reference_would_be_noticed(log):
+    """The cues matter here, so agreement with the slow version is no accident."""
+    places = [localize(log, params).position for params in CUES]
+
+    for a in range(len(places)):
+        for b in range(a):
+            assert np.abs(places[a] - places[b]).max() > 0.01
+
+
+@settings(deadline=None, max_examples=20)
+@given(shift=vectors)
+def test_moving_the_anchor_moves_the_estimate(log, shift):
+    """Nothing but the anchor and the heights says where the world's origin is."""
+    moved = dataclasses.replace(
+        log, anchor_position=log.anchor_position + shift, flip_height=log.flip_height + shift[2]
+    )
+
+    estimate = localize(moved, SHORT).position - shift
+
+    np.testing.assert_allclose(estimate, localize(log, SHORT).position, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=20)
+@given(turn=rotations)
+def test_turning_the_world_turns_the_estimate(log, turn):
+    """Without a height and with a body-fixed start no direction is special."""
+    params = dataclasses.replace(SHORT, z_correction=False, initial_offset_axis="body")
+    rotation = Rotation.from_quat(turn, scalar_first=True)
+    orientation = rotation * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
+    turned = dataclasses.replace(
+        log,
+        anchor_position=rotation.apply(log.anchor_position),
+        orientation_wxyz=orientation.as_quat(scalar_first=True),
+    )
+
+    estimate = rotation.inv().apply(localize(turned, params).position)
+
+    np.testing.assert_allclose(estimate, localize(log, params).position, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=10)
+@given(scale=st.sampled_from([0.5, 2.0, 32.9]))
+def test_the_unit_of_length_does_not_matter(log, scale):
+    """A log in millimetres gives the same places, in millimetres."""
+    scaled = dataclasses.replace(
+        log,
+        dock_radius=log.dock_radius * scale,
+        dock_offset_body=log.dock_offset_body * scale,
+        anchor_position=log.anchor_position * scale,
+        flip_height=log.flip_height * scale,
+    )
+
+    estimate = localize(scaled, SHORT)
+
+    np.testing.assert_allclose(estimate.position / scale, localize(log, SHORT).position, atol=1e-6)
+
+
+def test_company_and_threads_do_not_change_a_byte(towers):
+    """Alone, in a batch of mixed settings, on one thread and on two: the same bits."""
+    logs = [observe(history, SensingParams()) for history in towers] * len(CUES)
+    params = [p for p in CUES for _ in towers]
+
+    together = localize_many(logs, params)
+    alone = [localize(log, p) for log, p in zip(logs, params, strict=True)]
+    backend.start(threads=1)
+    single = localize_many(logs, params)
+
+    for a, b, c in zip(together, alone, single, strict=True):
+        assert a.trace.tobytes() == b.trace.tobytes() == c.trace.tobytes()
+
+
+def test_the_order_of_contacts_within_a_robot_is_of_no_account(log):
+    """Rows of the log say the same in any order, to rounding."""
+    rng = np.random.default_rng(0)
+    order = np.lexsort([rng.random(len(log.contacts)), log.contacts[:, 2]])
+
+    shuffled = localize(dataclasses.replace(log, contacts=log.contacts[order]), SHORT)
+
+    np.testing.assert_allclose(shuffled.position, localize(log, SHORT).position, atol=1e-9)
+
+
+def test_docks_that_overlap_move_apart():
+    """A robot that starts inside another one, connected to nothing near it, is pushed out."""
+    log = _pair(contacts=[])
+    params = VirtualForceParams(z_correction=False, initial_offset=0.7, repulsion_gain=0.05)
+
+    estimate = localize(log, params)
+
+    frames = estimate.trace[:, 1] - estimate.trace[:, 0]
+    gap = np.array([_least_gap(log, frame) for frame in frames])
+    assert gap[-1] > gap[0] + 0.1
+    assert not estimate.located[1]
+
+
+def test_f32_agrees_with_f64_to_its_precision(log):
+    """Single precision gives the same places to a few parts in a hundred thousand."""
+    double = localize(log, SHORT).position
+    backend.start(precision="f32")
+
+    single = localize(log, SHORT).position
+
+    np.testing.assert_allclose(single, double, atol=2e-3)
+    assert not np.array_equal(single, double)
+
+
+def test_missing_heights_switch_the_height_force_off(log):
+    """A log without flip heights is localized as if the cue were off."""
+    blind = dataclasses.replace(log, flip_height=np.full(log.robot_count, np.nan))
+
+    estimate = localize(blind, SHORT)
+
+    expected = localize(log, dataclasses.replace(SHORT, z_correction=False))
+    np.testing.assert_array_equal(estimate.position, expected.position)
+
+
+def test_the_trace_ends_at_the_estimate(log):
+    """Frames run from the start to the last iteration, whatever the stride."""
+    params = dataclasses.replace(SHORT, iterations=11, trace_every=4)
+
+    estimate = localize(log, params)
+
+    assert estimate.iteration.tolist() == [0, 4, 8, 11]
+    np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
+    assert len(estimate.residual) == 4
+
+
+def _pair(contacts):
+    """Two robots, turned alike."""
+    angle = np.arange(3) * 2 * np.pi / 3
+    return SensingLog(
+        robot_id=np.arange(2),
+        dock_radius=1.0,
+        dock_offset_body=1.506 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]),
+        anchor_position=np.zeros(3),
+        orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
+        contacts=np.array(contacts, np.int32).reshape(-1, 4),
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=np.full(2, np.nan),
+        spawn_position=np.full((2, 3), np.nan),
+    )
+
+
+def _least_gap(log, offset):
+    dock = log.dock_offset_body
+    return np.linalg.norm(dock[:, None] + offset - dock[None], axis=2).min()

@@ -1,0 +1,139 @@
+"""A scenario survives its file; its hash stands for what it says, not how."""
+
+import re
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.robot import RobotGeometry
+from tiswarm.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+    scenario_hash,
+    scenario_schema,
+    variants,
+)
+from tiswarm.sensing import SensingParams
+from tiswarm.world.params import ClimbParams, TowerParams
+
+slugs = st.from_regex(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,20}[A-Za-z0-9_-])?", fullmatch=True)
+slugs |= st.sampled_from(["1e3", "0x1", "0o7", "no", "null", "010", "1.5", "true", "_", "1_0"])
+texts = st.text(st.characters(codec="utf-8"), max_size=40)
+texts |= st.sampled_from(["1e-3", "0o17", ".inf", "~", "", "on", "=", "a: b", " x", "x\n", "\x85"])
+positive = st.floats(1e-300, 1e300)
+conditions = st.fixed_dictionaries(
+    {},
+    optional={
+        "localization.z_correction": st.booleans(),
+        "localization.attraction_gain": positive | st.integers(0, 10**20),
+        "localization.initial_offset_axis": st.sampled_from(["world", "body"]),
+        "sensing.yaw_noise_deg": st.floats(0.0, 180.0, allow_subnormal=False),
+    },
+)
+sweeps = st.fixed_dictionaries(
+    {},
+    optional={
+        "robots": st.lists(st.integers(2, 999), min_size=1, max_size=2, unique=True).map(tuple),
+        "precision": st.just(("f64", "f32")),
+        "structure": st.just(({"kind": "tower"}, {"kind": "tower", "climb": {"patience": 1}})),
+    },
+)
+scenarios = st.builds(
+    Scenario,
+    name=slugs,
+    description=texts,
+    robots=st.integers(2, 10**6),
+    seeds=st.integers(1, 99)
+    | st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True).map(tuple),
+    precision=st.sampled_from(["f64", "f32"]),
+    robot=st.builds(RobotGeometry, rho=st.floats(1.2, 10.0)),
+    structure=st.builds(
+        TowerParams,
+        goal_height=positive,
+        climb=st.builds(ClimbParams, max_flips=st.integers(1, 10**25)),
+    ),
+    sensing=st.builds(SensingParams, tilt_noise_deg=st.floats(0.0, 90.0, allow_subnormal=False)),
+    localization=st.builds(VirtualForceParams, initial_offset=positive, z_correction=st.booleans()),
+    conditions=st.dictionaries(slugs.map(str.lower), conditions, min_size=1, max_size=3),
+    sweep=sweeps,
+)
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    """Offer a file name that every example of a property test may use again."""
+    return tmp_path_factory.mktemp("scenarios") / "scenario.yaml"
+
+
+@settings(deadline=None, max_examples=100)
+@given(scenario=scenarios)
+def test_a_scenario_loads_back_from_its_text(scratch, scenario):
+    """Whatever it says, its YAML says too, written the same way each time."""
+    text = dump_scenario(scenario)
+    scratch.write_bytes(text.encode())
+
+    back = load_scenario(scratch)
+
+    assert back == scenario
+    assert dump_scenario(back) == text
+    assert scenario_hash(back) == scenario_hash(scenario)
+    assert variants(back) == variants(scenario)
+
+
+def test_the_text_is_plain_yaml_with_every_default():
+    """Other readers understand it too; equal values are written out, not referred to."""
+    shared = {"localization.iterations": 5}
+    text = dump_scenario(
+        Scenario(name="x", structure=TowerParams(), conditions={"a": shared, "b": shared})
+    )
+
+    data = yaml.safe_load(text)
+
+    assert list(data) == list(scenario_schema()["properties"])
+    assert data["structure"]["climb"]["patience"] == 2
+    assert data["conditions"] == {"a": shared, "b": shared}
+    assert "&" not in text
+
+
+def test_the_hash_ignores_how_a_scenario_is_written(tmp_path):
+    """Order, comments, description and defaults written out make no difference."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text("name: x\nstructure: {kind: tower, goal_height: 65}\nrobots: 30\n")
+    one = load_scenario(path)
+    path.write_text(
+        "# a comment\nrobots: 30\nstructure:\n  goal_height: 65.0\n  kind: tower\n"
+        "name: x\ndescription: other words\nsensing: {}\n"
+    )
+
+    other = load_scenario(path)
+
+    assert re.fullmatch("[0-9a-f]{8}", scenario_hash(one))
+    assert scenario_hash(one) == scenario_hash(other)
+
+
+@pytest.mark.parametrize("option", ["robots=31", "name=y", "seeds=2", "structure.climb.patience=1"])
+def test_the_hash_tells_scenarios_apart(tmp_path, option):
+    """Whatever changes the study changes its hash."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text("name: x\nstructure: {kind: tower}\nrobots: 30\n")
+
+    assert scenario_hash(load_scenario(path)) != scenario_hash(load_scenario(path, [option]))
+
+
+def _fields(section):
+    yield from section.get("properties", {}).values()
+    for definition in section.get("$defs", {}).values():
+        yield from _fields(definition)
+
+
+def test_the_schema_describes_every_key():
+    """An editor can show what each key means."""
+    schema = scenario_schema()
+
+    assert "2020-12" in schema["$schema"]
+    assert all(field.get("description") for field in _fields(schema))
+    assert set(schema["required"]) == {"name", "structure"}

@@ -1,0 +1,350 @@
+"""Scenarios load with defaults, or are refused with file, line, key and a way out."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiswarm.errors import InputError
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.scenario import find_mistakes, load_scenario, localization_params
+from tiswarm.sensing import SensingParams
+
+SMALL = "name: tower\nstructure: {kind: tower}\n"
+FULL = """\
+name: tower
+description: towers, without noise
+robots: 20
+seeds: [3, 1]
+structure:
+  kind: tower
+  goal_height: 30
+  climb: {patience: 3}
+sensing:
+  tilt_noise_deg: 1e-1
+localization: {z_correction: true}
+conditions:
+  baseline: {}
+  no-z: {localization.z_correction: false}
+sweep:
+  robots: [10, 20]
+"""
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    """Write a scenario and return its path."""
+    path = tmp_path / "scenario.yaml"
+
+    def write(text):
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_name_and_kind_are_enough(scenario):
+    """Everything else has a default, also the method of a section that does not name it."""
+    small = load_scenario(scenario(SMALL))
+    without_method = load_scenario(scenario(f"{SMALL}localization: {{iterations: 7}}\n"))
+
+    assert small.robots == 100
+    assert small.seed_list == (0,)
+    assert small.conditions == {"baseline": {}}
+    assert without_method.localization == VirtualForceParams(iterations=7)
+
+
+def test_what_is_written_is_what_is_loaded(scenario):
+    """Values end up where they belong, whole numbers as floats where floats are wanted."""
+    full = load_scenario(scenario(FULL))
+
+    assert full.seed_list == (3, 1)
+    assert full.structure.goal_height == 30.0
+    assert isinstance(full.structure.goal_height, float)
+    assert full.structure.climb.patience == 3
+    assert full.sensing == SensingParams(tilt_noise_deg=0.1)
+    assert full.sweep == {"robots": (10, 20)}
+
+
+METHOD = "localization.method"
+HUNDRED = list(range(2, 103))
+REFUSED = [
+    ("robots: 5\nstructure: {kind: tower}", 1, "name", "is missing; add it"),
+    ("name: tower", 1, "structure", "is missing; add it"),
+    ("name: tower\nstructure: {}", 2, "structure.kind", "is missing; add it"),
+    ("name: a/b\nstructure: {kind: tower}", 1, "name", "'a/b' cannot name a folder; use letters"),
+    ("name: ..\nstructure: {kind: tower}", 1, "name", "'..' cannot name a folder; use letters"),
+    ("name: 3\nstructure: {kind: tower}", 1, "name", "3 is not text; put it in quotes"),
+    ("name: x\nstructure: {kind: towr}", 2, "structure.kind", "'towr' is not a choice here; use"),
+    ("name: x\nstructure: tower", 2, "structure", '"tower" is not a mapping; write keys'),
+    (f"{SMALL}robot: 20", 3, "robot", "20 is not a mapping; write keys with values"),
+    (f"{SMALL}robts: 20", 3, "robts", "unknown key; did you mean robots?"),
+    (f"{SMALL}color: red", 3, "color", "unknown key; the keys here are name, description, rob"),
+    (f"{SMALL}robots: 1", 3, "robots", "1 is too small; it must be at least 2"),
+    (f"{SMALL}robots: -5", 3, "robots", "-5 is too small; it must be at least 2"),
+    (f"{SMALL}robots: 1e2", 3, "robots", "100.0 is not a whole number; write digits only"),
+    (f"{SMALL}robots: 1_000", 3, "robots", '"1_000" is not a whole number; write digits only'),
+    (f"{SMALL}robots: true", 3, "robots", "true is not a whole number; write digits only"),
+    (f"{SMALL}robots:", 3, "robots", "null is not a whole number; write digits only"),
+    (f"{SMALL}seeds: 0", 3, "seeds", "0 is too small; it must be at least 1"),
+    (f"{SMALL}seeds: []", 3, "seeds", "has 0 entries; it needs at least 1"),
+    (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 is too small; it must be at least 0"),
+    (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 stands twice; give each value once"),
+    (f"{SMALL}precision: f16", 3, "precision", "\"f16\" is not a choice here; use 'f64' or 'f32'"),
+    (
+        "name: x\nstructure:\n  kind: tower\n  climb:\n    patiense: 3",
+        5,
+        "structure.climb.patiense",
+        "unknown key; did you mean patience?",
+    ),
+    (f"{SMALL}sensing:\n  yaw_noise_deg: 181", 4, "sensing.yaw_noise_deg", "it must be at most"),
+    (f"{SMALL}sensing:\n  yaw_noise_deg: .nan", 4, "sensing.yaw_noise_deg", "not a finite number;"),
+    (f"{SMALL}sensing:\n  yaw_noise_deg: 1e999", 4, "sensing.yaw_noise_deg", "a finite number;"),
+    (f"{SMALL}localization: {{z_correction: no}}", 3, "localization.z_correction", "true or fal"),
+    (
+        f"{SMALL}localization: {{method: magic}}",
+        3,
+        "localization.method",
+        "'magic' is not a choice",
+    ),
+    (f"{SMALL}localization: []", 3, "localization", "[] is not a mapping; write keys with values"),
+    (f"{SMALL}conditions: {{}}", 3, "conditions", "has 0 entries; it needs at least 1"),
+    (f"{SMALL}conditions:\n  a b: {{}}", 4, "conditions.a b", "'a b' cannot name a folder; use"),
+    (f"{SMALL}conditions:\n  a: 3", 4, "conditions.a", "3 is not a mapping; write keys with"),
+    (
+        f"{SMALL}conditions:\n  a: {{}}\n  b:\n    robots: 3",
+        6,
+        "conditions.b.robots",
+        "conditions change localization.* and sensing.* only; use sweep for the rest",
+    ),
+    (
+        f"{SMALL}conditions:\n  a: {{}}\n  b:\n    localization.z_corection: false",
+        6,
+        "conditions.b.localization.z_corection",
+        "unknown key; did you mean z_correction?",
+    ),
+    (
+        f"{SMALL}conditions:\n  a: {{}}\n  b:\n    localization.z_correction: 1",
+        6,
+        "conditions.b.localization.z_correction",
+        "1 is not true or false; write one of the two",
+    ),
+    (
+        f"{SMALL}conditions:\n  a:\n    sensing.tilt_noise_deg.x: 1",
+        5,
+        "conditions.a.sensing.tilt_noise_deg.x",
+        "sensing.tilt_noise_deg is a single value, not a section; correct the key",
+    ),
+    (f"{SMALL}sweep:\n  robots: 10", 4, "sweep.robots", "10 is not a list; write it in square"),
+    (f"{SMALL}sweep:\n  robots: []", 4, "sweep.robots", "has 0 entries; it needs at least 1"),
+    (f"{SMALL}sweep:\n  robots: [3, 3]", 4, "sweep.robots", "3 stands twice; give each value once"),
+    (
+        f"{SMALL}sweep:\n  robots:\n    - 3\n    - 1",
+        6,
+        "sweep.robots[1]",
+        "1 is too small; it must",
+    ),
+    (
+        f"{SMALL}conditions: {{a: {{localization.method: x}}}}\nsweep: {{localization: [3]}}",
+        3,
+        "conditions.a.localization.method",
+        "localization is a single value, not a section; correct the key",
+    ),
+    (
+        f"{SMALL}sweep: {{localization: [{{method: []}}]}}\nconditions: {{a: {{{METHOD}: [1]}}}}",
+        4,
+        "conditions.a.localization.method",
+        "'[1]' is not a choice here; use 'virtual-force'",
+    ),
+    (f"{SMALL}localization: {{method: 'a\n\n  b'}}", 3, "localization.method", "'a b' is not a"),
+    (f"{SMALL}sweep:\n  seeds: [1]", 4, "sweep.seeds", "this cannot be swept; sweep robots, "),
+    (f"{SMALL}sweep:\n  robot.rh: [1]", 4, "sweep.robot.rh", "unknown key; did you mean rho?"),
+    (
+        f"{SMALL}sweep:\n  structure:\n    - {{kind: tower}}\n    - kind: tower\n      climb: 3",
+        7,
+        "sweep.structure[1].climb",
+        "3 is not a mapping; write keys with values",
+    ),
+    (
+        f"{SMALL}sweep:\n  robots: {HUNDRED}\n  robot.rho: {HUNDRED}",
+        3,
+        "sweep",
+        "makes 10201 cases; 10000 is the most: give fewer values",
+    ),
+    ("- name: tower", 1, "", "a scenario is a mapping of keys to values; start it with `name:`"),
+    ("just words", 1, "", "a scenario is a mapping of keys to values; start it with `name:`"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "key", "problem"), REFUSED)
+def test_a_mistake_is_told_with_its_place_and_remedy(scenario, text, line, key, problem):
+    """The message reads `file:line: key: what is wrong; what to do`, and there is one of it."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path)
+
+    assert str(refusal.value).startswith(": ".join(filter(None, [f"{path}:{line}", key, ""])))
+    assert problem in str(refusal.value)
+    assert "more mistake" not in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_all_mistakes_are_found_at_once(scenario):
+    """They come in file order; loading tells the first and how many more there are."""
+    path = scenario(
+        "name: tower\nrobots: 1\nstructure: {kind: tower, goal: 3}\nsensing: {tilt_noise_deg: -1}\n"
+        "conditions:\n  bad: {localization.iterations: 0}\nsweep: {precision: [f64, f8]}\n"
+    )
+
+    mistakes = find_mistakes(path)
+
+    assert [mistake.line for mistake in mistakes] == [2, 3, 4, 6, 7]
+    with pytest.raises(
+        InputError, match=r":2: robots: 1 is .* \(and 4 more mistakes\)$"
+    ) as refusal:
+        load_scenario(path)
+    assert (refusal.value.line, refusal.value.key) == (2, "robots")
+
+
+def test_two_mistakes_are_one_more(scenario):
+    """The count is in good English."""
+    path = scenario(f"{SMALL}robots: 1\nseeds: 0\n")
+
+    with pytest.raises(InputError, match=r" \(and 1 more mistake\)$"):
+        load_scenario(path)
+
+
+def test_a_sound_scenario_has_no_mistakes(scenario):
+    """And a file that is not there has one."""
+    path = scenario(FULL)
+
+    assert find_mistakes(path) == []
+    assert len(find_mistakes(path.with_name("gone"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "read", "value"),
+    [
+        ("robots=7", lambda s: s.robots, 7),
+        ("structure.goal_height=1e1", lambda s: s.structure.goal_height, 10.0),
+        ("structure.climb.patience=9", lambda s: s.structure.climb.patience, 9),
+        ("seeds=[3,4]", lambda s: s.seed_list, (3, 4)),
+        ("description=a = b", lambda s: s.description, "a = b"),
+        ("localization={iterations: 5}", lambda s: s.localization.iterations, 5),
+        ("sensing.yaw_noise_deg=2", lambda s: s.sensing.yaw_noise_deg, 2.0),
+        ("sweep={}", lambda s: s.sweep, {}),
+        ("sweep.structure.goal_height=[5]", lambda s: s.sweep["structure.goal_height"], (5,)),
+        (
+            "conditions.no-z.sensing.yaw_noise_deg=5",
+            lambda s: s.conditions["no-z"],
+            {"localization.z_correction": False, "sensing.yaw_noise_deg": 5},
+        ),
+        ("conditions.v1.2={}", lambda s: s.conditions["v1.2"], {}),
+    ],
+)
+def test_an_option_overrides_the_file(scenario, option, read, value):
+    """A dotted key reaches any value; the text after the first `=` is YAML."""
+    assert read(load_scenario(scenario(FULL), [option])) == value
+
+
+def test_the_last_option_wins(scenario):
+    """Options apply in order."""
+    assert load_scenario(scenario(FULL), ["robots=7", "robots=8"]).robots == 8
+
+
+@pytest.mark.parametrize(
+    ("option", "problem"),
+    [
+        ("robots", "is not KEY=VALUE; write it like robots=20"),
+        ("=3", "is not KEY=VALUE; write it like robots=20"),
+        ("robots=", "nothing stands here; write the value"),
+        ("robots=many", '"many" is not a whole number; write digits only'),
+        ("robots=[", "not YAML: "),
+        ("robts=20", "unknown key; did you mean robots?"),
+        ("structure.goal_heigth=30", "unknown key; did you mean goal_height?"),
+        ("structure.kind=towr", "'towr' is not a choice here; use 'tower'"),
+        ("robots.x=3", "robots is a single value, not a section; correct the key"),
+        ("seeds=[1, x]", '"x" is not a whole number; write digits only'),
+        ("sweep.robots=[1]", "1 is too small; it must be at least 2"),
+        ("conditions.no-z.localization.iterations=0", "0 is too small; it must be at least 1"),
+        ("conditions={a: {robots: 3}}", "conditions change localization.* and sensing.* only;"),
+    ],
+)
+def test_a_wrong_option_is_named_instead_of_a_line(scenario, option, problem):
+    """The message reads `--set KEY=VALUE: what is wrong; what to do`."""
+    with pytest.raises(InputError) as refusal:
+        load_scenario(scenario(FULL), ["seeds=2", option])
+
+    assert str(refusal.value).startswith(f"--set {option}: {problem}")
+    assert refusal.value.line is None
+
+
+def test_a_method_is_set_up_without_a_file():
+    """Options name the method's own settings."""
+    params = localization_params("virtual-force", ["iterations=7", "z_correction=false"])
+
+    assert params == VirtualForceParams(iterations=7, z_correction=False)
+
+
+@pytest.mark.parametrize(
+    ("method", "option", "problem"),
+    [
+        ("magic", "iterations=7", "--method: 'magic' is not a choice here; use 'virtual-force'"),
+        ("virtual-force", "iterations=0", "--set iterations=0: 0 is too small; it must be at"),
+        ("virtual-force", "iteration=5", "--set iteration=5: unknown key; did you mean iterat"),
+        ("virtual-force", "max.step=5", "--set max.step=5: unknown key; the keys here are method,"),
+        ("virtual-force", "method.x=5", "--set method.x=5: localization.method is a single val"),
+    ],
+)
+def test_a_method_that_cannot_be_set_up_is_told(method, option, problem):
+    """The message names the option at fault."""
+    with pytest.raises(InputError) as refusal:
+        localization_params(method, [option])
+
+    assert str(refusal.value).startswith(problem)
+
+
+def test_an_option_repairs_the_file(scenario):
+    """A mistake that is overridden is none."""
+    path = scenario(f"{SMALL}robots: 1\n")
+
+    assert load_scenario(path, ["robots=2"]).robots == 2
+
+
+def test_mistakes_in_options_come_after_those_in_the_file(scenario):
+    """The file is read first."""
+    mistakes = find_mistakes(scenario(f"{SMALL}seeds: 0\n"), ["robots=1"])
+
+    assert [mistake.key for mistake in mistakes] == ["seeds", "--set robots=1"]
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    """Offer a file name that every example of a property test may use again."""
+    return tmp_path_factory.mktemp("scenarios") / "scenario.yaml"
+
+
+new_bytes = st.binary(min_size=1, max_size=3) | st.sampled_from(
+    [b"&a ", b"*a", b"!!int ", b"\t", b"[", b"{", b"- ", b": ", b"\n", b"'", b"0x", b"? ", b"---\n"]
+)
+
+
+@settings(deadline=None, max_examples=400)
+@given(
+    edits=st.lists(
+        st.tuples(st.sampled_from("dif"), st.integers(0, 500), new_bytes), min_size=1, max_size=4
+    )
+)
+def test_a_damaged_file_is_loaded_or_refused(scratch, edits):
+    """Bytes deleted, inserted or flipped end in a scenario or an InputError, never otherwise."""
+    data = bytearray(FULL.encode())
+    for kind, position, new in edits:
+        at = position % len(data)
+        data[at : at + (0 if kind == "i" else len(new))] = b"" if kind == "d" else new
+    scratch.write_bytes(data)
+
+    mistakes = find_mistakes(scratch)
+
+    assert all(str(mistake).startswith(f"{scratch}:") for mistake in mistakes)
+    if not mistakes:
+        assert load_scenario(scratch).seed_list

@@ -1,0 +1,198 @@
+"""Every point of the sweep under every condition, by a name fit for a folder."""
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import pytest
+from pydantic import Field, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from tiswarm.errors import InputError
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.params import STRICT
+from tiswarm.scenario import Scenario, check, find_mistakes, model, variants
+from tiswarm.scenario.variants import MAX_LABEL
+from tiswarm.world.params import TowerParams
+
+
+def scenario(**settings):
+    """Make a scenario in Python rather than from a file."""
+    return Scenario(name="tower", structure=TowerParams(), **settings)
+
+
+def labels(**settings):
+    """Names of all cases of a scenario."""
+    return [variant.label for variant in variants(scenario(**settings))]
+
+
+def test_without_conditions_and_sweep_there_is_one_case():
+    """It is the scenario itself, called baseline."""
+    plain = scenario(robots=7)
+
+    (only,) = variants(plain)
+
+    assert only.label == only.condition == "baseline"
+    assert only.settings == plain
+
+
+def test_conditions_run_at_every_point_of_the_sweep():
+    """The last swept key turns fastest, and conditions faster still."""
+    names = labels(
+        sweep={"robots": (10, 20), "structure.goal_height": (5, 6.5)},
+        conditions={"baseline": {}, "no-z": {"localization.z_correction": False}},
+    )
+
+    assert names == [
+        "robots=10,structure.goal_height=5,baseline",
+        "robots=10,structure.goal_height=5,no-z",
+        "robots=10,structure.goal_height=6.5,baseline",
+        "robots=10,structure.goal_height=6.5,no-z",
+        "robots=20,structure.goal_height=5,baseline",
+        "robots=20,structure.goal_height=5,no-z",
+        "robots=20,structure.goal_height=6.5,baseline",
+        "robots=20,structure.goal_height=6.5,no-z",
+    ]
+
+
+def test_a_case_is_settled_to_the_last_value():
+    """Swept values and conditions are applied; nothing is left to vary."""
+    base = scenario(
+        sweep={"robots": (10,), "sensing.tilt_noise_deg": (1,)},
+        conditions={"no-z": {"localization.z_correction": False}},
+    )
+
+    (case,) = variants(base)
+
+    assert case.condition == "no-z"
+    assert case.point == {"robots": 10, "sensing.tilt_noise_deg": 1}
+    assert case.settings.robots == 10
+    assert case.settings.sensing.tilt_noise_deg == 1.0
+    assert case.settings.localization == VirtualForceParams(z_correction=False)
+    assert variants(case.settings)[0].settings == case.settings
+    assert base.robots == 100
+
+
+def test_a_condition_has_the_last_word():
+    """Where sweep and condition set the same key, the condition holds."""
+    (case,) = variants(
+        scenario(
+            sweep={"localization.iterations": (5,)},
+            conditions={"long": {"localization.iterations": 50}},
+        )
+    )
+
+    assert case.settings.localization.iterations == 50
+
+
+def test_labels_are_fit_for_folders():
+    """Sections and odd characters become plain text; long names are cut and kept apart."""
+    sections = tuple({"kind": "tower", "goal_height": 1.5 + k} for k in range(2))
+    heights = {
+        "twists": 1,
+        "max_flips": 400,
+        "max_spawns": 100,
+        "patience": 2,
+        "min_flip_deg": 1e-5,
+    }
+    long = tuple({"kind": "tower", "climb": {**heights, "max_flip_deg": 100 + k}} for k in range(2))
+
+    short_names = labels(sweep={"structure": sections, "sensing.tilt_noise_deg": (1e-5,)})
+    long_names = labels(sweep={"structure": long, "localization.initial_offset": (-1.5,)})
+
+    assert short_names == [
+        "structure=kind-tower-goal_height-1.5,sensing.tilt_noise_deg=1e-05,baseline",
+        "structure=kind-tower-goal_height-2.5,sensing.tilt_noise_deg=1e-05,baseline",
+    ]
+    assert len(set(long_names)) == 2
+    assert all(len(name) <= MAX_LABEL for name in long_names)
+
+
+def test_cases_that_a_file_system_may_mix_up_are_refused():
+    """Names that differ by capitals only are the same folder on many machines."""
+    with pytest.raises(InputError, match="two cases would be called A; rename a condition"):
+        variants(scenario(conditions={"a": {}, "A": {}}))
+
+
+def test_a_wrong_condition_made_in_python_is_told():
+    """Without a file, the error names the key."""
+    wrong = scenario(conditions={"a": {"localization.iterations": 0}})
+
+    with pytest.raises(InputError, match=r"^conditions.a.localization.iterations: 0 is too small"):
+        variants(wrong)
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class OtherMethod:
+    """Another method, one of whose settings has a name that virtual-force knows too."""
+
+    method: Literal["other"] = "other"
+    iterations: int = 9
+    chains: int = 1
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class TwoMethodScenario(Scenario):
+    """A scenario with a choice of methods."""
+
+    localization: Annotated[VirtualForceParams | OtherMethod, Field(discriminator="method")] = (
+        VirtualForceParams()
+    )
+
+
+@pytest.fixture
+def two_methods(monkeypatch):
+    """Make scenarios with a choice of two methods."""
+    check.scenario_schema()  # keep the real one in its cache
+    adapter = TypeAdapter(TwoMethodScenario)
+    monkeypatch.setattr(check, "ADAPTER", adapter)
+    monkeypatch.setattr(model, "ADAPTER", adapter)
+    return TwoMethodScenario(name="two", structure=TowerParams())
+
+
+def test_another_method_starts_from_its_own_defaults(two_methods):
+    """Settings of the old method do not leak into the new one, whatever their names."""
+    entries = {"localization.chains": 3, "localization.method": "other"}
+
+    old, new = variants(replace(two_methods, conditions={"old": {}, "new": entries}))
+
+    assert old.settings.localization == VirtualForceParams()
+    assert new.settings.localization == OtherMethod(chains=3)
+
+
+def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
+    """A condition that would lose what was set for another method is told so, in its line."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text(
+        "name: x\nstructure: {kind: tower}\nlocalization: {iterations: 5}\n"
+        "conditions:\n  new:\n    localization.method: other\n"
+    )
+
+    (mistake,) = find_mistakes(path)
+
+    assert str(mistake) == (
+        f"{path}:6: conditions.new.localization.method: would drop the settings made for "
+        "virtual-force; sweep localization as a whole, or move them into the conditions of "
+        "virtual-force"
+    )
+
+
+def test_whole_sections_can_be_swept(two_methods):
+    """Every method with its own settings, side by side."""
+    sections = ({"iterations": 5}, {"method": "other", "iterations": 6})
+
+    first, second = variants(replace(two_methods, sweep={"localization": sections}))
+
+    assert first.settings.localization == VirtualForceParams(iterations=5)
+    assert second.settings.localization == OtherMethod(iterations=6)
+
+
+def test_a_mistake_of_two_together_names_the_case(two_methods):
+    """What neither change did alone is told with the case in which it happens."""
+    wrong = replace(
+        two_methods,
+        sweep={"localization": ({"method": "virtual-force"}, {"method": "other"})},
+        conditions={"a": {"localization.trace_every": 3}},
+    )
+
+    with pytest.raises(InputError, match=r"^conditions.a.localization.trace_every: unknown key"):
+        variants(wrong)

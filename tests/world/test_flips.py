@@ -1,0 +1,132 @@
+"""A flip stops where a dock first touches something, and nowhere else."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests import oracle
+from tests.strategies import unit_vectors, vectors
+from tiswarm.compute.dialect import Reals2, ti
+from tiswarm.world.kernels import rise_angles
+
+FULL_TURN = 2.0 * np.pi
+
+
+@ti.kernel
+def _rise_angles(level: Reals2, angles: Reals2):
+    for i in range(level.shape[0]):
+        both = rise_angles(level[i, 0], level[i, 1], level[i, 2], FULL_TURN)
+        angles[i, 0] = both[0]
+        angles[i, 1] = both[1]
+
+
+def _meeting(arm, axis, obstacle, spacing=2.0):
+    """Forward and backward angle at which a dock at `arm` meets one at `obstacle`."""
+    along = arm @ axis
+    level = 0.5 * (arm @ arm + obstacle @ obstacle - spacing**2) - along * (obstacle @ axis)
+    query = np.array([[obstacle @ (arm - along * axis), obstacle @ np.cross(axis, arm), level]])
+    angles = np.zeros((1, 2))
+    _rise_angles(query, angles)
+    return angles[0]
+
+
+@settings(deadline=None, max_examples=200)
+@given(arm=vectors, axis=unit_vectors, obstacle=vectors)
+def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle):
+    """The closed form agrees with turning the dock step by step, both ways."""
+    if abs(np.linalg.norm(arm - obstacle) - 2.0) < 0.05:
+        return  # touching at the start is another test's matter
+
+    forward, backward = _meeting(arm, axis, obstacle)
+
+    for angle, sign in ((forward, 1.0), (backward, -1.0)):
+        swept = oracle.first_meeting(arm, sign * axis, obstacle, 2.0)
+        if abs(oracle.closest_approach(arm, axis, obstacle) - 2.0) < 1e-3:
+            continue  # a graze that a sweep in steps may miss
+        if np.isinf(swept):
+            assert angle == FULL_TURN
+        else:
+            end = oracle.turned(arm, axis, sign * angle)
+            assert swept == pytest.approx(angle, abs=2.5 * FULL_TURN / oracle.FINE)
+            assert np.linalg.norm(end - obstacle) == pytest.approx(2.0, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(axis=unit_vectors, towards=st.booleans())
+def test_a_dock_that_rests_on_another_cannot_turn_into_it(axis, towards):
+    """Touching at the start blocks the turn inward at once, and leaves the other way free."""
+    arm = 2.6 * np.cross(axis, np.roll(axis, 1) + 0.1)
+    if np.linalg.norm(arm) < 0.5:
+        return
+    onward = np.cross(axis, arm) / np.linalg.norm(np.cross(axis, arm))
+    obstacle = arm + (2.0 if towards else -2.0) * onward
+
+    forward, backward = _meeting(arm, axis, obstacle)
+
+    assert (forward if towards else backward) == pytest.approx(0.0, abs=1e-6)
+    assert (backward if towards else forward) > 0.05
+
+
+def test_walks_keep_their_pivot_where_it_is(towers):
+    """From stance to stance the dock that the robot turns about does not move."""
+    for history in towers:
+        body = history.robot.dock_offset_body
+        for walk in history.walks:
+            dock = [
+                center + oracle.matrix(q) @ body.T[:, k]
+                for center, q, k in zip(
+                    walk.center, walk.orientation_wxyz, [*walk.pivot_dock, 0], strict=True
+                )
+            ]
+            for step, k in enumerate(walk.pivot_dock):
+                after = (
+                    walk.center[step + 1] + oracle.matrix(walk.orientation_wxyz[step + 1]) @ body[k]
+                )
+                np.testing.assert_allclose(after, dock[step], atol=1e-12)
+
+
+def test_no_dock_passes_through_another_on_the_way(towers):
+    """One of the two ways round each flip of the last robots, sampled finely, is free."""
+    history = towers[0]
+    body = history.robot.dock_offset_body
+    for j in range(history.robot_count - 5, history.robot_count):
+        walk = history.walks[j]
+        others = np.concatenate([_docks(history, i) for i in range(j)])
+        for step, k in enumerate(walk.pivot_dock):
+            paths = _ways(walk, step, body, k)
+
+            assert max(_clearance(docks, others) for docks in paths) > -1e-9
+
+
+def test_every_pivot_holds_on_to_something(towers):
+    """A robot flips about docks that touch another robot or the ground."""
+    for history in towers:
+        for walk in history.walks:
+            felt = {(s, k) for s, k, _, _ in walk.contacts} | set(map(tuple, walk.ground_docks))
+
+            assert all((s, k) in felt for s, k in enumerate(walk.pivot_dock))
+
+
+def _docks(history, i):
+    turn = oracle.matrix(history.orientation_wxyz[i])
+    return history.position[i] + history.robot.dock_offset_body @ turn.T
+
+
+def _clearance(docks, others):
+    """Least gap to the structure and the ground along a path of docks, (steps, 3, 3)."""
+    gap = np.linalg.norm(docks[:, :, None] - others, axis=3).min() - 2.0
+    return min(gap, docks[..., 2].min() - 1.0)
+
+
+def _ways(walk, step, body, k):
+    """Dock paths of a flip about dock `k`, the short and the long way round, (60, 3, 3) each."""
+    before = oracle.matrix(walk.orientation_wxyz[step])
+    after = oracle.matrix(walk.orientation_wxyz[step + 1])
+    pivot = walk.center[step] + before @ body[k]
+    turn = Rotation.from_matrix(after @ before.T).as_rotvec()
+    angle = np.linalg.norm(turn)
+    for end in (angle, angle - FULL_TURN):
+        spin = Rotation.from_rotvec(np.linspace(0.0, end, 60)[:, None] * turn / angle)
+        yield pivot + np.array([spin.apply(before @ (b - body[k])) for b in body]).swapaxes(0, 1)

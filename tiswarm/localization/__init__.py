@@ -1,0 +1,1 @@
+"""Localizers: from a sensing log alone to positions."""

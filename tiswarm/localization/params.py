@@ -1,0 +1,57 @@
+"""Settings of each localization method."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from tiswarm.params import STRICT
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualForceParams:
+    """Gains of Eqs. (1)-(3) and the schedule that applies them.
+
+    Gains must not be fitted on the runs they are reported on.
+    """
+
+    method: Literal["virtual-force"] = "virtual-force"
+    """Name of the method."""
+
+    z_correction: bool = True
+    """Pull each robot toward the height that its flips imply, Eq. (3)."""
+
+    undocked_repulsion: bool = True
+    """Push apart docks that overlap though they are not in contact, Eq. (2)."""
+
+    attraction_gain: Annotated[float, Field(ge=0.0)] = 0.1
+    """A in Eq. (1): step per unit of stretch [1]."""
+
+    repulsion_gain: Annotated[float, Field(ge=0.0)] = 0.05
+    """B in Eqs. (1) and (2): step per unit of overlap to the fourth [R^-3]."""
+
+    height_gain: Annotated[float, Field(ge=0.0)] = 0.1
+    """k_z in Eq. (3): step per unit of height missing [1]."""
+
+    initial_offset: float = 2.0
+    """s in Algorithm 1: how far from its neighbours' mean a robot starts [R]."""
+
+    initial_offset_axis: Literal["world", "body"] = "world"
+    """Direction of that offset: world up, or the robot's own z axis."""
+
+    max_step: Annotated[float, Field(gt=0.0)] = 1.0
+    """A robot moves no farther than this in one iteration [R]; our addition, without which
+    useful gains diverge."""
+
+    iterations: Annotated[int, Field(ge=1, le=1_000_000)] = 300
+    """T: refinement steps of each robot."""
+
+    trace_every: Annotated[int, Field(ge=1)] = 5
+    """The trace keeps every so many iterations, and the last."""
+
+
+LocalizationParams = Annotated[
+    VirtualForceParams,  # | the settings of each further method
+    Field(discriminator="method"),
+]
+"""Settings of any method."""

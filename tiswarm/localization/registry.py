@@ -1,0 +1,65 @@
+"""Every localization method, by name."""
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+from tiswarm.localization import virtual_force
+from tiswarm.localization.params import LocalizationParams
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """How to call a method."""
+
+    localize_batch: Callable[..., list[Estimate]]
+    """Localizes logs side by side, given settings for each."""
+
+    batch_key: Callable[..., Hashable]
+    """Logs (each with its settings) of equal key may share a batch."""
+
+
+METHODS = {
+    "virtual-force": Method(
+        localize_batch=virtual_force.localize_batch, batch_key=virtual_force.batch_key
+    ),
+}
+
+
+def localize(log: SensingLog, params: LocalizationParams) -> Estimate:
+    """Work out from what a swarm sensed where every robot is.
+
+    Args:
+        log: What the swarm sensed.
+        params: Method and settings.
+    """
+    return localize_many([log], [params])[0]
+
+
+def localize_many(
+    logs: Sequence[SensingLog],
+    params: Sequence[LocalizationParams],
+    *,
+    tell: Callable[[int], None] = lambda _done: None,
+) -> list[Estimate]:
+    """Localize structures side by side, as far as their settings let them share a launch.
+
+    Args:
+        logs: What each swarm sensed.
+        params: Method and settings for each.
+        tell: Called with the number of structures that were finished.
+
+    Returns:
+        One estimate a log; the same as if each had been localized alone.
+    """
+    batches: dict[Hashable, list[int]] = {}
+    for n, (log, p) in enumerate(zip(logs, params, strict=True)):
+        batches.setdefault((p.method, METHODS[p.method].batch_key(log, p)), []).append(n)
+    estimates: dict[int, Estimate] = {}
+    for members in batches.values():
+        method = METHODS[params[members[0]].method]
+        batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
+        estimates |= dict(zip(members, batch, strict=True))
+        tell(len(members))
+    return [estimates[n] for n in range(len(logs))]

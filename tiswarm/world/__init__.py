@@ -1,0 +1,1 @@
+"""The world: terrain, flips, and structures that grow out of robots climbing each other."""

@@ -1,0 +1,75 @@
+"""Whether a structure is one that could stand in the world: checked before it is stored."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tiswarm.compute.rotations import dock_offsets
+from tiswarm.robot import DOCK_COUNT
+from tiswarm.world.history import History
+
+MAX_OVERLAP = 1e-9
+"""Deepest overlap that rounding may leave [R]."""
+
+
+def unsoundness(history: History, *, contact_gap: float) -> str:
+    """Say what is wrong with a structure, or nothing.
+
+    Args:
+        history: The structure as it grew.
+        contact_gap: Docks closer than this count as touching [R].
+
+    Returns:
+        The first fault found, or an empty string.
+    """
+    robot = history.robot
+    turned = dock_offsets(history.orientation_wxyz, robot.dock_offset_body)
+    dock = history.position[:, None, :] + turned
+    checks = (
+        _overlap(dock.reshape(-1, 3), robot.spacing),
+        _sunken(dock, history.ground_z + robot.dock_radius),
+        _loose_contact(dock, history.contacts, robot.spacing, contact_gap),
+        _unheld(history),
+    )
+    return next((fault for fault in checks if fault), "")
+
+
+def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
+    """Docks of different robots that overlap."""
+    pairs = cKDTree(dock).query_pairs(spacing - MAX_OVERLAP, output_type="ndarray")
+    pairs = pairs[pairs[:, 0] // DOCK_COUNT != pairs[:, 1] // DOCK_COUNT]
+    if len(pairs) == 0:
+        return ""
+    depth = spacing - np.linalg.norm(dock[pairs[:, 0]] - dock[pairs[:, 1]], axis=1)
+    worst = int(np.argmax(depth))
+    i, j = pairs[worst] // DOCK_COUNT
+    return f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
+
+
+def _sunken(dock: NDArray[np.float64], lowest: float) -> str:
+    """Docks below the ground."""
+    depth = lowest - dock[:, :, 2]
+    if depth.max() <= MAX_OVERLAP:
+        return ""
+    robot = np.unravel_index(np.argmax(depth), depth.shape)[0]
+    return f"robot {robot} is {depth.max():.3g} R deep in the ground"
+
+
+def _loose_contact(
+    dock: NDArray[np.float64], contacts: NDArray[np.int32], spacing: float, gap: float
+) -> str:
+    """Contacts whose docks do not touch."""
+    i, a, j, b = contacts.T
+    distance = np.linalg.norm(dock[i, a] - dock[j, b], axis=1)
+    off = np.flatnonzero(distance > spacing + gap)
+    if len(off) == 0:
+        return ""
+    return f"robots {i[off[0]]} and {j[off[0]]} are in contact {distance[off[0]]:.3g} R apart"
+
+
+def _unheld(history: History) -> str:
+    """Robots that neither touch an earlier one nor stand on the ground."""
+    held = np.zeros(history.robot_count, np.bool_)
+    held[history.contacts[:, 2]] = True
+    held[history.ground_docks[:, 0]] = True
+    return "" if held.all() else f"robot {np.argmin(held)} is held by nothing"
