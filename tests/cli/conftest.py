@@ -1,0 +1,42 @@
+"""The command line as a user calls it: in a process of its own."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="session")
+def tiswarm() -> Command:
+    """Call `tiswarm` with some arguments; its own kernels run without bounds checks."""
+
+    def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
+        environment = {k: v for k, v in os.environ.items() if k != "TISWARM_DEBUG"} | env
+        return subprocess.run(
+            [sys.executable, "-m", "tiswarm", *map(str, arguments)],
+            cwd=cwd,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def small_run(tiswarm: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small run of the tower scenario, drawn."""
+    out = tmp_path_factory.mktemp("runs")
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2", "--out", out
+    )
+    assert done.returncode == 0, done.stderr
+    return next(out.iterdir())

@@ -1,0 +1,141 @@
+"""Every command explains itself, and bad input ends in one line and status 2."""
+
+import json
+import os
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from tests.cli.conftest import REPOSITORY
+
+COMMANDS = ("run", "localize", "report", "render", "check", "schema", "doctor")
+
+
+def _only_line(done) -> str:
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    return lines[0]
+
+
+def test_help_shows_an_example(tiswarm):
+    """`--help` of the whole and of each command ends with a command line to try."""
+    for arguments in ((), *((name,) for name in COMMANDS)):
+        done = tiswarm(*arguments, "--help")
+
+        assert done.returncode == 0
+        assert "Example: tiswarm" in done.stdout
+
+
+def test_version_is_told(tiswarm):
+    """`--version` prints name and version."""
+    assert tiswarm("--version").stdout.startswith("tiswarm 0.")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("fly",), "No such command"),
+        (("run",), "Missing argument"),
+        (("run", "nowhere.yaml"), "nowhere.yaml"),
+        (("run", "scenarios/tower.yaml", "--arch", "abacus"), "abacus"),
+        (("run", "scenarios/tower.yaml", "--set", "robots=-3"), "--set robots=-3"),
+        (("run", "scenarios/tower.yaml", "--set", "robtos=3"), "did you mean robots"),
+        (("run", "scenarios/tower.yaml", "--threads", "0"), "give 1 or more"),
+        (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
+        (("localize", "log.jsonl", "--method", "guess"), "--method"),
+        (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),
+        (("report", "scenarios"), "run folder"),
+        (("render", "scenarios"), "scenarios"),
+    ],
+)
+def test_bad_commands_end_in_one_line(tiswarm, tmp_path, arguments, told):
+    """Status 2, one line that names the trouble, no traceback, nothing written."""
+    here = tmp_path / "cwd"
+    here.mkdir()
+    (here / "scenarios").symlink_to(REPOSITORY / "scenarios")
+
+    done = tiswarm(*arguments, cwd=here, PYTHONPATH=str(REPOSITORY))
+
+    assert done.returncode == 2
+    assert told in _only_line(done)
+    assert [path.name for path in here.iterdir()] == ["scenarios"]
+
+
+def test_a_mistake_in_a_scenario_is_told_with_its_line(tiswarm, tmp_path):
+    """File, line and key of the mistake come first."""
+    scenario = tmp_path / "bad.yaml"
+    scenario.write_text("name: bad\nstructure:\n  kind: tower\n  goal_heigth: 3\n")
+
+    done = tiswarm("run", scenario, cwd=tmp_path, PYTHONPATH=str(REPOSITORY))
+
+    assert done.returncode == 2
+    line = _only_line(done)
+    assert f"{scenario}:4: structure.goal_heigth: " in line
+    assert "goal_height" in line
+    assert list(tmp_path.iterdir()) == [scenario]
+
+
+def test_check_finds_every_mistake(tiswarm, tmp_path):
+    """All mistakes of a file are listed, one a line, and sound files are summed up."""
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("name: bad\nrobots: -1\nstructure:\n  kind: tower\n  goal_height: high\n")
+
+    done = tiswarm("check", REPOSITORY / "scenarios" / "tower.yaml", bad)
+
+    assert done.returncode == 2
+    assert "15 cases" in done.stdout
+    assert [f"{bad}:2: robots" in done.stderr, f"{bad}:5: structure" in done.stderr] == [True] * 2
+
+
+def test_check_reads_logs_too(tiswarm, small_run, tmp_path):
+    """A sound log is summed up; a damaged one is refused at its line."""
+    log = small_run / "cases" / "0-baseline" / "sensing.jsonl"
+    lines = log.read_text().splitlines()
+    damaged = tmp_path / "damaged.jsonl"
+    damaged.write_text("\n".join([*lines[:5], lines[5].replace("[", "(", 1), *lines[6:]]))
+
+    assert "12 robots" in tiswarm("check", log).stdout
+    done = tiswarm("check", damaged)
+    assert done.returncode == 2
+    assert f"{damaged}:6" in _only_line(done)
+
+
+def test_schema_accepts_what_is_shipped_and_refuses_what_is_not(tiswarm):
+    """The printed JSON Schema is one, and editors can check scenarios by it."""
+    schema = json.loads(tiswarm("schema").stdout)
+    scenario = yaml.safe_load((REPOSITORY / "scenarios" / "tower.yaml").read_text())
+
+    jsonschema.validate(scenario, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**scenario, "robotz": 3}, schema)
+
+
+def test_doctor_knows_what_works(tiswarm):
+    """The CPU works, metal does not on Linux, some renderer does."""
+    done = tiswarm("doctor")
+
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert any(line.startswith("ok") and "backend cpu" in line for line in lines)
+    assert any(line.startswith("ok") and "renderer" in line for line in lines)
+    assert any("cores" in line for line in lines)
+
+
+def test_quiet_says_nothing(tiswarm, tmp_path):
+    """With --quiet a run that goes well prints nothing at all."""
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--quiet", "--no-pictures",
+        "--set", "robots=5", "--set", "seeds=1", "--out", tmp_path,
+    )  # fmt: skip
+
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_a_folder_that_cannot_be_written_is_trouble_with_the_environment(tiswarm):
+    """Status 1 and one line that says what to choose instead."""
+    done = tiswarm("run", "scenarios/tower.yaml", "--out", Path(os.devnull) / "reports")
+
+    assert done.returncode == 1
+    assert "choose another --out" in _only_line(done)

@@ -1,0 +1,232 @@
+"""Whole runs: what they write, that they repeat, and that they go on after a break."""
+
+import filecmp
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from tests.cli.conftest import REPOSITORY
+
+SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
+SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
+
+
+def _files(folder: Path) -> set[Path]:
+    """Everything that must repeat: all files but the manifest and what is drawn."""
+    return {
+        path.relative_to(folder)
+        for path in folder.rglob("*")
+        if path.is_file()
+        and path.name != "manifest.json"
+        and not {"figures", "renders"} & set(path.parts)
+    }
+
+
+def _assert_same_bytes(a: Path, b: Path) -> None:
+    assert _files(a) == _files(b)
+    same, different, missing = filecmp.cmpfiles(a, b, _files(a), shallow=False)
+    assert same
+    assert not different
+    assert not missing
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
+def test_every_shipped_scenario_runs(tiswarm, tmp_path, scenario):
+    """At small size each one ends well and names its folder."""
+    done = tiswarm(
+        "run", scenario, "--set", "robots=8", "--set", "seeds=1", "--no-pictures", "--out", tmp_path
+    )
+
+    assert done.returncode == 0, done.stderr
+    folder = next(tmp_path.iterdir())
+    assert str(folder) in done.stdout
+    assert (pd.read_csv(folder / "summary.csv")["status"] == "done").all()
+
+
+def test_a_run_leaves_everything_behind(small_run):
+    """Tables, cases, manifest and pictures are there, and say what they should."""
+    summary = pd.read_csv(small_run / "summary.csv")
+    table = pd.read_csv(small_run / "table.csv")
+    manifest = json.loads((small_run / "manifest.json").read_text())
+
+    assert len(summary) == 6
+    assert summary["rmse_R"].between(0, 50).all()
+    assert table["condition"].tolist() == ["baseline", "no-z", "no-z-no-undock"]
+    assert table["paper_rmse_radii"].tolist() == [1.64, 1.84, 2.36]
+    np.testing.assert_allclose(
+        table["rmse_R_mean"], summary.groupby("condition", sort=False)["rmse_R"].mean()
+    )
+    assert set(manifest["stages"]) == {"grow", "sense", "localize", "evaluate and store"}
+    assert {"tiswarm", "backend", "machine", "libraries", "peak_memory_MB"} <= set(manifest)
+    assert {"structure.png", "truth-and-estimate.png"} <= set(manifest["renders"])
+
+
+def test_what_a_case_says_is_what_its_files_say(small_run):
+    """Errors by robot, the last iteration and the summary agree."""
+    summary = pd.read_csv(small_run / "summary.csv").set_index("case")
+    for folder in (small_run / "cases").iterdir():
+        robots = pd.read_csv(folder / "robots.csv")
+        convergence = pd.read_csv(folder / "convergence.csv")
+        truth = pd.read_csv(folder / "truth.csv")
+        estimate = pd.read_csv(folder / "estimate.csv")
+        places = ["x_R", "y_R", "z_R"]
+        error = np.linalg.norm(estimate[places] - truth[places], axis=1)
+
+        np.testing.assert_allclose(robots["error_R"], error, atol=1e-12)
+        rmse = summary.loc[folder.name, "rmse_R"]
+        assert rmse == pytest.approx(np.sqrt(np.mean(error**2)))
+        assert rmse == pytest.approx(convergence["rmse_R"].iloc[-1])
+
+
+def test_every_picture_shows_something(small_run):
+    """Figures and renders are pictures with more than one colour."""
+    pictures = [*small_run.glob("figures/*.png"), *small_run.glob("renders/*.png")]
+
+    assert len(pictures) >= 5
+    for path in pictures:
+        pixels = np.asarray(Image.open(path).convert("RGB"))
+        assert min(pixels.shape[:2]) >= 300
+        assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50
+
+
+def test_threads_and_repetition_do_not_change_a_byte(tiswarm, tmp_path):
+    """One thread, two threads, and the same once more."""
+    for name, threads in (("one", 1), ("two", 2), ("again", 2)):
+        done = tiswarm(
+            "run", "scenarios/tower.yaml", *SMALL, "--threads", threads, "--out", tmp_path / name
+        )
+        assert done.returncode == 0, done.stderr
+
+    _assert_same_bytes(tmp_path / "one", tmp_path / "two")
+    _assert_same_bytes(tmp_path / "one", tmp_path / "again")
+
+
+def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
+    """A stored log localized on its own gives the stored estimate, for every condition."""
+    options = {
+        "baseline": (),
+        "no-z": ("--set", "z_correction=false"),
+        "no-z-no-undock": ("--set", "z_correction=false", "--set", "undocked_repulsion=false"),
+    }
+    for condition, settings in options.items():
+        case = small_run / "cases" / f"1-{condition}"
+        out = tmp_path / f"{condition}.csv"
+
+        done = tiswarm("localize", case / "sensing.jsonl", *settings, "--out", out)
+
+        assert done.returncode == 0, done.stderr
+        assert out.read_bytes() == (case / "estimate.csv").read_bytes()
+
+
+def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
+    """With the truth overwritten by noise, the estimate keeps its every byte."""
+    run = tmp_path / "run"
+    shutil.copytree(small_run, run)
+    rng = np.random.default_rng(0)
+    for path in run.rglob("truth.csv"):
+        truth = pd.read_csv(path)
+        truth[["x_R", "y_R", "z_R"]] = rng.normal(size=(len(truth), 3))
+        truth.to_csv(path, index=False)
+    case = run / "cases" / "0-baseline"
+
+    done = tiswarm("localize", case / "sensing.jsonl", "--out", tmp_path / "blind.csv")
+
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "blind.csv").read_bytes() == (case / "estimate.csv").read_bytes()
+
+
+def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
+    """The same command finds every case stored and changes nothing."""
+    before = {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
+
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2",
+        "--out", small_run.parent,
+    )  # fmt: skip
+
+    assert done.returncode == 0
+    assert "6 of 6 cases are already stored" in done.stderr
+    assert before == {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
+
+
+def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
+    """A case half written, changed or emptied is noticed, and comes back to the same bytes."""
+    run = tmp_path / small_run.name
+    shutil.copytree(small_run, run)
+    cases = run / "cases"
+    shutil.rmtree(cases / "0-baseline")
+    (cases / "1-baseline" / "estimate.csv").write_text("robot,x_R,y_R,z_R\n")
+    (cases / "0-no-z" / "case.json").write_text("{")
+    (cases / ".1-no-z.part").mkdir()
+
+    done = tiswarm("run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert "3 of 6 cases are already stored" in done.stderr
+    shutil.rmtree(cases / ".1-no-z.part", ignore_errors=True)
+    _assert_same_bytes(run, small_run)
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, tmp_path):
+    """Kill -9 in the middle loses no finished case, and the rest is the same as ever."""
+    many = ("--set", "robots=12", "--set", "seeds=40", "--no-pictures")
+    command = [sys.executable, "-m", "tiswarm", "run", "scenarios/tower.yaml", *many]
+    broken = tmp_path / "broken"
+    process = subprocess.Popen([*command, "--out", str(broken)], cwd=REPOSITORY)
+    while process.poll() is None and len(list(broken.glob("*/cases/*/case.json"))) < 3:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    finished = len(list(broken.glob("*/cases/*/case.json")))
+    assert 0 < finished < 120
+
+    resumed = tiswarm("run", "scenarios/tower.yaml", *many, "--out", broken)
+    whole = tiswarm("run", "scenarios/tower.yaml", *many, "--out", tmp_path / "whole")
+
+    assert resumed.returncode == whole.returncode == 0
+    assert "of 120 cases are already stored" in resumed.stderr
+    _assert_same_bytes(next(broken.iterdir()), next((tmp_path / "whole").iterdir()))
+
+
+def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):
+    """Tables, figures and renders come back from the stored cases, byte for byte."""
+    run = tmp_path / "moved"
+    shutil.copytree(small_run, run)
+    for name in ("summary.csv", "table.csv"):
+        (run / name).unlink()
+    for name in ("figures", "renders"):
+        shutil.rmtree(run / name)
+
+    reported = tiswarm("report", run)
+    rendered = tiswarm("render", run)
+
+    assert reported.returncode == 0, reported.stderr
+    assert rendered.returncode == 0, rendered.stderr
+    for path in [*small_run.glob("*.csv"), *small_run.glob("figures/*.png")]:
+        assert (run / path.relative_to(small_run)).read_bytes() == path.read_bytes()
+    assert {path.name for path in (run / "renders").iterdir()} == {
+        path.name for path in (small_run / "renders").iterdir()
+    }
+
+
+def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
+    """Robots that never arrive fail their case with the reason, and the exit status says so."""
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path,
+        "--set", "structure.spawn_min=300", "--set", "structure.spawn_max=310",
+        "--set", "structure.climb.max_flips=2", "--set", "structure.climb.max_spawns=2",
+    )  # fmt: skip
+
+    assert done.returncode == 3
+    assert "max_spawns" in done.stderr
+    summary = pd.read_csv(next(tmp_path.iterdir()) / "summary.csv")
+    assert (summary["status"] == "failed").all()

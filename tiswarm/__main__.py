@@ -1,0 +1,5 @@
+"""`python -m tiswarm` is `tiswarm`."""
+
+from tiswarm.cli import main
+
+main()

@@ -1,0 +1,238 @@
+"""The `tiswarm` command: parse, call, print.
+
+What a command needs is imported when it runs, so that `tiswarm --help` stays quick.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+import tiswarm
+from tiswarm.compute.choices import Arch, Precision
+from tiswarm.console import ConsoleWatcher, fail
+from tiswarm.errors import CasesFailedError, InputError, TiswarmError
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Grow swarms of modular robots and let them find out where they are by touch.",
+    epilog="Example: tiswarm run scenarios/tower.yaml",
+)
+
+Overrides = Annotated[
+    list[str],
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a key; may be given often."),
+]
+OneArch = Annotated[Arch, typer.Option("--arch", help="Device; never another than asked for.")]
+Threads = Annotated[
+    int | None, typer.Option(help="CPU threads; all cores if not given.", show_default=False)
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+INTERRUPTED = 130
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    context: typer.Context,
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"tiswarm {tiswarm.__version__}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
+def run(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("reports"),
+    arch: OneArch = "cpu",
+    threads: Threads = None,
+    *,
+    pictures: Annotated[bool, typer.Option(help="Draw figures and renders.")] = True,
+    quiet: Quiet = False,
+) -> None:
+    """Grow, sense, localize, score and draw every case of a scenario.
+
+    A run that was interrupted goes on where it was.
+    """
+    from tiswarm import study
+    from tiswarm.scenario import load_scenario
+
+    watcher = ConsoleWatcher(quiet=quiet)
+    plan = load_scenario(scenario, overrides)
+    result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads)
+    if pictures and (result.computed or not (result.folder / "renders").exists()):
+        _draw_figures(result.folder, watcher)
+        _draw_renders(result.folder, watcher)
+    if not quiet:
+        typer.echo(study.headline(result.folder))
+    if result.failed:
+        first = result.failed[0]
+        msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
+        raise CasesFailedError(msg)
+
+
+@app.command(epilog="Example: tiswarm localize sensing.jsonl --set z_correction=false")
+def localize(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log, sensing.jsonl.")],
+    method: Annotated[str, typer.Option(help="Localization method.")] = "virtual-force",
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("estimate.csv"),
+    arch: OneArch = "cpu",
+    threads: Threads = None,
+    precision: Annotated[Precision, typer.Option(help="Real type of the kernels.")] = "f64",
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
+    from tiswarm.compute import backend
+    from tiswarm.localization import registry
+    from tiswarm.records.sensing_file import read_sensing_log
+    from tiswarm.records.tables import write_positions
+    from tiswarm.scenario import localization_params
+
+    params = localization_params(method, overrides)
+    sensed = read_sensing_log(log)
+    backend.start(arch, threads=threads, precision=precision)
+    estimate = registry.localize(sensed, params)
+    write_positions(
+        out, estimate.robot_id, estimate.position, estimate.sd, length_unit=sensed.length_unit
+    )
+    if not quiet:
+        lost = int((~estimate.located).sum())
+        if lost:
+            typer.echo(f"{lost} robots are tied to the anchor by no chain of contacts")
+        typer.echo(
+            f"{estimate.robot_count} robots, last step {estimate.residual[-1]:.2g} "
+            f"{sensed.length_unit} rms -> {out}"
+        )
+
+
+@app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
+def report(run: RunFolderPath, *, quiet: Quiet = False) -> None:
+    """Redraw every table and figure of a run from its stored data."""
+    from tiswarm import study
+
+    study.tabulate(run)
+    _draw_figures(run, ConsoleWatcher(quiet=quiet))
+    if not quiet:
+        typer.echo(study.headline(run))
+
+
+@app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
+def render(
+    run: RunFolderPath,
+    renderer: Annotated[
+        str | None, typer.Option(help="open3d, open3d-raycast or taichi; the first that works.")
+    ] = None,
+    case: Annotated[str | None, typer.Option(help="Case to draw; the first one.")] = None,
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Draw offscreen 3D pictures of a run from its stored data."""
+    _draw_renders(run, ConsoleWatcher(quiet=quiet), renderer=renderer, case=case)
+
+
+@app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
+) -> None:
+    """Look for mistakes in scenarios and sensing logs, without running anything."""
+    from tiswarm.inspection import inspect
+
+    mistakes: list[InputError] = []
+    for path in files:
+        finding = inspect(path)
+        mistakes += finding.mistakes
+        if not finding.mistakes:
+            typer.echo(f"{path}: {finding.summary}")
+    for mistake in mistakes[:-1]:
+        fail(str(mistake))
+    if mistakes:
+        raise mistakes[-1]
+
+
+@app.command(epilog="Example: tiswarm schema > scenario.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
+    from tiswarm.scenario import scenario_schema
+
+    typer.echo(json.dumps(scenario_schema(), indent=2))
+
+
+@app.command(epilog="Example: tiswarm doctor")
+def doctor(
+    *,
+    missing_packages: Annotated[
+        bool,
+        typer.Option(
+            "--missing-packages", help="Print only the system packages to install, in one line."
+        ),
+    ] = False,
+) -> None:
+    """Say what works on this machine, and what to install for what does not."""
+    from tiswarm import doctor as examination
+
+    if missing_packages:
+        typer.echo(" ".join(examination.missing_packages()), nl=True)
+        return
+    for finding in examination.examine():
+        mark = "ok" if finding.works else "--"
+        typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")
+
+
+def _draw_figures(folder: Path, watcher: ConsoleWatcher) -> None:
+    from tiswarm.report.figures import draw_figures
+
+    draw_figures(folder, watcher.say)
+
+
+def _draw_renders(
+    folder: Path, watcher: ConsoleWatcher, *, renderer: str | None = None, case: str | None = None
+) -> None:
+    from tiswarm.report.render import render_run
+    from tiswarm.study.manifest import write_manifest
+
+    drawn = render_run(folder, tell=watcher.say, renderer=renderer, case=case)
+    write_manifest(
+        folder,
+        {
+            "renders": {
+                picture.path.name: {"renderer": picture.renderer, "reason": picture.reason}
+                for picture in drawn
+            }
+        },
+    )
+
+
+def main() -> None:
+    """Run the command line; errors that a user can mend end in one line, not a traceback."""
+    sys.exit(_status(sys.argv[1:]))
+
+
+def _status(arguments: list[str]) -> int:
+    """Run a command and return its exit status."""
+    try:
+        status: Any = app(arguments, standalone_mode=False)
+    except TiswarmError as error:
+        fail(str(error))
+        return error.exit_status
+    except TyperException as error:
+        fail(" ".join(error.format_message().split()))
+        return InputError.exit_status
+    except (KeyboardInterrupt, typer.Abort):
+        fail("interrupted; what was finished is kept, and the same command goes on from there")
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    return status if isinstance(status, int) else 0

@@ -1,0 +1,9 @@
+"""Studies: cases are seeds x sweep points x conditions; run, stored, resumed, tabulated.
+
+The only room that holds the truth and an estimate together.
+"""
+
+from tiswarm.study.run import RunResult, Watcher, run, tabulate
+from tiswarm.study.tables import headline
+
+__all__ = ["RunResult", "Watcher", "headline", "run", "tabulate"]

@@ -1,0 +1,135 @@
+"""The run folder: cases appear whole or not at all, and are recognised by their content."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.records.atomic import write_text
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_file import write_sensing_log
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.tables import write_positions
+from tiswarm.records.truth import Truth
+from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
+
+DONE = "done"
+FAILED = "failed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseRecord:
+    """What `case.json` says; nothing in it depends on the machine or the clock."""
+
+    case: str
+    """Folder of the case."""
+
+    seed: int
+    """Seed of the structure and of every noise."""
+
+    condition: str
+    """Name of the condition."""
+
+    point: Mapping[str, Any]
+    """Values of the swept keys."""
+
+    status: str
+    """"done" or "failed"."""
+
+    reason: str = ""
+    """Why it failed, or why growth ended early."""
+
+    scores: Mapping[str, float | int | None] = field(default_factory=dict)
+    """What evaluation made of it."""
+
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of each of the case's other files."""
+
+
+class RunFolder:
+    """One run's folder, named after the scenario and its content."""
+
+    def __init__(self, path: Path) -> None:
+        """Take an existing or future folder at `path`."""
+        self.path = path
+
+    @classmethod
+    def of(cls, scenario: Scenario, parent: Path) -> "RunFolder":
+        """Make the folder of a scenario below `parent`, or open it where it exists."""
+        folder = cls(parent / f"{scenario.name}-{scenario_hash(scenario)}")
+        try:
+            folder.cases.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            msg = f"{folder.path}: cannot be made: {error.strerror}; choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+        write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
+        return folder
+
+    @property
+    def cases(self) -> Path:
+        """Folder of the cases."""
+        return self.path / "cases"
+
+    def stored(self, name: str) -> CaseRecord | None:
+        """Read a finished case; None where there is none or its files are not what it says."""
+        folder = self.cases / name
+        try:
+            record = CaseRecord(**json.loads((folder / "case.json").read_text()))
+            intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
+        except (OSError, ValueError, TypeError):
+            return None
+        return record if intact and record.status == DONE else None
+
+    def store_failure(self, record: CaseRecord) -> None:
+        """Write down that a case failed; the next run tries it again."""
+        self._publish(record, self._workplace(record.case))
+
+    def store(
+        self,
+        record: CaseRecord,
+        *,
+        truth: Truth,
+        log: SensingLog,
+        estimate: Estimate,
+        robots: pd.DataFrame,
+        convergence: pd.DataFrame,
+    ) -> CaseRecord:
+        """Write a case and make it appear at once; return its record with the digests."""
+        work = self._workplace(record.case)
+        write_sensing_log(log, work / "sensing.jsonl")
+        write_positions(work / "truth.csv", truth.robot_id, truth.position)
+        write_positions(work / "estimate.csv", estimate.robot_id, estimate.position, estimate.sd)
+        write_table(robots, work / "robots.csv")
+        write_table(convergence, work / "convergence.csv")
+        files = {path.name: _digest(path) for path in sorted(work.iterdir())}
+        complete = CaseRecord(**{**asdict(record), "files": files})
+        self._publish(complete, work)
+        return complete
+
+    def _workplace(self, name: str) -> Path:
+        """Make an empty folder that a killed run may leave behind without harm."""
+        work = self.cases / f".{name}.part"
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        return work
+
+    def _publish(self, record: CaseRecord, work: Path) -> None:
+        write_text(work / "case.json", json.dumps(asdict(record), indent=1) + "\n")
+        target = self.cases / record.case
+        shutil.rmtree(target, ignore_errors=True)
+        work.rename(target)
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write a CSV whose numbers read back to the same bits."""
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
