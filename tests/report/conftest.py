@@ -1,0 +1,64 @@
+"""A small run folder, as a study leaves it."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from tiswarm.compute.rotations import dock_offsets
+from tiswarm.robot import RobotGeometry
+
+ROBOTS = 12
+POSE = "x_R,y_R,z_R,qw,qx,qy,qz,x_est_R,y_est_R,z_est_R,qw_sensed,qx_sensed,qy_sensed,qz_sensed"
+
+
+def write_table(path, header, rows):
+    """Write rows below a header of comma-separated names."""
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([header.split(","), *rows])
+
+
+def write_case(folder, *, seed, last_iteration=40):
+    """Write a leaning column of robots and an estimate of it; return its RMSE trace."""
+    folder.mkdir(parents=True)
+    robot = RobotGeometry()
+    random = np.random.default_rng(seed)
+    quaternion = random.normal(size=(ROBOTS, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    position = np.arange(ROBOTS)[:, None] * [1.0, 0.3, 2.5]
+    lowest = (position[0] + dock_offsets(quaternion, robot.dock_offset_body)[0])[:, 2].min()
+    position[:, 2] += 1.0 - lowest
+    shift = random.normal(size=position.shape)
+    error = np.linalg.norm(shift, axis=1)
+    rows = np.column_stack([position, quaternion, position + shift, quaternion, error])
+    write_table(
+        folder / "robots.csv",
+        f"robot,{POSE},error_R",
+        [[name, *row] for name, row in enumerate(rows.tolist())],
+    )
+    iteration = np.arange(0, last_iteration + 1, 10)
+    rmse = 1.0 + (seed + 3.0) * np.exp(-iteration / 20.0)
+    write_table(folder / "convergence.csv", "iteration,rmse_R", zip(iteration, rmse, strict=True))
+    header = {
+        "format": "tiswarm-sensing",
+        "version": 1,
+        "dock_radius": 1.0,
+        "dock_offsets": robot.dock_offset_body.tolist(),
+        "anchor_position": position[0].tolist(),
+        "ground_z": 0.0,
+        "length_unit": "R",
+    }
+    (folder / "sensing.jsonl").write_text(json.dumps(header) + "\n")
+    return rmse
+
+
+@pytest.fixture
+def run_folder(tmp_path):
+    """Two seeds under two conditions, one of them failed."""
+    names = ["0-baseline", "1-baseline", "0-no-z", "1-no-z"]
+    for name in names[:3]:
+        write_case(tmp_path / "cases" / name, seed=int(name[0]))
+    rows = [[name, "done"] for name in names[:3]] + [[names[3], "failed"]]
+    write_table(tmp_path / "summary.csv", "case,status", rows)
+    return tmp_path

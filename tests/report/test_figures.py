@@ -1,0 +1,99 @@
+"""Figures show what the tables say, in any run that has results."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.report.conftest import write_case, write_table
+from tiswarm.errors import InputError
+from tiswarm.report import figures
+from tiswarm.report.figures import draw_convergence, draw_figures
+from tiswarm.report.folder import read_cases
+from tiswarm.report.render.pictures import is_blank
+
+
+def ignore(_line):
+    """Hear nothing."""
+
+
+def test_every_figure_is_drawn(run_folder):
+    """Each figure is a PNG file that shows something."""
+    written = draw_figures(run_folder, ignore)
+
+    assert {path.stem for path in written} == set(figures.FIGURES)
+    for path in written:
+        with Image.open(path) as image:
+            assert not is_blank(np.asarray(image.convert("RGB")))
+
+
+def test_the_same_tables_give_the_same_bytes(run_folder):
+    """A figure holds neither the time nor the place of its making."""
+    first = [path.read_bytes() for path in draw_figures(run_folder, ignore)]
+
+    assert [path.read_bytes() for path in draw_figures(run_folder, ignore)] == first
+
+
+def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
+    """Nobody takes three structures for four."""
+    drawn = []
+    monkeypatch.setattr(figures, "_png", lambda figure: drawn.append(figure) or b"")
+
+    draw_figures(run_folder, ignore)
+
+    assert len(drawn) == len(figures.FIGURES)
+    for figure in drawn:
+        assert "1 of 4 cases failed" in " ".join(text.get_text() for text in figure.texts)
+
+
+def test_a_run_without_results_has_no_figures(tmp_path):
+    """Where every case failed, this is said and nothing is written."""
+    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "failed"]])
+    heard = []
+
+    assert draw_figures(tmp_path, heard.append) == []
+    assert heard == ["no figures: no case is done"]
+
+
+def test_one_case_of_two_robots_is_enough(tmp_path):
+    """The smallest run has all figures, even if one robot was never located."""
+    folder = tmp_path / "cases" / "0-baseline"
+    write_case(folder, seed=0)
+    header, *robots = (folder / "robots.csv").read_text().splitlines()
+    lost = robots[1].split(",")
+    lost[8:11], lost[-1] = ["", "", ""], ""
+    (folder / "robots.csv").write_text("\n".join([header, robots[0], ",".join(lost)]) + "\n")
+    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
+
+    assert len(draw_figures(tmp_path, ignore)) == len(figures.FIGURES)
+
+
+def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
+    """The mean over seeds does not jump where one of them stops."""
+    long = write_case(tmp_path / "cases" / "0-baseline", seed=0, last_iteration=40)
+    short = write_case(tmp_path / "cases" / "1-baseline", seed=1, last_iteration=20)
+    rows = [["0-baseline", "done"], ["1-baseline", "done"]]
+    write_table(tmp_path / "summary.csv", "case,status", rows)
+
+    figure = draw_convergence({"baseline": read_cases(tmp_path)}, "")
+
+    held = np.array([*short, short[-1], short[-1]])
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + held) / 2.0)
+
+
+@pytest.mark.parametrize("damage", ["missing", "half"])
+def test_a_damaged_run_is_refused_by_name(run_folder, damage):
+    """The message names the file, not a column index."""
+    table = run_folder / "cases" / "0-no-z" / "robots.csv"
+    if damage == "missing":
+        table.unlink()
+    else:
+        table.write_text("robot,x_R\n0,1.0\n")
+
+    with pytest.raises(InputError, match=r"0-no-z.robots\.csv: cannot be read"):
+        draw_figures(run_folder, ignore)
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    """The message says which folder is meant."""
+    with pytest.raises(InputError, match="name a folder that"):
+        draw_figures(tmp_path, ignore)

@@ -1,0 +1,85 @@
+"""Reads the tables that a run left in its folder."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.errors import EnvironmentTroubleError, InputError
+
+Tell = Callable[[str], None]
+"""Receives one line of progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One row of `summary.csv`."""
+
+    name: str
+    """Name of its folder: the seed, a dash, the series."""
+
+    folder: Path
+    """Where its tables are."""
+
+    done: bool
+    """Whether it has results."""
+
+    @property
+    def series(self) -> str:
+        """What it shares with its other seeds: the condition and the values of the sweep."""
+        return self.name.partition("-")[2].replace(",", ", ")
+
+
+def read_cases(folder: Path) -> list[Case]:
+    """Read the cases of a run in the order of `summary.csv`.
+
+    Raises:
+        InputError: the folder holds no run.
+    """
+    path = folder / "summary.csv"
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return [
+                Case(
+                    name=row["case"],
+                    folder=folder / "cases" / row["case"],
+                    done=row["status"] == "done",
+                )
+                for row in csv.DictReader(file)
+            ]
+    except (OSError, KeyError, UnicodeError, csv.Error) as error:
+        problem = "holds no summary of a run; name a folder that `tiswarm run` made"
+        raise InputError(problem, path=folder) from error
+
+
+def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
+    """Read named columns of a table, shape (rows, names); what is empty is NaN.
+
+    Raises:
+        InputError: the table or a column is missing or damaged.
+    """
+    import pandas as pd  # noqa: PLC0415 - slow to import
+
+    try:
+        return pd.read_csv(path, usecols=names)[names].to_numpy(dtype=np.float64)
+    except (OSError, ValueError) as error:
+        problem = f"cannot be read: {error}; run the scenario again to restore it"
+        raise InputError(problem, path=path) from error
+
+
+def subfolder(folder: Path, name: str) -> Path:
+    """Make a folder for pictures within a run, or find it there.
+
+    Raises:
+        EnvironmentTroubleError: the run's folder is not writable.
+    """
+    place = folder / name
+    try:
+        place.mkdir(exist_ok=True)
+    except OSError as error:
+        problem = f"{place}: cannot be made: {error.strerror}; check the rights of its folder"
+        raise EnvironmentTroubleError(problem) from error
+    return place

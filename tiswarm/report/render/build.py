@@ -1,0 +1,198 @@
+"""Builds the scenes of a case from its tables."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.records.lines import numbered_lines, placed
+from tiswarm.records.sensing_line import HeaderLine, parse_header
+from tiswarm.report.folder import Case, read_columns
+from tiswarm.report.render.camera import frame
+from tiswarm.report.render.legend import ESTIMATE_ORANGE, JOIN_COLORS, TRUE_BLUE
+from tiswarm.report.render.scene import Ground, Scene
+
+GIRTH = 1.45
+"""Radius of the sphere that blocks as much light as a robot [dock radii]."""
+
+REACH = 8.0
+"""Robots further away than this cast no shade [R]; half of it in a crowd, to save time."""
+
+CROWD = 2_000
+SAME_PLACE = 1e-6
+"""A robot casts no shade on its own hub, this near to its centre [R]."""
+
+STANDING = 0.1
+"""Docks within this height of the ground stand on it [R]."""
+
+GROUND_CELLS = 160
+GROUND_FADE = (2.0, 9.0)
+"""Distances from the nearest standing dock where the ground starts and ends to fade [R]."""
+
+GROUND_GRAY = 0.92
+POSITION = ["x_R", "y_R", "z_R"]
+POSE = [*POSITION, "qw", "qx", "qy", "qz"]
+ESTIMATE = [name.replace("_R", "_est_R") for name in POSITION]
+ESTIMATED_POSE = [*ESTIMATE, *(f"{name}_sensed" for name in POSE[3:])]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Radii of a robot's parts [R]."""
+
+    hub: float
+    arm: float
+    dock: float
+
+
+TRUE_SIZE = Look(0.45, 0.3, 1.0)
+TRUTH_LOOK = Look(0.3, 0.18, 0.72)
+ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)
+"""Beside TRUTH_LOOK: where both coincide, blue docks on orange arms are seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """N robots to be drawn."""
+
+    center: NDArray[np.float64]
+    """Centres [R], shape (N, 3)."""
+
+    dock: NDArray[np.float64]
+    """Dock centres [R], shape (N, docks, 3)."""
+
+    color: NDArray[np.float64]
+    """Red, green, blue of each, 0 to 1, shape (N, 3)."""
+
+    look: Look
+    """How stout they are."""
+
+
+def build_scenes(case: Case) -> dict[str, Scene]:
+    """Build every picture's scene from a case, by the name of the picture.
+
+    Raises:
+        InputError: where a file of the case is missing or damaged.
+    """
+    header = _read_header(case)
+    offsets = np.array(header.dock_offsets) / header.dock_radius
+    ground_z = None if header.ground_z is None else header.ground_z / header.dock_radius
+    table = read_columns(case.folder / "robots.csv", POSE + ESTIMATED_POSE)
+    joined = np.linspace(0.0, len(JOIN_COLORS) - 1.0, len(table))
+    scale = np.arange(len(JOIN_COLORS))
+    order = np.column_stack([np.interp(joined, scale, channel) for channel in JOIN_COLORS.T])
+    structure = _robots(table[:, :7], offsets, order, TRUE_SIZE)
+    truth = _robots(table[:, :7], offsets, np.tile(TRUE_BLUE, (len(table), 1)), TRUTH_LOOK)
+    estimate = _robots(
+        table[:, 7:], offsets, np.tile(ESTIMATE_ORANGE, (len(table), 1)), ESTIMATE_LOOK
+    )
+    return {
+        "structure": build_scene([structure], ground_z),
+        "truth-and-estimate": build_scene([truth, estimate], ground_z),
+    }
+
+
+def _read_header(case: Case) -> HeaderLine:
+    """Read the first line of the sensing log, which knows the robots' geometry."""
+    path = case.folder / "sensing.jsonl"
+    number, text = next(numbered_lines(path), (1, ""))
+    with placed(path, number):
+        return parse_header(text)
+
+
+def _robots(
+    pose: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    color: NDArray[np.float64],
+    look: Look,
+) -> Robots:
+    """Place the docks of robots of known pose (centre, quaternion), leaving out the others."""
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    pose = pose[known]
+    turn = Rotation.from_quat(pose[:, 3:], scalar_first=True).as_matrix()
+    center = pose[:, :3]
+    dock = center[:, None] + np.einsum("nij,kj->nki", turn, offsets)
+    return Robots(center=center, dock=dock, color=color[known], look=look)
+
+
+def build_scene(groups: list[Robots], ground_z: float | None) -> Scene:
+    """Make spheres and arms of robots, light them and put a camera before them."""
+    parts = [part for robots in groups for part in _capsules(robots)]
+    start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
+    center = np.concatenate([robots.center for robots in groups])
+    girth = np.concatenate([np.full(len(r.center), GIRTH * r.look.dock) for r in groups])
+    blockers = np.column_stack([center, girth])
+    dock = np.concatenate([robots.dock.reshape(-1, 3) for robots in groups])
+    return Scene(
+        start=start.astype(np.float32),
+        end=end.astype(np.float32),
+        radius=radius.astype(np.float32),
+        color=color.astype(np.float32),
+        shade=_shade((start + end) / 2.0, blockers),
+        camera=frame(dock, max(robots.look.dock for robots in groups)),
+        ground=None if ground_z is None else _ground(dock, blockers, ground_z),
+    )
+
+
+def _capsules(robots: Robots) -> list[tuple[NDArray[np.float64], ...]]:
+    """Make start, end, radius and color of the hubs, the arms and the docks of robots."""
+    docks, look = robots.dock.shape[1], robots.look
+    hub, dock = robots.center, robots.dock.reshape(-1, 3)
+    color = robots.color.repeat(docks, axis=0)
+    return [
+        (hub, hub, np.full(len(hub), look.hub), 0.7 * robots.color),
+        (hub.repeat(docks, axis=0), dock, np.full(len(dock), look.arm), 0.7 * color),
+        (dock, dock, np.full(len(dock), look.dock), color),
+    ]
+
+
+def _shade(points: NDArray[np.float64], blockers: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Add up the light that robots keep from points, in terms that are linear in the normal.
+
+    A sphere of radius r at distance d in direction u keeps (r/d)^2 max(0, n.u) of the light
+    from a surface with normal n; 1/4 + n.u / 2 stands in for max(0, n.u).
+
+    Args:
+        points: Where light is wanted [R], shape (n, 3).
+        blockers: Centre and radius of the spheres [R], shape (N, 4).
+    """
+    center = blockers[:, :3]
+    reach = REACH if len(center) <= CROWD else REACH / 2.0
+    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
+    i, j = pairs["i"], pairs["j"]
+    away = center[j] - points[i]
+    distance = np.maximum(pairs["v"], 1e-9)
+    blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / reach)
+    blocked *= REACH / reach  # as much as the whole crowd would block
+    blocked[pairs["v"] < SAME_PLACE] = 0.0
+    terms = np.column_stack([blocked / 4.0, away * (blocked / distance / 2.0)[:, None]])
+    sums = [np.bincount(i, weights=term, minlength=len(points)) for term in terms.T]
+    return np.column_stack(sums).astype(np.float32)
+
+
+def _ground(
+    dock: NDArray[np.float64], blockers: NDArray[np.float64], height: float
+) -> Ground | None:
+    """Lay ground around the docks that stand on it, darker beneath robots."""
+    standing = dock[np.abs(dock[:, 2] - 1.0 - height) < STANDING, :2]
+    if not len(standing):
+        return None
+    low = standing.min(axis=0) - GROUND_FADE[1]
+    side = float(np.max(standing.max(axis=0) + GROUND_FADE[1] - low))
+    cell = side / (GROUND_CELLS - 1)
+    x, y = np.meshgrid(*(low[:, None] + cell * np.arange(GROUND_CELLS)), indexing="xy")
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
+    distance, _ = cKDTree(standing).query(points[:, :2])
+    near, far = GROUND_FADE
+    fade = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    shade = _shade(points, blockers)
+    gray = GROUND_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
+    shape = (GROUND_CELLS, GROUND_CELLS)
+    return Ground(
+        corner=np.array([*low, height]),
+        cell=cell,
+        gray=gray.reshape(shape).astype(np.float32),
+        opacity=(fade * fade * (3.0 - 2.0 * fade)).reshape(shape).astype(np.float32),
+    )

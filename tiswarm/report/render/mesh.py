@@ -1,0 +1,91 @@
+"""Turns capsules into triangles, for the renderers that know nothing else."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.report.render.scene import Scene
+
+SIDES = (6, 48)
+"""Least and most sides of a sphere's equator."""
+
+SLANT = 0.9
+"""Upward part below which an axis may be crossed with the vertical."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """V points and T triangles of every capsule of a scene."""
+
+    point: NDArray[np.float32]
+    """Places [R], shape (V, 3)."""
+
+    triangle: NDArray[np.int32]
+    """Points of each triangle, counterclockwise from outside, shape (T, 3)."""
+
+    point_capsule: NDArray[np.int64]
+    """Capsule of each point, shape (V,)."""
+
+    triangle_capsule: NDArray[np.int64]
+    """Capsule of each triangle, shape (T,)."""
+
+
+def mesh_capsules(scene: Scene) -> Mesh:
+    """Mesh capsules as bent grids, finer the larger they are seen."""
+    depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
+    points, triangles, order, counts = [], [], [], []
+    first = 0
+    for radius in np.unique(scene.radius):
+        which = np.flatnonzero(scene.radius == radius)
+        sides = _side_count(float(radius) * scene.camera.pixels_per_slope / depth)
+        point, triangle = _unit_sphere(sides)
+        points.append(_stretch(scene.start[which], scene.end[which], radius * point))
+        firsts = first + np.arange(len(which)) * len(point)
+        triangles.append((firsts[:, None, None] + triangle).reshape(-1, 3))
+        order.append(which)
+        counts.append(np.tile([len(point), len(triangle)], (len(which), 1)))
+        first += len(which) * len(point)
+    capsule, count = np.concatenate(order), np.concatenate(counts)
+    return Mesh(
+        point=np.concatenate(points),
+        triangle=np.concatenate(triangles).astype(np.int32),
+        point_capsule=capsule.repeat(count[:, 0]),
+        triangle_capsule=capsule.repeat(count[:, 1]),
+    )
+
+
+def _side_count(pixels: float) -> int:
+    """Choose an even number of sides for a sphere whose radius is seen as so many pixels."""
+    return int(np.clip(3.2 * pixels**0.58, *SIDES)) // 2 * 2
+
+
+def _unit_sphere(sides: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Wrap a grid around the z axis; its rings are odd in number, so none is the equator."""
+    rings = sides // 2 | 1
+    polar, around = np.pi * np.arange(rings + 1) / rings, 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.column_stack([np.cos(around), np.sin(around)])
+    flat = (np.sin(polar)[:, None, None] * circle).reshape(-1, 2)
+    point = np.column_stack([flat, -np.cos(polar).repeat(sides)]).astype(np.float32)
+    ring, side = np.indices((rings, sides)).reshape(2, -1)
+    a = ring * sides + side
+    b = ring * sides + (side + 1) % sides
+    lower, upper = np.column_stack([a, b, b + sides]), np.column_stack([a, b + sides, a + sides])
+    # the triangles that end in a pole have one point less
+    return point, np.concatenate([lower[ring > 0], upper[ring < rings - 1]]).astype(np.int32)
+
+
+def _stretch(
+    start: NDArray[np.float32], end: NDArray[np.float32], ball: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Put the lower half of a ball around each start and the upper around the end, (n * V, 3)."""
+    span = (end - start).astype(np.float64)
+    span[:, 2] += 1e-9  # a sphere has no axis: take z
+    axis = span / np.linalg.norm(span, axis=1, keepdims=True)
+    helper = np.where(np.abs(axis[:, 2:]) < SLANT, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(helper, axis)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    frames = np.stack([side, np.cross(axis, side), axis], axis=1).astype(np.float32)
+    base = np.where(ball[:, 2:] > 0.0, end[:, None], start[:, None])
+    point: NDArray[np.float32] = base + ball @ frames
+    return point.reshape(-1, 3)

@@ -1,0 +1,185 @@
+"""Draws the pictures of a run with the first renderer that works on this machine."""
+
+import io
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.records.atomic import write_bytes
+from tiswarm.report.folder import Case, Tell, read_cases, subfolder
+from tiswarm.report.render.legend import add_legend
+from tiswarm.report.render.packages import installation_advice
+from tiswarm.report.render.raycast import draw
+from tiswarm.report.render.scene import Scene
+from tiswarm.report.render.tiles import tile_tracer
+
+RENDERERS = ("open3d", "open3d-raycast", "taichi")
+"""Best first; the last needs nothing but the engine itself."""
+
+CHILD = (sys.executable, "-m", "tiswarm.report.render.child")
+TIME_LIMIT = 60.0
+"""Time that a child may take to start and to draw small scenes [s]."""
+
+CAPSULES_PER_SECOND = 2_000.0
+"""Slowest drawing that a child is granted more time for."""
+
+BLANK_SHARE = 0.001
+"""Share of pixels that must differ from the corner in a picture that shows something."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendered:
+    """A picture that was drawn."""
+
+    path: Path
+    """Where it is."""
+
+    renderer: str
+    """Who drew it."""
+
+    reason: str
+    """Why better renderers did not, or nothing."""
+
+
+class RendererError(Exception):
+    """A renderer gave no picture; the text says why."""
+
+
+def render_run(
+    folder: Path, *, tell: Tell, renderer: str | None = None, case: str | None = None
+) -> list[Rendered]:
+    """Draw the structure, and truth and estimate, of one case of a run into `renders/`.
+
+    Args:
+        folder: The run.
+        tell: Hears of each picture.
+        renderer: The only renderer to use; the best that works if None.
+        case: Name of the case, which becomes part of the file names; the first one done if None.
+
+    Raises:
+        InputError: for an unknown renderer or case, or a damaged run.
+        EnvironmentTroubleError: where the renderer asked for does not work here.
+    """
+    if renderer is not None and renderer not in RENDERERS:
+        msg = f"unknown renderer {renderer!r}; choose one of {', '.join(RENDERERS)}"
+        raise InputError(msg, key="--renderer")
+    from tiswarm.report.render.build import build_scenes  # noqa: PLC0415 - slow to import
+
+    scenes = build_scenes(_choose(read_cases(folder), case, folder))
+    suffix = "" if case is None else f"-{case}"
+    pictures, used, reason = _draw(list(scenes.values()), renderer)
+    tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
+    place = subfolder(folder, "renders")
+    drawn = []
+    for name, picture in zip(scenes, pictures, strict=True):
+        stream = io.BytesIO()
+        add_legend(Image.fromarray(picture), name).save(stream, format="PNG")
+        path = place / f"{name}{suffix}.png"
+        write_bytes(path, stream.getvalue())
+        tell(f"renders/{path.name}")
+        drawn.append(Rendered(path=path, renderer=used, reason=reason))
+    return drawn
+
+
+def _choose(cases: list[Case], name: str | None, folder: Path) -> Case:
+    done = [case for case in cases if case.done]
+    found = done if name is None else [case for case in done if case.name == name]
+    if found:
+        return found[0]
+    if not done:
+        msg = "no case of this run is done; there is nothing to draw"
+        raise InputError(msg, path=folder)
+    msg = f"no case {name!r} is done; choose one of {', '.join(case.name for case in done[:9])}"
+    raise InputError(msg, path=folder, key="--case")
+
+
+def _draw(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.uint8]], str, str]:
+    """Try the renderers in turn.
+
+    Returns:
+        The pictures, who drew them, and why no better renderer did.
+    """
+    failures: list[str] = []
+    for name in RENDERERS if only is None else (only,):
+        try:
+            if name == "taichi":  # safe enough for this process, where it may be compiled already
+                pictures = [draw(scene, tile_tracer(scene)) for scene in scenes]
+            else:
+                pictures = draw_in_child(scenes, name)
+        except RendererError as error:
+            failures.append(f"{name}: {error}")
+        else:
+            advice = installation_advice() if failures else []
+            return pictures, name, "; ".join([*failures, *advice])
+    remedies = ", or ".join([*installation_advice(), "leave the choice of the renderer open"])
+    msg = f"cannot draw with {failures[0]}; {remedies}"
+    raise EnvironmentTroubleError(msg)
+
+
+def draw_in_child(scenes: list[Scene], renderer: str) -> list[NDArray[np.uint8]]:
+    """Draw scenes in a process of their own, and trust nothing it says.
+
+    Raises:
+        RendererError: if it dies, takes too long, or its pictures are missing or blank.
+    """
+    capsules = sum(len(scene.radius) for scene in scenes)
+    time_limit = TIME_LIMIT + capsules / CAPSULES_PER_SECOND
+    with tempfile.TemporaryDirectory(prefix="tiswarm-render-") as place:
+        files = []
+        for index, scene in enumerate(scenes):
+            scene.save(Path(place, f"{index}.npz"))
+            files += [str(Path(place, f"{index}{suffix}")) for suffix in (".npz", ".png")]
+        command = [*CHILD, *files, "--renderer", renderer]
+        try:
+            done = subprocess.run(  # noqa: S603 - our own module
+                command,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=time_limit,
+                check=False,
+            )
+        except subprocess.TimeoutExpired as error:
+            msg = f"no picture within {time_limit:.0f} s"
+            raise RendererError(msg) from error
+        if done.returncode:
+            raise RendererError(_last_words(done))
+        return [_read(Path(file), scene) for file, scene in zip(files[1::2], scenes, strict=True)]
+
+
+def _last_words(done: subprocess.CompletedProcess[bytes]) -> str:
+    """Tell how a child ended."""
+    if done.returncode < 0:
+        return f"killed by {signal.Signals(-done.returncode).name}"
+    lines = done.stderr.decode(errors="replace").strip().splitlines()
+    return lines[-1].strip() if lines else f"exit status {done.returncode}"
+
+
+def _read(path: Path, scene: Scene) -> NDArray[np.uint8]:
+    """Read a child's picture and check that it shows something."""
+    try:
+        with Image.open(path) as image:
+            picture = np.asarray(image.convert("RGB"))
+    except OSError as error:
+        msg = "it wrote no picture"
+        raise RendererError(msg) from error
+    if picture.shape[:2] != (scene.camera.height, scene.camera.width):
+        msg = f"its picture has the wrong size, {picture.shape[1]} x {picture.shape[0]}"
+        raise RendererError(msg)
+    if is_blank(picture):
+        msg = "its picture is blank"
+        raise RendererError(msg)
+    return picture
+
+
+def is_blank(picture: NDArray[np.uint8]) -> bool:
+    """Tell whether nearly all pixels look like the top left one."""
+    difference = np.abs(picture.astype(np.int16) - picture[0, 0]).max(axis=2)
+    return bool((difference > 12).mean() < BLANK_SHARE)  # noqa: PLR2004 - visible at all
