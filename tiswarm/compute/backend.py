@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.choices import ARCHS, Arch, Precision
 from tiswarm.compute.dialect import ti
@@ -87,6 +88,8 @@ def start(
         precision,
     ):
         return _started
+    # Linear algebra with threads of its own would fight the kernels' and round differently.
+    threadpool_limits(1, user_api="blas")
     cache = _cache_folder()
     _init(arch, count, precision, cache)
     _started = Backend(

@@ -1,0 +1,107 @@
+# `make help` lists what this can do. Needs GNU make, a POSIX shell and Python 3.10 to 3.13.
+
+# Empty: the newest Python that suits. Otherwise: make run PYTHON=/path/to/python3.12
+PYTHON =
+SCENARIO = scenarios/tower.yaml
+# `make run SYSTEM_LIBRARIES=no` leaves the machine's own packages alone.
+SYSTEM_LIBRARIES = yes
+
+bin = .venv/bin
+inputs = pyproject.toml constraints.txt tiswarm/__init__.py
+# Each of these files stands for a step that was done; a step is done again once they are older
+# than its inputs.
+installed = .venv/.installed
+installed_dev = .venv/.installed-dev
+system_checked = $(if $(filter no,$(SYSTEM_LIBRARIES)),,.venv/.system-checked)
+# An environment works in one folder only: in a copied checkout it would run the original's code.
+made_in = .venv/.made-in
+
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+.PHONY: help run test lint format clean unusable
+
+help:  ## List what can be made
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
+
+run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=scenarios/tower.yaml)
+	$(bin)/tiswarm run "$(SCENARIO)"
+
+test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
+	$(bin)/python -m pytest
+
+lint: $(installed_dev)  ## Check format, style, types and architecture
+	$(bin)/ruff format --check --quiet .
+	$(bin)/ruff check --quiet .
+	$(bin)/mypy
+	$(bin)/lint-imports --no-logo
+
+format: $(installed_dev)  ## Format, and mend what can be mended safely
+	$(bin)/ruff format .
+	$(bin)/ruff check --fix .
+
+clean:  ## Remove .venv, caches and build leftovers; reports stay
+	rm -rf .venv build dist *.egg-info .*_cache .hypothesis .coverage htmlcov
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- set-up ----------------------------------------------------------------------------------
+
+usable := $(shell test "$$(cat $(made_in) 2>/dev/null || pwd)" = "$$(pwd)" \
+	&& $(bin)/python -c 'import pip' 2>/dev/null && echo yes)
+ifneq ($(usable),yes)
+$(bin)/python: unusable
+$(shell rm -f .venv/.installed .venv/.installed-dev .venv/.system-checked)
+endif
+
+suits = import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+candidates = $(if $(PYTHON),"$(PYTHON)",python3.13 python3.12 python3.11 python3.10 python3)
+
+$(bin)/python:
+	@for python in $(candidates); do \
+		if "$$python" -c '$(suits)' 2>/dev/null; then \
+			echo "making .venv with $$("$$python" --version)"; \
+			rm -rf .venv && "$$python" -m venv .venv; \
+			exit; \
+		fi; \
+	done; \
+	echo "$(if $(PYTHON),$(PYTHON) is not a,found no) Python 3.10 to 3.13 with venv:" \
+		"install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; \
+	exit 1
+
+# The build tool comes from constraints.txt too, hence no isolated build.
+pip_install = $(bin)/python -m pip --disable-pip-version-check install -c constraints.txt
+# Of pip's report only the large downloads are shown; errors are.
+define install
+	@echo "installing $(2) into .venv; the first time that takes minutes"
+	@{ $(pip_install) --quiet setuptools && $(pip_install) --no-build-isolation --editable $(1); \
+		echo $$? > .venv/.pip-status; } \
+		| sed -n -e 's/^ *\(Downloading .* MB)\).*/  \1/p' \
+			-e 's/^Installing collected packages.*/  Installing/p'; \
+	exit "$$(cat .venv/.pip-status)"
+	@pwd > $(made_in)
+endef
+
+$(installed): $(inputs) | $(bin)/python
+	$(call install,.,tiswarm)
+	@touch $@
+
+$(installed_dev): $(inputs) | $(bin)/python
+	$(call install,'.[dev]',tiswarm and the developers' tools)
+	@touch $(installed) $@
+
+# Open3d draws with libraries that pip cannot bring; without them pictures are simpler.
+.venv/.system-checked: $(installed)
+	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
+		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
+	if test -z "$$missing"; then \
+		:; \
+	elif ! command -v apt-get >/dev/null; then \
+		echo "for the better renderer: install what Debian calls $$missing"; \
+	elif test "$$(id -u)" -ne 0; then \
+		echo "for the better renderer: sudo apt-get install $$missing"; \
+	else \
+		echo "installing system libraries for the better renderer: $$missing"; \
+		{ apt-get update && DEBIAN_FRONTEND=noninteractive \
+			apt-get install -y --no-install-recommends $$missing; } > .venv/.apt-log 2>&1 \
+		|| echo "warning: that failed (see .venv/.apt-log); a simpler renderer will draw" >&2; \
+	fi; \
+	touch $@

@@ -1,0 +1,106 @@
+"""What is installed, and what is handed out."""
+
+import ast
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import tiswarm
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+REPOSITORY = Path(__file__).parents[1]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+PINS = (REPOSITORY / "constraints.txt").read_text().splitlines()
+
+IMPORTED_AS = {  # modules that are not named after what brings them
+    "PIL": "pillow",
+    "mpl_toolkits": "matplotlib",
+    "pydantic_core": "pydantic",
+    "yaml": "pyyaml",
+}
+SAME_MODULE = {"open3d-cpu"}  # imported as open3d
+
+REGISTRY = re.compile(r"pythonhoste[d]|pypi[.]org|index-ur[l]|find-link[s]|trusted-hos[t]")
+HOME = re.compile(r"/hom[e]/\w|(?<![\w.])/roo[t]\b|/User[s]/\w|[A-Z]:\\User[s]\\")
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _names(requirements: list[str]) -> set[str]:
+    return {_normal(re.split(r"[^\w.-]", requirement)[0]) for requirement in requirements}
+
+
+def _imported() -> set[str]:
+    """List what the package imports, anywhere in it, that Python itself does not bring."""
+    modules = set()
+    for file in (REPOSITORY / "tiswarm").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                modules.add(node.module.partition(".")[0])
+    return modules - sys.stdlib_module_names - {"tiswarm"}
+
+
+def _handed_out() -> list[Path]:
+    folders = (".ci", "benchmarks", "docs", "scenarios", "tests", "tiswarm")
+    files = [file for folder in folders for file in (REPOSITORY / folder).rglob("*")]
+    files += [file for file in REPOSITORY.iterdir() if file.name not in {".coverage", ".git"}]
+    return [file for file in files if file.is_file() and "__pycache__" not in file.parts]
+
+
+@pytest.mark.parametrize("module", ["matplotlib", "open3d", "pandas", "taichi"])
+def test_importing_tiswarm_is_light(module):
+    """`import tiswarm` loads none of the libraries that take long."""
+    code = f"import sys, tiswarm; sys.exit({module!r} in sys.modules)"
+
+    done = subprocess.run([sys.executable, "-c", code], check=False)
+
+    assert done.returncode == 0
+
+
+def test_the_version_is_said_once():
+    """What is installed carries the version that the package states."""
+    assert metadata.version("tiswarm") == tiswarm.__version__
+
+
+@pytest.mark.parametrize("pin", PINS)
+def test_a_constraint_is_a_pin(pin):
+    """A constraint is a name, a version and at most a condition; no place to fetch it from."""
+    assert re.fullmatch(r"[\w.-]+==[\w.!+]+( ?; [\w.'\" =<>!()-]+)?", pin)
+
+
+def test_every_dependency_is_pinned():
+    """Runtime, developers' tools and build: none is left to the day of the installation."""
+    pyproject = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
+    wanted = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]
+    wanted += pyproject["build-system"]["requires"]
+
+    assert _names(wanted) <= _names(PINS)
+
+
+def test_every_import_is_a_dependency():
+    """What the package imports is what it asks for, no more and no less."""
+    needed = {_normal(IMPORTED_AS.get(module, module)) for module in _imported()}
+
+    assert needed == _names(PROJECT["dependencies"]) - SAME_MODULE
+
+
+def test_no_file_names_a_registry_or_a_home():
+    """The repository works for anybody: it knows no package server and nobody's folders."""
+    found = []
+    for file in _handed_out():
+        text = file.read_bytes().decode(errors="ignore")
+        found += [(file.name, hit) for rule in (REGISTRY, HOME) for hit in rule.findall(text)]
+
+    assert found == []
