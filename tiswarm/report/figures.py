@@ -142,7 +142,7 @@ def draw_error_against_height(series: Series, note: str) -> "Figure":
     figure.supxlabel("True height [R]", fontsize=8.0)
     figure.supylabel("Error [R]", fontsize=8.0)
     bar = figure.colorbar(dots, ax=panels, label="Join index", aspect=25, pad=0.02)
-    bar.outline.set_visible(False)
+    bar.ax.spines["outline"].set_visible(False)
     if len(shown) < len(series):
         notes.append(f"{len(series) - len(shown)} more conditions are not shown")
     _add_note(figure, "; ".join(notes))
@@ -165,8 +165,8 @@ def draw_positions(series: Series, note: str) -> "Figure":
 
     case = next(iter(series.values()))[0]
     names = ["x_R", "y_R", "z_R", "x_est_R", "y_est_R", "z_est_R"]
-    pairs = read_columns(case.folder / "robots.csv", names).reshape(-1, 2, 3)
-    pairs = pairs[np.isfinite(pairs).all(axis=(1, 2))]
+    rows = read_columns(case.folder / "robots.csv", names)
+    pairs = rows[np.isfinite(rows).all(axis=1)].reshape(-1, 2, 3)
     figure = _figure(COLUMN_WIDTH, COLUMN_WIDTH)
     figure.set_layout_engine("none")  # it knows nothing of three dimensions
     axes: Axes3D = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", computed_zorder=False)
@@ -175,7 +175,7 @@ def draw_positions(series: Series, note: str) -> "Figure":
     for end, color, label in ((0, TRUE_BLUE, "true"), (1, ESTIMATE_ORANGE, "estimated")):
         axes.scatter(
             *pairs[:, end].T, s=area * (2.0, 1.2)[end], color=color, label=label,
-            linewidths=0.0, depthshade=False,
+            linewidths=0.0, depthshade=False, clip_on=False,
         )  # fmt: skip
     _frame(axes, pairs.reshape(-1, 3))
     figure.legend(

@@ -87,12 +87,13 @@ class History:
     @property
     def ground_docks(self) -> NDArray[np.int32]:
         """Docks on the ground in the end, rows of (robot, dock)."""
-        rows = [
+        rows: list[NDArray[np.int32]] = [
             np.column_stack([np.full(len(docks), j, np.int32), docks])
             for j, walk in enumerate(self.walks)
             for docks in [walk.ground_docks[walk.ground_docks[:, 0] == walk.stance_count - 1, 1]]
         ]
-        return np.concatenate(rows).astype(np.int32)
+        pairs: NDArray[np.int32] = np.concatenate(rows).astype(np.int32)
+        return pairs
 
 
 def _last_contacts(j: int, walk: Walk) -> NDArray[np.int32]:

@@ -69,4 +69,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 def _unit(vectors: Array) -> Array:
     length = np.sqrt(np.maximum(_dot(vectors, vectors), np.float32(1e-12)))
-    return (vectors / length[:, None]).astype(np.float32)
+    unit: Array = (vectors / length[:, None]).astype(np.float32)
+    return unit
