@@ -8,6 +8,8 @@ import os
 from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+if "HOME" not in os.environ:  # the library aborts the process at import without one
+    os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
 
 import taichi as ti
 
