@@ -45,8 +45,16 @@ else:
     Ints3 = ti.types.ndarray(dtype=ti.i32, ndim=3)
     Ints4 = ti.types.ndarray(dtype=ti.i32, ndim=4)
 
+GRAIN = 512
+"""Iterations of a parallel loop that one thread takes at a time, whatever is asked for.
+
+A loop over few, long pieces of work runs on one thread unless each piece stands at the start
+of that many iterations, the others idle: `for i in range(pieces * GRAIN): if i % GRAIN == 0:`.
+"""
+
 __all__ = [
     "F64",
+    "GRAIN",
     "I32",
     "Float",
     "Ints1",

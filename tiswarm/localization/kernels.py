@@ -7,6 +7,7 @@ one: a positive magnitude pulls toward it. Lengths in R.
 
 from tiswarm.compute.cells import bucket_of, cube_of, link, neighbor_cube
 from tiswarm.compute.dialect import (
+    GRAIN,
     I32,
     Float,
     Ints1,
@@ -231,42 +232,43 @@ def localize_in_join_order(
         trace: Written: position at each frame [R], shape (F, N, 3).
         step_length: Written: last step before each frame [R], shape (F, N).
     """
-    ti.loop_config(block_dim=1)  # a structure is work enough for a thread
-    for s in range(start.shape[0] - 1):
-        law = law_of(gains, s)
-        base = start[s]
-        for robot in range(base, start[s + 1]):
-            here = vector_at(position, robot)
-            if robot > base:
-                here = initial_position(
-                    law, robot, base, contact_start, contact, initial_direction, position
-                )
-            moved = 0.0
-            frame = 0
-            for t in range(iterations + 1):
-                for c in ti.static(range(3)):
-                    position[robot, c] = here[c]
-                if t % trace_every == 0 or t == iterations:
-                    for c in ti.static(range(3)):
-                        trace[frame, robot, c] = here[c]
-                    step_length[frame, robot] = moved
-                    frame += 1
-                if robot > base and t < iterations:
-                    ramp = (t + 1.0) / iterations
-                    force = connected_force(
-                        law, robot, base, ramp, contact_start, contact, dock_offset, position
+    for i in range((start.shape[0] - 1) * GRAIN):
+        if i % GRAIN == 0:
+            s = i // GRAIN
+            law = law_of(gains, s)
+            base = start[s]
+            for robot in range(base, start[s + 1]):
+                here = vector_at(position, robot)
+                if robot > base:
+                    here = initial_position(
+                        law, robot, base, contact_start, contact, initial_direction, position
                     )
-                    if law.undocked:
-                        force += undocked_force(
-                            law, robot, base, s, ramp,
-                            contact_start, contact, dock_offset, position, head, following,
-                        )  # fmt: skip
-                    if not ti.math.isnan(flip_height[robot]):
-                        force[2] += law.height_gain * (flip_height[robot] - here[2])
-                    step = capped(force, law.max_step)
-                    moved = step.norm()
-                    here += step
-            for k in range(dock_offset.shape[1]):
-                item = (robot - base) * dock_offset.shape[1] + k
-                point = dock_at(position, dock_offset, robot, k)
-                link(head, following, s, item, cube_of(point, 1.0 / law.spacing))
+                moved = 0.0
+                frame = 0
+                for t in range(iterations + 1):
+                    for c in ti.static(range(3)):
+                        position[robot, c] = here[c]
+                    if t % trace_every == 0 or t == iterations:
+                        for c in ti.static(range(3)):
+                            trace[frame, robot, c] = here[c]
+                        step_length[frame, robot] = moved
+                        frame += 1
+                    if robot > base and t < iterations:
+                        ramp = (t + 1.0) / iterations
+                        force = connected_force(
+                            law, robot, base, ramp, contact_start, contact, dock_offset, position
+                        )
+                        if law.undocked:
+                            force += undocked_force(
+                                law, robot, base, s, ramp,
+                                contact_start, contact, dock_offset, position, head, following,
+                            )  # fmt: skip
+                        if not ti.math.isnan(flip_height[robot]):
+                            force[2] += law.height_gain * (flip_height[robot] - here[2])
+                        step = capped(force, law.max_step)
+                        moved = step.norm()
+                        here += step
+                for k in range(dock_offset.shape[1]):
+                    item = (robot - base) * dock_offset.shape[1] + k
+                    point = dock_at(position, dock_offset, robot, k)
+                    link(head, following, s, item, cube_of(point, 1.0 / law.spacing))
