@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
 from tiswarm.compute.dialect import Reals2, ti
-from tiswarm.world.kernels import rise_angles
+from tiswarm.world.meeting import rise_angles
 
 FULL_TURN = 2.0 * np.pi
 

@@ -4,13 +4,23 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from tests import oracle
+from tests import frames, oracle
 from tiswarm.compute import backend
 from tiswarm.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
-from tiswarm.world.params import ClimbParams, TowerParams
+from tiswarm.world.params import (
+    BridgeParams,
+    CantileverParams,
+    ChainParams,
+    ClimbParams,
+    GrowthParams,
+    TowerParams,
+)
+from tiswarm.world.recruitment import recruit, relay
 from tiswarm.world.soundness import unsoundness
 
 FIREANT = RobotGeometry()
@@ -54,20 +64,21 @@ def test_every_robot_but_the_first_touches_an_earlier_one(towers):
 
 
 def test_robots_stay_at_the_best_stance_of_their_walk(towers):
-    """The last stance is the one nearest to the goal, and the way there is out and back."""
+    """Who was not called for stays where it came nearest to the goal."""
     goal = np.array([0.0, 0.0, TowerParams().goal_height])
     for history in towers:
         for walk in history.walks:
             distance = np.linalg.norm(walk.center - goal, axis=1)
 
-            assert distance[-1] == distance.min()
+            assert walk.recruited or distance[-1] == distance.min()
 
 
 def test_towers_climb():
-    """Robots go up: a mast of 30 robots is much taller than wide."""
-    history = grow(TowerParams(), robots=30, seeds=[5], robot=FIREANT)[0]
+    """Robots go up, and higher still where nobody calls them to the foot of the tower."""
+    calls = grow(TowerParams(), robots=40, seeds=[5], robot=FIREANT)[0]
+    silent = grow(TowerParams(recruit_limit=0), robots=40, seeds=[5], robot=FIREANT)[0]
 
-    assert history.position[:, 2].max() > 15.0
+    assert 15.0 < calls.position[:, 2].max() < silent.position[:, 2].max()
 
 
 def test_company_does_not_change_a_structure():
@@ -122,7 +133,7 @@ def test_unsound_structures_are_found_out(towers, by, fault):
     """A robot pushed into the ground, torn off, or pressed into its neighbours."""
     faults = [
         unsoundness(_moved(towers[0], j, sign * np.array(by)), contact_gap=0.02)
-        for j in (10, 20)
+        for j in range(5, 30, 5)
         for sign in (1, -1)
     ]
 
@@ -138,3 +149,166 @@ def test_a_robot_held_by_nothing_is_found_out(towers):
     history = dataclasses.replace(towers[0], walks=(*towers[0].walks[:-1], loose))
 
     assert "held by nothing" in unsoundness(history, contact_gap=0.02)
+
+
+KINDS = {
+    "tower": TowerParams(),
+    "cantilever": CantileverParams(),
+    "bridge": BridgeParams(gap=12.0),
+    "chain": ChainParams(),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_grows_soundly(kind):
+    """25 robots, or fewer where growth says why, hold together and do not overlap."""
+    for history in grow(KINDS[kind], robots=25, seeds=[4, 5], robot=FIREANT):
+        assert history.robot_count == 25 or history.ended
+        assert unsoundness(history, contact_gap=0.02) == ""
+
+
+def test_structures_at_an_edge_go_where_they_should(cantilevers, bridges, chains):
+    """Out over the edge, across the gap, down from the edge."""
+    for history in cantilevers:
+        assert history.position[:, 0].max() > 5.0
+    for history in bridges:
+        assert history.position[:, 0].min() < 1.0
+        assert history.position[:, 0].max() > history.terrain.right_edge - 3.0
+    for history in chains:
+        assert history.position[:, 2].min() < -10.0
+
+
+def _calling(history: History, count: int, params: GrowthParams) -> set[tuple[int, int]]:
+    """Docks that recruit whoever touches them while `count` robots stand, (robot, dock)."""
+    if count == 0:
+        return set()
+    structure = frames.grown(history, count)
+    call = recruit(frames.solve(structure).sensed, params)
+    docks = np.flatnonzero(relay(call, structure.contacts) > 0)
+    return {divmod(int(dock), 3) for dock in docks}
+
+
+@pytest.mark.parametrize("kind", ["towers", "cantilevers", "bridges", "chains"])
+def test_robots_are_recruited_where_they_first_touch_a_calling_dock(kind, request):
+    """Nobody walks on from a dock that calls, and nobody stops for one that does not."""
+    recruited = 0
+    for history in request.getfixturevalue(kind):
+        for j, walk in enumerate(history.walks):
+            calling = _calling(history, j, TowerParams())
+            stances = [s for s, _, i, k in walk.contacts if (int(i), int(k)) in calling]
+
+            assert walk.recruited == bool(stances)
+            assert set(stances) <= {walk.stance_count - 1}
+            recruited += walk.recruited
+    assert recruited > 5 or kind == "chains"
+
+
+def _held_together(history: History, count: int) -> bool:
+    """Whether robots on both sides of a gap hang together, by the first `count` robots."""
+    i, _, j, _ = history.contacts[history.contacts[:, 2] < count].T
+    links = coo_matrix((np.ones(len(i)), (i, j)), shape=(count, count))
+    part = connected_components(links, directed=False)[1]
+    standing = np.concatenate([history.ground_docks, history.edge_docks])
+    robot = standing[standing[:, 0] < count, 0]
+    right = np.array(
+        [_on_the_right(history, r, k) for r, k in standing if r < count],
+        dtype=bool,
+    )
+    return bool(set(part[robot[right]]) & set(part[robot[~right]]))
+
+
+def _on_the_right(history: History, robot: int, dock: int) -> bool:
+    turn = oracle.matrix(history.orientation_wxyz[robot])
+    place = history.position[robot] + turn @ FIREANT.dock_offset_body[dock]
+    return bool(place[0] > 0.5 * history.terrain.right_edge)
+
+
+def test_a_bridge_is_complete_with_the_robot_that_joins_its_sides(bridges):
+    """Growth ends then, says so, and not a robot earlier."""
+    for history in bridges:
+        count = history.robot_count
+
+        assert history.crossed
+        assert history.ended == f"the gap is bridged by {count} robots"
+        assert _held_together(history, count)
+        assert not _held_together(history, count - 1)
+
+
+def test_a_bridge_that_runs_out_of_robots_is_not_crossed():
+    """Two robots do not reach across 20 R, and nothing else ended growth."""
+    history = grow(BridgeParams(), robots=2, seeds=[0], robot=FIREANT)[0]
+
+    assert not history.crossed
+    assert history.ended == ""
+    assert history.position[0, 0] < 10.0 < history.position[1, 0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_small_structures_are_how_great_ones_began(kind):
+    """Robots one at a time: what joins later changes nothing of what has joined before."""
+    small, great = (
+        grow(KINDS[kind], robots=robots, seeds=[4], robot=FIREANT)[0] for robots in (6, 12)
+    )
+
+    assert small.robot_count == 6
+    first = dataclasses.replace(great, walks=great.walks[:6])
+    assert _same(small, first)
+
+
+def test_one_mover_is_what_robots_one_at_a_time_are():
+    """The default, spelled out."""
+    one, default = (
+        grow(params, robots=12, seeds=[2], robot=FIREANT)[0]
+        for params in (TowerParams(movers=1), TowerParams())
+    )
+
+    assert _same(one, default)
+
+
+@pytest.mark.parametrize("kind", ["tower", "cantilever"])
+def test_several_movers_grow_one_sound_structure(kind):
+    """Three at a time: the same on one thread, on two, and again; none joins into another."""
+    params = dataclasses.replace(KINDS[kind], movers=3)
+    grown = []
+    for threads in (1, 2, 2):
+        backend.start(threads=threads)
+        grown.append(grow(params, robots=25, seeds=[0, 1], robot=FIREANT))
+
+    for first, *others in zip(*grown, strict=True):
+        assert first.robot_count == 25
+        assert unsoundness(first, contact_gap=0.02) == ""
+        assert all(_same(first, other) for other in others)
+    alone = grow(KINDS[kind], robots=25, seeds=[0, 1], robot=FIREANT)
+    assert not _same(alone[0], grown[0][0])
+
+
+@pytest.mark.parametrize("kind", ["cantilever", "bridge", "chain"])
+def test_threads_do_not_change_a_structure_at_an_edge(kind):
+    """One thread and two, several structures at once: the same, bit by bit, forces included."""
+    histories = []
+    for threads in (1, 2):
+        backend.start(threads=threads)
+        histories.append(grow(KINDS[kind], robots=15, seeds=[1, 3, 4], robot=FIREANT))
+
+    for one, two in zip(*histories, strict=True):
+        assert _same(one, two)
+        assert np.array_equal(one.sensed, two.sensed)
+        assert repr(one.strain) == repr(two.strain)
+
+
+def test_settled_robots_touch_with_all_docks():
+    """Robots that turn about two docks until the third touches gain a contact, and stay sound."""
+    settled = TowerParams(climb=ClimbParams(settle=True))
+    free = grow(TowerParams(), robots=40, seeds=[7], robot=FIREANT)[0]
+    history = grow(settled, robots=40, seeds=[7], robot=FIREANT)[0]
+
+    def touching(walk):
+        return len({own for own, *_ in walk.at_rest(walk.contacts)} | set(_grounded(walk)))
+
+    assert unsoundness(history, contact_gap=0.02) == ""
+    assert np.mean([touching(walk) == 3 for walk in history.walks]) > 0.8
+    assert np.mean([touching(walk) == 3 for walk in free.walks]) < 0.3
+
+
+def _grounded(walk):
+    return walk.at_rest(walk.ground_docks)[:, 0]

@@ -1,29 +1,29 @@
-"""Growth: robots spawn, climb toward the goal and stay, one after the other.
+"""Growth: robots spawn, climb toward the goal and stay, until a structure is complete.
 
-Many structures grow side by side. Each has one robot on the move at a time and stands still
-meanwhile, so the climbs of a round run in parallel, and the same seed grows the same
-structure in any company.
+Structures grow side by side, in rounds. In a round every structure stands still while its
+movers climb, all at once; then they join one after the other. A mover whose walk passes what
+has just joined goes on from there in the next round, so nobody walks through anybody; only
+calls for help reach those who climb together a round late. A seed grows the same structure in
+any company and on any number of threads.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.rotations import dock_offsets
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.history import History, Walk
-from tiswarm.world.params import TowerParams
-from tiswarm.world.spawn import spawn_outside
+from tiswarm.world.history import History
+from tiswarm.world.kinds import KINDS
+from tiswarm.world.params import StructureParams
+from tiswarm.world.site import Site
 from tiswarm.world.structure import Structures
-from tiswarm.world.walks import Walks, climb_law, flip_reach
-
-GROUND_Z = 0.0
+from tiswarm.world.walks import Walks, climb_law
 
 
 def grow(
-    params: TowerParams,
+    params: StructureParams,
     *,
     robots: int,
     seeds: Sequence[int],
@@ -33,7 +33,7 @@ def grow(
     """Grow one structure for each seed.
 
     Args:
-        params: Kind of structure, its goal, and how robots climb.
+        params: Kind of structure, its goal, how robots climb and when they call for help.
         robots: Robots in each structure.
         seeds: One seed a structure.
         robot: The robots' shape.
@@ -46,96 +46,84 @@ def grow(
     running = backend.current()
     # A flip that stops within 1e-9 R of the true contact needs float64 on any device.
     backend.start(running.arch, threads=running.threads, precision="f64")
-    law = climb_law(params.climb, robot, goal=(0.0, 0.0, params.goal_height), ground_z=GROUND_Z)
-    structures = Structures.allocate(len(seeds), robots, edge=flip_reach(robot))
-    walks = Walks(len(seeds), params.climb, robot)
-    sites = [_Site(s, seed, params, robot) for s, seed in enumerate(seeds)]
-    while growing := [site for site in sites if site.unfinished(robots)]:
-        movers = [site for site in growing if site.spawn(structures)]
-        if movers:
-            walks.run(
-                law,
-                structures,
-                np.array([site.number for site in movers], np.int32),
-                np.array([site.start[0] for site in movers]),
-                np.array([site.start[1] for site in movers]),
-            )
-            joined = [site for slot, site in enumerate(movers) if site.take(walks.walk(slot))]
-            _join(structures, joined, robot)
-            tell(len(joined))
-    return [site.history() for site in sites]
+    with ThreadPoolExecutor(running.threads) as threads:
+        nursery = _Nursery(params, robots, seeds, robot, threads)
+        while nursery.spawn():
+            tell(nursery.round())
+    return [site.history() for site in nursery.sites]
 
 
-def _join(structures: Structures, sites: "Sequence[_Site]", robot: RobotGeometry) -> None:
-    """Make the last robot of each site part of its structure."""
-    if not sites:
-        return
-    center = np.array([site.walks[-1].center[-1] for site in sites])
-    orientation = np.array([site.walks[-1].orientation_wxyz[-1] for site in sites])
-    docks = center[:, None, :] + dock_offsets(orientation, robot.dock_offset_body)
-    structures.join(np.array([site.number for site in sites], np.int32), docks)
+class _Nursery:
+    """Structures that grow together and the robots that climb them, `movers` slots each."""
 
+    def __init__(
+        self,
+        params: StructureParams,
+        robots: int,
+        seeds: Sequence[int],
+        robot: RobotGeometry,
+        threads: ThreadPoolExecutor,
+    ) -> None:
+        self.threads = threads
+        self.robots = robots
+        self.sites = [Site(s, seed, params, robot) for s, seed in enumerate(seeds)]
+        self.structures = Structures.allocate(len(seeds), robots)
+        self.site_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
+        self.walks = Walks(self.site_of, params.climb, robot)
+        self.law = climb_law(params.climb, robot, KINDS[params.kind].terrain(params))
+        self.moving = np.zeros(len(self.site_of), np.bool_)
 
-class _Site:
-    """One structure's own story: who has joined, and how often the next robot has tried."""
+    def spawn(self) -> bool:
+        """Fill the free slots of unfinished structures; return whether any robot moves."""
+        for slot, site in self._slots():
+            # Founders come one by one, for they found what the others climb.
+            crowd = site.founding and self.moving[self.site_of == site.number].any()
+            if not self.moving[slot] and not crowd and self._wants_more(site):
+                start = site.spawn(self.structures.joined_docks(site.number))
+                if start is not None:
+                    self.walks.start(slot, *start)
+                    self.moving[slot] = True
+        return bool(self.moving.any())
 
-    def __init__(self, number: int, seed: int, params: TowerParams, robot: RobotGeometry) -> None:
-        self.number = number
-        self.seed = seed
-        self.params = params
-        self.robot = robot
-        self.walks: list[Walk] = []
-        self.spawns = 0
-        self.attempt = 0
-        self.ended = ""
-        self.start: tuple[NDArray[np.float64], NDArray[np.float64]]
+    def _slots(self) -> list[tuple[int, Site]]:
+        return [(slot, self.sites[s]) for slot, s in enumerate(self.site_of)]
 
-    def unfinished(self, robots: int) -> bool:
-        """Whether robots are still to join."""
-        return len(self.walks) < robots and not self.ended
+    def _wants_more(self, site: Site) -> bool:
+        """Whether robots are missing beyond those that climb already."""
+        climbing = int(self.moving[self.site_of == site.number].sum())
+        return not site.ended and len(site.walks) + climbing < self.robots
 
-    def spawn(self, structures: Structures) -> bool:
-        """Draw a start for the next robot; end growth where there is none."""
-        start = spawn_outside(
-            structures.joined_docks(self.number),
-            self.robot,
-            distance=(self.params.spawn_min, self.params.spawn_max),
-            ground_z=GROUND_Z,
-            seed=self.seed,
-            index=len(self.walks),
-            attempt=self.attempt,
-        )
-        self.attempt += 1
-        self.spawns += 1
-        if start is None:
-            self.ended = (
-                f"no free place to spawn robot {len(self.walks)} around the base; "
-                "raise structure.spawn_max"
-            )
+    def round(self) -> int:
+        """Let all movers climb, and those that can join; return how many did."""
+        movers = np.flatnonzero(self.moving).astype(np.int32)
+        self.walks.climb(self.law, self.structures, movers)
+        wants = np.zeros(len(self.site_of), np.int32)
+        for slot in movers:
+            wants[slot] = self.walks.touches(slot) or self.sites[self.site_of[slot]].founding
+        self.walks.join(self.law, self.structures, movers, wants)
+        grown = {self.site_of[slot] for slot in movers if self._settle(slot, bool(wants[slot]))}
+        list(self.threads.map(self._recruit, sorted(grown)))
+        for slot, site in self._slots():
+            self.moving[slot] &= not site.ended
+        return int((self.walks.joined[movers] >= 0).sum())
+
+    def _recruit(self, number: int) -> None:
+        """Let the robots of a structure call; factoring its matrix frees other threads."""
+        site = self.sites[number]
+        complete = len(site.walks) == self.robots or bool(site.ended)
+        site.recruit(self.structures, last=complete)
+
+    def _settle(self, slot: int, wants: bool) -> bool:  # noqa: FBT001 - one of three outcomes
+        """Take a mover's outcome to its site: joined, to go on, or gone; return if it joined."""
+        site = self.sites[self.site_of[slot]]
+        disturbed = self.walks.disturbed[slot]
+        joined = bool(self.walks.joined[slot] >= 0)
+        if joined:
+            site.join(self.walks.walk(slot))
+        elif disturbed > 0:
+            self.walks.first_stance[slot] = disturbed
             return False
-        self.start = start
-        return True
-
-    def take(self, walk: Walk) -> bool:
-        """Keep a walk that ends in the structure; the first robot founds it."""
-        joins = walk.joins or not self.walks
-        if joins:
-            self.walks.append(walk)
-            self.attempt = 0
-        elif self.attempt >= self.params.climb.max_spawns:
-            self.ended = (
-                f"robot {len(self.walks)} reached no other robot in {self.attempt} spawns; "
-                "raise structure.climb.max_spawns or move the goal"
-            )
-        return joins
-
-    def history(self) -> History:
-        """Bind what happened here."""
-        return History(
-            seed=self.seed,
-            robot=self.robot,
-            ground_z=GROUND_Z,
-            walks=tuple(self.walks),
-            spawns=self.spawns,
-            ended=self.ended,
-        )
+        elif not wants:
+            site.turn_away()
+        self.moving[slot] = False
+        return joined

@@ -1,20 +1,15 @@
-"""Flips and walks: how a robot climbs a structure that stands still meanwhile.
+"""Walks: how robots climb a structure that stands still meanwhile, and how they join it.
 
-A flip turns the robot about an axis through one of its attached docks (the pivot), at right
+A flip turns a robot about an axis through one of its attached docks (the pivot), at right
 angles to the line from that dock to the robot's centre, until another dock first touches
 something. Lengths in R, angles in rad, everything in float64.
-
-A dock that turns about the pivot by the angle t has, along any fixed direction, a coordinate
-of the form a cos t + b sin t + c. Both ways of touching are therefore one question: where
-does a cos t + b sin t first rise through a level? Against a dock at w from the pivot the
-direction is w; against the ground it is straight down.
 """
 
 from tiswarm.compute.cells import bucket_of, cube_of, link, neighbor_cube
 from tiswarm.compute.dialect import (
     F64,
+    GRAIN,
     I32,
-    Float,
     Ints1,
     Ints2,
     Ints3,
@@ -27,39 +22,17 @@ from tiswarm.compute.dialect import (
     ti,
 )
 from tiswarm.compute.rotations import axis_rotation, quaternion_product, rotate
+from tiswarm.world.meeting import ClimbLaw, ground_kind, meeting_angles, row
 
 DOCKS = 3
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
 
-SETTLED_RISE = 1e-12
-"""A dock whose coordinate swings by less than this [R] slides along: it never enters."""
-
-RESTING_ANGLE = 1e-7
-"""A contact met this little before the start of a turn is the one the dock rests on [rad]."""
-
 WALKING = 0
 ENDED = 1
-OUT_OF_FLIPS = 2
-SCRATCH_FULL = 3
-
-
-@kernel_struct
-class ClimbLaw:
-    """Numbers that do not change during a climb; see `ClimbParams`."""
-
-    goal: Vec3
-    spacing: F64
-    contact_gap: F64
-    ground_z: F64
-    min_flip: F64
-    max_flip: F64
-    revisit_distance: F64
-    full_turn: F64
-    reach: F64
-    inverse_edge: F64
-    twists: I32
-    patience: I32
+RECRUITED = 2
+OUT_OF_FLIPS = 3
+SCRATCH_FULL = 4
 
 
 @kernel_struct
@@ -74,58 +47,9 @@ class Flip:
 
 
 @ti.func
-def row(array: ti.template(), i, j):
-    """Vector from the last axis of a three-dimensional array."""
-    return ti.Vector([array[i, j, 0], array[i, j, 1], array[i, j, 2]])
-
-
-@ti.func
 def body_dock(dock_offset_body: ti.template(), k):
     """Centre to dock `k` in the body frame."""
     return ti.Vector([dock_offset_body[k, 0], dock_offset_body[k, 1], dock_offset_body[k, 2]])
-
-
-@ti.func
-def ahead(angle, full_turn):
-    """The same angle in [0, a full turn); what lies a hair behind is the contact rested on."""
-    wrapped = angle - full_turn * ti.floor(angle / full_turn)
-    if wrapped > full_turn - RESTING_ANGLE:
-        wrapped = 0.0
-    return wrapped
-
-
-@ti.func
-def rise_angles(a, b, level, full_turn):
-    """Turn after which a cos t + b sin t first rises through `level`: forward and backward.
-
-    Returns a full turn where it never does. Rising means entering: what lies above the level
-    is inside the obstacle.
-    """
-    angles = ti.Vector([full_turn, full_turn])
-    swing = ti.sqrt(a * a + b * b)
-    if swing > ti.abs(level) and swing > SETTLED_RISE:
-        peak = ti.atan2(b, a)
-        half_width = ti.acos(level / swing)
-        angles[0] = ahead(peak - half_width, full_turn)
-        angles[1] = ahead(-peak - half_width, full_turn)
-    return angles
-
-
-@ti.func
-def meeting_angles(arm, axis, pivot, near: ti.template(), mover, near_count, law):
-    """Angles, forward and backward, at which a dock at `arm` from the pivot meets something."""
-    along = arm.dot(axis)
-    across = arm - along * axis
-    onward = axis.cross(arm)
-    level = pivot[2] + along * axis[2] - law.ground_z - 0.5 * law.spacing
-    first = rise_angles(-across[2], -onward[2], level, law.full_turn)
-    for k in range(near_count):
-        to_other = row(near, mover, k)
-        level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - law.spacing * law.spacing)
-        level -= along * to_other.dot(axis)
-        met = rise_angles(to_other.dot(across), to_other.dot(onward), level, law.full_turn)
-        first = ti.min(first, met)
-    return first
 
 
 @ti.func
@@ -168,9 +92,11 @@ def feel(
     following: ti.template(),
     structure,
     dock: ti.template(),
+    relay: ti.template(),
 ):
-    """Record what dock `k` at `point` touches in this stance; return how many things."""
+    """Record what dock `k` at `point` touches; return how many things, and if one recruits."""
     count = 0
+    called = 0
     limit = law.spacing + law.contact_gap
     for slot in range(MAX_TOUCHING):
         touching[mover, stance, k, slot] = -1
@@ -181,15 +107,18 @@ def feel(
             if (row(dock, structure, item) - point).norm_sqr() < limit * limit:
                 touching[mover, stance, k, count] = item
                 count += 1
+                if relay[structure, item] > 0:
+                    called = 1
             item = following[structure, item]
-    grounded = ti.cast(point[2] < law.ground_z + 0.5 * law.spacing + law.contact_gap, ti.i32)
-    on_ground[mover, stance, k] = grounded
-    return count + grounded
+    ground = ground_kind(point, law)
+    on_ground[mover, stance, k] = ground
+    return ti.Vector([count + ground, called])
 
 
 @ti.func
 def nearest_flip(
     law,
+    goal,
     mover,
     stance,
     structure,
@@ -227,7 +156,7 @@ def nearest_flip(
                 flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
                 turned = quaternion_product(flip, q).normalized()
                 end = pivot - rotate(turned, body_in)
-                distance = (end - law.goal).norm()
+                distance = (end - goal).norm()
                 if distance < chosen.distance and not was_there(center, mover, stance, end, law):
                     chosen.distance = distance
                     chosen.center = end
@@ -245,6 +174,15 @@ def was_there(center: ti.template(), mover, stance, point, law):
     return seen
 
 
+@ti.func
+def move_to(mover, stance, flip, center: ti.template(), orientation: ti.template()):
+    """Write the stance that a flip leads to."""
+    for c in ti.static(range(3)):
+        center[mover, stance, c] = flip.center[c]
+    for c in ti.static(range(4)):
+        orientation[mover, stance, c] = flip.orientation[c]
+
+
 @ti.kernel
 def climb(
     law: ClimbLaw,
@@ -252,8 +190,12 @@ def climb(
     head: Ints2,
     following: Ints2,
     dock: Reals3,
+    relay: Ints2,
     # movers
+    movers: Ints1,
     structure_of: Ints1,
+    first_stance: Ints1,
+    goal: Reals2,
     dock_offset_body: Reals2,
     near: Reals3,
     # what they write
@@ -266,95 +208,303 @@ def climb(
     best: Ints1,
     state: Ints1,
 ):
-    """Walk each mover up its structure, one flip at a time, toward the goal.
+    """Walk each mover up its structure, one flip at a time, toward its goal.
 
     Of all flips about all attached docks the one that ends nearest to the goal is taken,
-    unless the walk has been there before. The walk ends after `law.patience` steps without a
-    new best, or when no flip is left; the caller lets the robot walk back to its best stance.
+    unless the walk has been there before. A robot that is recruited stops where it is. Else
+    the walk ends after `law.patience` steps without a new best, or when no flip is left, and
+    the caller lets the robot walk back to its best stance.
 
     Args:
-        law: Goal, distances and limits.
+        law: Terrain, distances and limits.
         head: First dock of each bucket, shape (S, buckets).
         following: Next dock of a chain, shape (S, docks).
         dock: Dock centres of the structures [R], shape (S, docks, 3).
-        structure_of: Structure that each mover climbs, shape (M,).
+        relay: What each dock passes on; a robot that touches a positive one is recruited,
+            shape (S, docks).
+        movers: Slots of the robots that move, shape (M,); what follows is by slot.
+        structure_of: Structure that each climbs, shape (slots,).
+        first_stance: Stance to go on from; those before it are kept, shape (slots,).
+        goal: Where each wants to be [R], shape (slots, 3).
         dock_offset_body: Centre to dock in the body frame [R], shape (3, 3).
-        near: Scratch: vectors from the pivot to docks in reach, shape (M, near, 3).
-        center: Stance 0 is read, the others written [R], shape (M, stances, 3).
-        orientation: Likewise, wxyz, shape (M, stances, 4).
-        pivot_dock: Written: dock that stays put as the robot leaves a stance, (M, stances).
+        near: Scratch: vectors from the pivot to docks in reach, shape (slots, near, 3).
+        center: Up to the first stance read, then written [R], shape (slots, stances, 3).
+        orientation: Likewise, wxyz, shape (slots, stances, 4).
+        pivot_dock: Written: dock that stays put as the robot leaves a stance, shape
+            (slots, stances).
         touching: Written: docks of the structure that each dock touches, or -1, shape
-            (M, stances, 3, MAX_TOUCHING).
-        on_ground: Written: whether each dock touches the ground, shape (M, stances, 3).
-        last: Written: last stance of the walk, shape (M,).
-        best: Written: the stance nearest to the goal, shape (M,).
-        state: Written: ENDED if the walk came to its end, else what cut it off, shape (M,).
+            (slots, stances, 3, MAX_TOUCHING).
+        on_ground: Written: 0, or 1 on flat ground, or 2 on an edge, shape (slots, stances, 3).
+        last: Written: last stance of the walk, shape (slots,).
+        best: Written: the stance to stay at, shape (slots,).
+        state: Written: how the walk ended, shape (slots,).
     """
-    ti.loop_config(block_dim=1)  # a walk is work enough for a thread
-    for m in range(structure_of.shape[0]):
-        s = structure_of[m]
-        stance = 0
-        best_stance = 0
-        best_distance = (row(center, m, 0) - law.goal).norm()
-        state[m] = WALKING
-        while state[m] == WALKING:
-            here = row(center, m, stance)
-            q = ti.Vector([orientation[m, stance, c] for c in range(4)])
-            flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
-            for k in range(DOCKS):
-                point = here + rotate(q, body_dock(dock_offset_body, k))
-                attached = feel(
-                    touching, on_ground, m, stance, k, point, law, head, following, s, dock
-                )
-                if attached and stance - best_stance < law.patience:
-                    other = nearest_flip(
-                        law, m, stance, s, k, here, q,
-                        head, following, dock, dock_offset_body, near, center,
+    for i in range(movers.shape[0] * GRAIN):
+        if i % GRAIN == 0:
+            m = movers[i // GRAIN]
+            s = structure_of[m]
+            target = ti.Vector([goal[m, 0], goal[m, 1], goal[m, 2]])
+            stance = first_stance[m]
+            best_stance = 0
+            best_distance = (row(center, m, 0) - target).norm()
+            for earlier in range(1, stance + 1):
+                distance = (row(center, m, earlier) - target).norm()
+                if distance < best_distance:
+                    best_distance = distance
+                    best_stance = earlier
+            state[m] = WALKING
+            while state[m] == WALKING:
+                here = row(center, m, stance)
+                q = ti.Vector([orientation[m, stance, c] for c in range(4)])
+                flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+                attached = ti.Vector([0, 0, 0])
+                called = 0
+                for k in range(DOCKS):
+                    point = here + rotate(q, body_dock(dock_offset_body, k))
+                    felt = feel(
+                        touching, on_ground, m, stance, k, point,
+                        law, head, following, s, dock, relay,
                     )  # fmt: skip
-                    if other.overflow:
-                        state[m] = SCRATCH_FULL
-                    if other.distance < flip.distance:
-                        flip = other
-            if state[m] == WALKING:
-                if flip.pivot < 0:
-                    state[m] = ENDED
-                elif stance + 1 >= center.shape[1]:
-                    state[m] = OUT_OF_FLIPS
-                else:
-                    pivot_dock[m, stance] = flip.pivot
-                    stance += 1
-                    for c in ti.static(range(3)):
-                        center[m, stance, c] = flip.center[c]
-                    for c in ti.static(range(4)):
-                        orientation[m, stance, c] = flip.orientation[c]
-                    if flip.distance < best_distance:
-                        best_distance = flip.distance
-                        best_stance = stance
-        last[m] = stance
-        best[m] = best_stance
+                    attached[k] = felt[0]
+                    called = ti.max(called, felt[1])
+                if called:
+                    state[m] = RECRUITED
+                    best_stance = stance
+                elif stance - best_stance < law.patience:
+                    for k in range(DOCKS):
+                        if attached[k] > 0:
+                            other = nearest_flip(
+                                law, target, m, stance, s, k, here, q,
+                                head, following, dock, dock_offset_body, near, center,
+                            )  # fmt: skip
+                            if other.overflow:
+                                state[m] = SCRATCH_FULL
+                            if other.distance < flip.distance:
+                                flip = other
+                if state[m] == WALKING:
+                    if flip.pivot < 0:
+                        state[m] = ENDED
+                    elif stance + 2 >= center.shape[1]:  # the last is kept for settling
+                        state[m] = OUT_OF_FLIPS
+                    else:
+                        pivot_dock[m, stance] = flip.pivot
+                        stance += 1
+                        move_to(m, stance, flip, center, orientation)
+                        if flip.distance < best_distance:
+                            best_distance = flip.distance
+                            best_stance = stance
+            last[m] = stance
+            best[m] = best_stance
+
+
+@ti.func
+def odd_one_out(touching: ti.template(), on_ground: ti.template(), mover, stance):
+    """The only dock that touches nothing, or -1 where none or several do."""
+    loose = -1
+    count = 0
+    for k in range(DOCKS):
+        if touching[mover, stance, k, 0] < 0 and on_ground[mover, stance, k] == 0:
+            loose = k
+            count += 1
+    return ti.select(count == 1, loose, -1)
 
 
 @ti.kernel
-def link_docks(
-    structure_of: Ints1,
-    first_item: Ints1,
-    dock: Reals3,
-    inverse_edge: Float,
+def settle(
+    law: ClimbLaw,
+    # structure
     head: Ints2,
     following: Ints2,
+    dock: Reals3,
+    relay: Ints2,
+    # movers
+    movers: Ints1,
+    structure_of: Ints1,
+    dock_offset_body: Reals2,
+    near: Reals3,
+    last: Ints1,
+    best: Ints1,
+    # what they write
+    center: Reals3,
+    orientation: Reals3,
+    pivot_dock: Ints2,
+    touching: Ints4,
+    on_ground: Ints3,
+    stay: Ints1,
 ):
-    """Enter the docks of newly joined robots in their structures' cell lists.
+    """Let robots that touch with two docks turn about these until the third touches too.
+
+    They turn the way that takes the smaller angle. The stance they come to is written behind
+    the last of the walk, with the pivot that leads to it. Arguments as for `climb`; `stay` is
+    written: the stance where each robot stays, settled or not, shape (slots,).
+    """
+    for i in range(movers.shape[0] * GRAIN):
+        if i % GRAIN == 0:
+            m = movers[i // GRAIN]
+            s = structure_of[m]
+            stay[m] = best[m]
+            loose = odd_one_out(touching, on_ground, m, best[m])
+            if loose >= 0:
+                one = (loose + 1) % DOCKS
+                here = row(center, m, best[m])
+                q = ti.Vector([orientation[m, best[m], c] for c in range(4)])
+                body_in = body_dock(dock_offset_body, one)
+                across = rotate(q, body_dock(dock_offset_body, (loose + 2) % DOCKS) - body_in)
+                arm = rotate(q, body_dock(dock_offset_body, loose) - body_in)
+                pivot = here + rotate(q, body_in)
+                axis = across.normalized()
+                count = gather_near(near, m, pivot, law, head, following, s, dock)
+                count = ti.min(count, near.shape[1])
+                met = meeting_angles(arm, axis, pivot, near, m, count, law)
+                angle = ti.min(met[0], met[1])
+                if angle <= law.max_flip:
+                    flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
+                    turned = quaternion_product(flip, q).normalized()
+                    end = pivot - rotate(turned, body_in)
+                    stay[m] = last[m] + 1
+                    pivot_dock[m, stay[m]] = one
+                    for c in ti.static(range(3)):
+                        center[m, stay[m], c] = end[c]
+                    for c in ti.static(range(4)):
+                        orientation[m, stay[m], c] = turned[c]
+                    for k in range(DOCKS):
+                        point = end + rotate(turned, body_dock(dock_offset_body, k))
+                        feel(
+                            touching, on_ground, m, stay[m], k, point,
+                            law, head, following, s, dock, relay,
+                        )  # fmt: skip
+
+
+@ti.func
+def is_disturbed(
+    law,
+    here,
+    q,
+    structure,
+    newest,
+    head: ti.template(),
+    following: ti.template(),
+    dock: ti.template(),
+    dock_offset_body: ti.template(),
+):
+    """Whether a dock that joined as item `newest` or later could matter to this stance.
+
+    What a robot feels and can do depends on docks within a flip's reach of its own alone.
+    """
+    found = False
+    for k in range(DOCKS):
+        point = here + rotate(q, body_dock(dock_offset_body, k))
+        cube = cube_of(point, law.inverse_edge)
+        for which in range(27):
+            item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
+            while item >= newest:  # chains run from the newest item to the oldest
+                offset = row(dock, structure, item) - point
+                found = found or offset.norm_sqr() < law.reach * law.reach
+                item = following[structure, item]
+    return found
+
+
+@ti.func
+def first_disturbed(
+    law,
+    mover,
+    last,
+    structure,
+    newest,
+    center: ti.template(),
+    orientation: ti.template(),
+    head: ti.template(),
+    following: ti.template(),
+    dock: ti.template(),
+    dock_offset_body: ti.template(),
+):
+    """First stance of a walk that items from `newest` on could matter to, or -1."""
+    disturbed = -1
+    for stance in range(last + 1):
+        if disturbed < 0:
+            here = row(center, mover, stance)
+            q = ti.Vector([orientation[mover, stance, c] for c in range(4)])
+            if is_disturbed(
+                law, here, q, structure, newest, head, following, dock, dock_offset_body
+            ):
+                disturbed = stance
+    return disturbed
+
+
+@ti.kernel
+def join_undisturbed(
+    law: ClimbLaw,
+    # movers, structure by structure
+    first_mover: Ints1,
+    movers: Ints1,
+    wants: Ints1,
+    dock_offset_body: Reals2,
+    center: Reals3,
+    orientation: Reals3,
+    last: Ints1,
+    stay: Ints1,
+    # what it changes
+    dock: Reals3,
+    robot_count: Ints1,
+    head: Ints2,
+    following: Ints2,
+    # what it writes
+    disturbed: Ints1,
+    joined: Ints1,
+):
+    """Let movers that climbed at the same time join one after the other, as far as they can.
+
+    A mover joins if nothing that joined before it in this round lies near any stance of its
+    walk: then it has met all it would have met, had it started afterwards. The others are
+    to go on from the first stance that is disturbed.
 
     Args:
-        structure_of: Structure of each new robot, each at most once, shape (J,).
-        first_item: Its first dock, shape (J,).
-        dock: Dock centres [R], shape (S, docks, 3).
-        inverse_edge: One over the edge of a cube [1/R].
+        law: Terrain, distances and limits.
+        first_mover: First entry of `movers` of each structure, shape (S + 1,).
+        movers: Slots of the movers, shape (M,).
+        wants: Whether each slot's walk ends where it can stay, by slot.
+        dock_offset_body: Centre to dock in the body frame [R], shape (3, 3).
+        center: Walks, by slot [R], shape (slots, stances, 3).
+        orientation: Likewise, wxyz, shape (slots, stances, 4).
+        last: Last stance of each walk, by slot.
+        stay: Stance where the robot stays, by slot.
+        dock: Changed: dock centres of the structures [R], shape (S, docks, 3).
+        robot_count: Changed: robots of each structure, shape (S,).
         head: Changed: first dock of each bucket, shape (S, buckets).
         following: Changed: next dock of a chain, shape (S, docks).
+        disturbed: Written: first disturbed stance of each slot, or -1.
+        joined: Written: number under which each slot's robot joined, or -1.
     """
-    for n in range(structure_of.shape[0]):
-        s = structure_of[n]
-        for k in range(DOCKS):
-            item = first_item[n] + k
-            link(head, following, s, item, cube_of(row(dock, s, item), inverse_edge))
+    for i in range(robot_count.shape[0] * GRAIN):
+        if i % GRAIN == 0:
+            s = i // GRAIN
+            newest = DOCKS * robot_count[s]
+            for n in range(first_mover[s], first_mover[s + 1]):
+                m = movers[n]
+                joined[m] = -1
+                passed = -1
+                if DOCKS * robot_count[s] > newest:
+                    passed = first_disturbed(
+                        law, m, ti.max(last[m], stay[m]), s, newest,
+                        center, orientation, head, following, dock, dock_offset_body,
+                    )  # fmt: skip
+                if wants[m] and passed < 0 and DOCKS * robot_count[s] < dock.shape[1]:
+                    joined[m] = robot_count[s]
+                    here = row(center, m, stay[m])
+                    q = ti.Vector([orientation[m, stay[m], c] for c in range(4)])
+                    for k in range(DOCKS):
+                        point = here + rotate(q, body_dock(dock_offset_body, k))
+                        item = DOCKS * joined[m] + k
+                        for c in ti.static(range(3)):
+                            dock[s, item, c] = point[c]
+                        link(head, following, s, item, cube_of(point, law.inverse_edge))
+                    robot_count[s] += 1
+            # Only now is it known what all has joined beside those that go on.
+            for n in range(first_mover[s], first_mover[s + 1]):
+                m = movers[n]
+                disturbed[m] = -1
+                if joined[m] < 0 and DOCKS * robot_count[s] > newest:
+                    disturbed[m] = first_disturbed(
+                        law, m, ti.max(last[m], stay[m]), s, newest,
+                        center, orientation, head, following, dock, dock_offset_body,
+                    )  # fmt: skip

@@ -7,6 +7,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.params import STRICT
+from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.recruitment import RecruitParams
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -29,9 +31,13 @@ class ClimbParams:
     revisit_distance: Annotated[float, Field(ge=0.0)] = 0.05
     """A stance whose centre is this close to an earlier one of the walk is not taken [R]."""
 
-    patience: Annotated[int, Field(ge=1)] = 2
-    """Steps without a new best distance to the goal after which the robot walks back to its
-    best stance and stays."""
+    patience: Annotated[int, Field(ge=1)] = 3
+    """Steps in a row without a new best distance to the goal with which the robot gives up,
+    walks back to its best stance and stays."""
+
+    settle: bool = False
+    """Whether a robot that stays with two docks touching turns about these until the third
+    touches too."""
 
     max_flips: Annotated[int, Field(ge=1)] = 400
     """A walk is cut off after this many flips."""
@@ -41,7 +47,58 @@ class ClimbParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class TowerParams:
+class GrowthParams(RecruitParams):
+    """What all kinds of structures have in common.
+
+    Fields that are inherited carry their text as a description, for the JSON Schema does not
+    find the docstrings of a base class.
+    """
+
+    movers: Annotated[
+        int,
+        Field(
+            ge=1, description="Robots that climb at the same time; keep it below 5 % of the robots."
+        ),
+    ] = 1
+
+    solve_every: Annotated[
+        int,
+        Field(ge=1, description="Joins between two solves of the structure's mechanics."),
+    ] = 1
+
+    spawn_min: Annotated[
+        float,
+        Field(ge=0.0, description="Robots start at least this far behind the structure [R]."),
+    ] = 3.0
+
+    spawn_max: Annotated[
+        float,
+        Field(gt=0.0, description="Robots start at most this far behind the structure [R]."),
+    ] = 10.0
+
+    climb: Annotated[
+        ClimbParams,
+        Field(description="How robots walk."),
+    ] = ClimbParams()
+
+    mechanics: Annotated[
+        MechanicsParams,
+        Field(description="How stiff robots and contacts are."),
+    ] = MechanicsParams()
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class EdgeParams(GrowthParams):
+    """What structures at the edge of a slab have in common."""
+
+    spawn_width: Annotated[
+        float,
+        Field(ge=0.0, description="Robots start at most this far from the plane y = 0 [R]."),
+    ] = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class TowerParams(GrowthParams):
     """A tower on flat ground: robots climb toward a point above the origin."""
 
     kind: Literal["tower"] = "tower"
@@ -50,18 +107,51 @@ class TowerParams:
     goal_height: Annotated[float, Field(gt=0.0)] = 65.0
     """Height of the goal above the ground [R]."""
 
-    spawn_min: Annotated[float, Field(ge=0.0)] = 3.0
-    """Robots start at least this far outside the base [R]."""
 
-    spawn_max: Annotated[float, Field(gt=0.0)] = 10.0
-    """Robots start at most this far outside the base [R]."""
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CantileverParams(EdgeParams):
+    """A cantilever from the edge of a slab toward a point out in the air."""
 
-    climb: ClimbParams = ClimbParams()
-    """How robots walk."""
+    kind: Literal["cantilever"] = "cantilever"
+    """Kind of structure."""
+
+    goal_reach: Annotated[float, Field(gt=0.0)] = 45.0
+    """Distance of the goal from the edge [R]."""
+
+    goal_height: float = 10.0
+    """Height of the goal above the ground [R]."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class BridgeParams(EdgeParams):
+    """A bridge over a gap between two slabs; robots come from both sides in turn."""
+
+    kind: Literal["bridge"] = "bridge"
+    """Kind of structure."""
+
+    gap: Annotated[float, Field(gt=4.0)] = 20.0
+    """Distance between the two edges [R]."""
+
+    goal_beyond: Annotated[float, Field(ge=0.0)] = 10.0
+    """Distance of each side's goal past the far edge [R]."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class ChainParams(EdgeParams):
+    """A chain that hangs from the edge of a slab toward a point far below."""
+
+    kind: Literal["chain"] = "chain"
+    """Kind of structure."""
+
+    goal_depth: Annotated[float, Field(gt=0.0)] = 600.0
+    """Depth of the goal below the edge [R]."""
+
+    climb: ClimbParams = ClimbParams(patience=6)
+    """How robots walk; they need several steps that bring them no nearer to get over the edge."""
 
 
 StructureParams = Annotated[
-    TowerParams,  # | each further kind
+    TowerParams | CantileverParams | BridgeParams | ChainParams,
     Field(discriminator="kind"),
 ]
 """Any kind of structure."""

@@ -7,9 +7,13 @@ from scipy.spatial import cKDTree
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.history import History
+from tiswarm.world.terrain import Terrain
 
 MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
+
+MAX_IMBALANCE = 1e-6
+"""Greatest share of the weight that the ground may fail to bear in the numbers [1]."""
 
 
 def unsoundness(history: History, *, contact_gap: float) -> str:
@@ -27,9 +31,10 @@ def unsoundness(history: History, *, contact_gap: float) -> str:
     dock = history.position[:, None, :] + turned
     checks = (
         _overlap(dock.reshape(-1, 3), robot.spacing),
-        _sunken(dock, history.ground_z + robot.dock_radius),
+        _sunken(dock, history.terrain, robot.dock_radius),
         _loose_contact(dock, history.contacts, robot.spacing, contact_gap),
         _unheld(history),
+        _unbalanced(history),
     )
     return next((fault for fault in checks if fault), "")
 
@@ -46,13 +51,12 @@ def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
     return f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
 
 
-def _sunken(dock: NDArray[np.float64], lowest: float) -> str:
-    """Docks below the ground."""
-    depth = lowest - dock[:, :, 2]
+def _sunken(dock: NDArray[np.float64], terrain: Terrain, radius: float) -> str:
+    """Docks in the ground."""
+    depth = terrain.depth(dock.reshape(-1, 3), radius)
     if depth.max() <= MAX_OVERLAP:
         return ""
-    robot = np.unravel_index(np.argmax(depth), depth.shape)[0]
-    return f"robot {robot} is {depth.max():.3g} R deep in the ground"
+    return f"robot {np.argmax(depth) // DOCK_COUNT} is {depth.max():.3g} R deep in the ground"
 
 
 def _loose_contact(
@@ -72,4 +76,13 @@ def _unheld(history: History) -> str:
     held = np.zeros(history.robot_count, np.bool_)
     held[history.contacts[:, 2]] = True
     held[history.ground_docks[:, 0]] = True
+    held[history.edge_docks[:, 0]] = True
     return "" if held.all() else f"robot {np.argmin(held)} is held by nothing"
+
+
+def _unbalanced(history: History) -> str:
+    """Mechanics whose ground forces do not bear the weight."""
+    worst = max((strain.imbalance for strain in history.strain), default=0.0)
+    if not worst > MAX_IMBALANCE:
+        return ""
+    return f"weight and ground forces differ by {worst:.3g} of the weight"

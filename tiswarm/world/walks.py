@@ -1,18 +1,20 @@
-"""Walks of the robots that climb at the same time, as the kernel records them."""
+"""Walks of the robots that climb at the same time, as the kernels record them."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.dialect import Vec3
 from tiswarm.errors import TiswarmError
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world import kernels
 from tiswarm.world.history import Walk
+from tiswarm.world.meeting import ClimbLaw
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.structure import Structures
+from tiswarm.world.terrain import Terrain
+
+Slots = NDArray[np.int32]
 
 
 def flip_reach(robot: RobotGeometry) -> float:
@@ -20,15 +22,14 @@ def flip_reach(robot: RobotGeometry) -> float:
     return math.sqrt(3.0) * robot.rho + robot.spacing
 
 
-def climb_law(
-    climb: ClimbParams, robot: RobotGeometry, *, goal: Sequence[float], ground_z: float
-) -> kernels.ClimbLaw:
-    """Gather what the climb kernel needs to know and does not change."""
-    return kernels.ClimbLaw(
-        goal=Vec3(*goal),
+def climb_law(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> ClimbLaw:
+    """Gather what the kernels need to know and does not change."""
+    return ClimbLaw(
         spacing=robot.spacing,
         contact_gap=climb.contact_gap,
-        ground_z=ground_z,
+        ground_z=terrain.ground_z,
+        left_edge=terrain.left_edge,
+        right_edge=terrain.right_edge,
         min_flip=math.radians(climb.min_flip_deg),
         max_flip=math.radians(climb.max_flip_deg),
         revisit_distance=climb.revisit_distance,
@@ -41,84 +42,164 @@ def climb_law(
 
 
 class Walks:
-    """Room for `slots` walks at once; each run overwrites the walks of the last."""
+    """Room for the walks of as many robots as climb at once, one slot each."""
 
-    def __init__(self, slots: int, climb: ClimbParams, robot: RobotGeometry) -> None:
-        """Reserve memory: about 70 kB a slot at the default cap on flips."""
-        stances = climb.max_flips + 1
+    def __init__(
+        self, structure_of: NDArray[np.int32], climb: ClimbParams, robot: RobotGeometry
+    ) -> None:
+        """Reserve memory: about 90 kB a slot at the default cap on flips.
+
+        Args:
+            structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
+            climb: How robots walk.
+            robot: Their shape.
+        """
+        slots, stances = len(structure_of), climb.max_flips + 2
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near = math.ceil((flip_reach(robot) + robot.dock_radius) ** 3)
-        self.robot = robot
+        self.structure_of = structure_of
+        self.body = robot.dock_offset_body
+        self.settles = climb.settle
+        self.first_stance = np.zeros(slots, np.int32)
+        self.goal = np.zeros((slots, 3))
         self.near = np.empty((slots, near, 3))
         self.center = np.empty((slots, stances, 3))
         self.orientation_wxyz = np.empty((slots, stances, 4))
         self.pivot_dock = np.empty((slots, stances), np.int32)
         self.touching = np.empty((slots, stances, DOCK_COUNT, kernels.MAX_TOUCHING), np.int32)
         self.on_ground = np.empty((slots, stances, DOCK_COUNT), np.int32)
-        self.last = np.empty(slots, np.int32)
-        self.best = np.empty(slots, np.int32)
-        self.state = np.empty(slots, np.int32)
+        self.last = np.zeros(slots, np.int32)
+        self.best = np.zeros(slots, np.int32)
+        self.stay = np.zeros(slots, np.int32)
+        self.state = np.zeros(slots, np.int32)
+        self.disturbed = np.zeros(slots, np.int32)
+        self.joined = np.zeros(slots, np.int32)
 
-    def run(
+    def start(
         self,
-        law: kernels.ClimbLaw,
-        structures: Structures,
-        structure_of: NDArray[np.int32],
+        slot: int,
         center: NDArray[np.float64],
         orientation_wxyz: NDArray[np.float64],
+        goal: NDArray[np.float64],
     ) -> None:
-        """Let M robots climb, each from its own start, into slots 0 to M - 1.
+        """Put a new robot in a slot: where it starts [R], how it is turned, where it goes."""
+        self.center[slot, 0] = center
+        self.orientation_wxyz[slot, 0] = orientation_wxyz
+        self.goal[slot] = goal
+        self.first_stance[slot] = 0
 
-        Args:
-            law: What holds for all of them.
-            structures: What they climb.
-            structure_of: Structure that each climbs, shape (M,).
-            center: Where each starts [R], shape (M, 3).
-            orientation_wxyz: How each is turned at the start, shape (M, 4).
-        """
-        count = len(structure_of)
-        self.center[:count, 0] = center
-        self.orientation_wxyz[:count, 0] = orientation_wxyz
+    def climb(self, law: ClimbLaw, structures: Structures, movers: Slots) -> None:
+        """Let the robots in the slots `movers` walk on from their first stance."""
         kernels.climb(
             law,
             structures.chains.head,
             structures.chains.following,
             structures.dock,
-            structure_of,
-            self.robot.dock_offset_body,
-            self.near[:count],
-            self.center[:count],
-            self.orientation_wxyz[:count],
-            self.pivot_dock[:count],
-            self.touching[:count],
-            self.on_ground[:count],
-            self.last[:count],
-            self.best[:count],
-            self.state[:count],
+            structures.relay,
+            movers,
+            self.structure_of,
+            self.first_stance,
+            self.goal,
+            self.body,
+            self.near,
+            self.center,
+            self.orientation_wxyz,
+            self.pivot_dock,
+            self.touching,
+            self.on_ground,
+            self.last,
+            self.best,
+            self.state,
         )
-        if (self.state[:count] == kernels.SCRATCH_FULL).any():
+        if (self.state[movers] == kernels.SCRATCH_FULL).any():
             msg = "more docks than fit stand within one flip of a robot: the structure overlaps"
             raise TiswarmError(msg)
+        self.stay[movers] = self.best[movers]
+        if self.settles:
+            self._settle(law, structures, movers)
+
+    def _settle(self, law: ClimbLaw, structures: Structures, movers: Slots) -> None:
+        """Let robots that touch with two docks touch with the third."""
+        kernels.settle(
+            law,
+            structures.chains.head,
+            structures.chains.following,
+            structures.dock,
+            structures.relay,
+            movers,
+            self.structure_of,
+            self.body,
+            self.near,
+            self.last,
+            self.best,
+            self.center,
+            self.orientation_wxyz,
+            self.pivot_dock,
+            self.touching,
+            self.on_ground,
+            self.stay,
+        )
+
+    def join(
+        self, law: ClimbLaw, structures: Structures, movers: Slots, wants: NDArray[np.int32]
+    ) -> None:
+        """Let movers join whose walks no earlier one disturbs; see `kernels.join_undisturbed`.
+
+        Args:
+            law: Terrain, distances and limits.
+            structures: What they climbed; grows.
+            movers: Their slots, ascending, shape (M,).
+            wants: Whether each slot's walk ends where it can stay, shape (slots,).
+        """
+        first = np.searchsorted(
+            self.structure_of[movers], np.arange(len(structures.robot_count) + 1)
+        )
+        kernels.join_undisturbed(
+            law,
+            first.astype(np.int32),
+            movers,
+            wants,
+            self.body,
+            self.center,
+            self.orientation_wxyz,
+            self.last,
+            self.stay,
+            structures.dock,
+            structures.robot_count,
+            structures.chains.head,
+            structures.chains.following,
+            self.disturbed,
+            self.joined,
+        )
+
+    def touches(self, slot: int) -> bool:
+        """Whether the robot touches another one where it stays."""
+        return bool((self.touching[slot, self.stay[slot]] >= 0).any())
 
     def walk(self, slot: int) -> Walk:
-        """Copy one walk out, with the way back to its best stance at the end."""
+        """Copy one walk out, with the way back to where the robot stays at its end."""
         last, best = int(self.last[slot]), int(self.best[slot])
         order = np.r_[0 : last + 1, np.arange(last - 1, best - 1, -1)]
-        stance, own, item = _entries(self.touching[slot, order])
+        # Out and back between two stances go about the same dock.
+        pivot = self.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
+        if self.stay[slot] > last:
+            order = np.append(order, last + 1)
+            pivot = np.append(pivot, self.pivot_dock[slot, last + 1])
+        touching = self.touching[slot, order]
+        stance, own, place = np.nonzero(touching >= 0)
+        item = touching[stance, own, place]
         contacts = np.column_stack([stance, own, item // DOCK_COUNT, item % DOCK_COUNT])
+        on_ground = self.on_ground[slot, order]
         return Walk(
             center=self.center[slot, order],
             orientation_wxyz=self.orientation_wxyz[slot, order],
-            # Out and back between two stances go about the same dock.
-            pivot_dock=self.pivot_dock[slot, np.minimum(order[:-1], order[1:])],
+            pivot_dock=pivot,
             contacts=contacts[np.lexsort(contacts.T[::-1])].astype(np.int32),
-            ground_docks=np.argwhere(self.on_ground[slot, order]).astype(np.int32),
+            ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
+            edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
+            recruited=bool(self.state[slot] == kernels.RECRUITED),
         )
 
 
-def _entries(
-    touching: NDArray[np.int32],
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int32]]:
-    """Stance, own dock and touched dock of every entry in use."""
-    stance, own, slot = np.nonzero(touching >= 0)
-    return stance, own, touching[stance, own, slot]
+FLAT, EDGE = 1, 2
+"""What the kernels call flat ground and a rounded edge."""

@@ -1,0 +1,79 @@
+"""Structures as their mechanics sees them: random ones, and those that were grown."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiswarm.robot import RobotGeometry
+from tiswarm.world.mechanics import Frame, Loads, MechanicsParams
+
+BODY = RobotGeometry().dock_offset_body
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Robots that touch each other and the ground; dock k of robot i is dock 3 i + k."""
+
+    center: np.ndarray
+    """Centres [R], shape (N, 3)."""
+
+    turn: np.ndarray
+    """Orientations, body to world, shape (N, 3, 3)."""
+
+    contacts: np.ndarray
+    """Docks that touch, shape (C, 2), in the order in which the later robot joins."""
+
+    standing: np.ndarray
+    """Docks on the ground, in the order in which their robots join, shape (G,)."""
+
+    foot: np.ndarray
+    """Where they touch it [R], shape (G, 3)."""
+
+    @property
+    def dock(self):
+        """Dock centres [R], shape (3 N, 3)."""
+        return (self.center[:, None] + BODY @ self.turn.swapaxes(1, 2)).reshape(-1, 3)
+
+
+def build(structure: Standing, params: MechanicsParams | None = None) -> Frame:
+    """Let the robots join one after the other."""
+    frame = Frame(params or MechanicsParams(), BODY)
+    for j in range(len(structure.center)):
+        join(frame, structure, j)
+    return frame
+
+
+def join(frame: Frame, structure: Standing, j: int) -> None:
+    """Let one robot join, the ones before it having done so."""
+    own = structure.standing // 3 == j
+    frame.join(
+        structure.center[j],
+        structure.turn[j],
+        structure.contacts[structure.contacts[:, 1] // 3 == j],
+        np.column_stack([structure.standing, structure.foot])[own],
+    )
+
+
+def solve(structure: Standing, **settings: object) -> Loads:
+    """Loads of a structure, mechanics being as usual except for `settings`."""
+    return build(structure, MechanicsParams(**settings)).solve()
+
+
+def grown(history, robots: int | None = None) -> Standing:
+    """The first robots of a structure that grew, all by default."""
+    count = robots or history.robot_count
+    i, a, j, b = history.contacts[history.contacts[:, 2] < count].T
+    docks = np.concatenate([history.ground_docks, history.edge_docks])
+    docks = docks[docks[:, 0] < count]
+    docks = docks[np.argsort(docks[:, 0], kind="stable")]
+    whole = Standing(
+        center=history.position[:count],
+        turn=Rotation.from_quat(history.orientation_wxyz[:count], scalar_first=True).as_matrix(),
+        contacts=np.column_stack([3 * i + a, 3 * j + b]).astype(np.int32),
+        standing=(3 * docks[:, 0] + docks[:, 1]).astype(np.int32),
+        foot=np.empty((0, 3)),
+    )
+    foot = history.terrain.foot(whole.dock[whole.standing])
+    return dataclasses.replace(whole, foot=foot)

@@ -1,0 +1,86 @@
+"""The ground: a plane, or slabs that end in a rounded edge.
+
+A slab is everything within 1 R of its spine, the half-plane at half its depth that ends at
+x = edge; so its top is flat, its edge a cylinder of radius 1 R, and it is 2 R thick. A plane
+is a slab whose edge is out of reach, and it has no underside.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EDGE_RADIUS = 1.0
+"""Radius of a rounded edge, and half the thickness of a slab [R]."""
+
+FAR = 1e9
+"""Where an edge lies that nobody reaches [R]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terrain:
+    """Flat ground at `ground_z`, left of `left_edge` and right of `right_edge`."""
+
+    ground_z: float = 0.0
+    """Height of the flat ground [R]."""
+
+    left_edge: float = FAR
+    """Where the slab that comes from the left begins to round off [R]."""
+
+    right_edge: float = FAR
+    """Where the slab that comes from the right begins to round off [R]; FAR if there is none."""
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether there is no edge to be reached."""
+        return self.left_edge >= FAR
+
+    def foot(self, point: Array) -> Array:
+        """Nearest place on the ground's surface to each point.
+
+        Args:
+            point: Places outside the ground [R], shape (n, 3).
+
+        Returns:
+            Shape (n, 3).
+        """
+        feet = [self._foot(point, x) for x in self._spine_x(point)]
+        distance = [np.linalg.norm(point - foot, axis=1) for foot in feet]
+        nearest: Array = np.where((distance[0] <= distance[-1])[:, None], feet[0], feet[-1])
+        return nearest
+
+    def depth(self, point: Array, radius: float) -> Array:
+        """How deep spheres around points reach into the ground, negative for a gap [R]."""
+        if self.is_plane:
+            return self.ground_z + radius - point[:, 2]
+        depths = [
+            EDGE_RADIUS + radius - np.hypot(point[:, 0] - x, point[:, 2] - self._spine_z)
+            for x in self._spine_x(point)
+        ]
+        deepest: Array = np.max(depths, axis=0)
+        return deepest
+
+    def is_flat_at(self, point: Array) -> NDArray[np.bool_]:
+        """Whether the ground below each point is flat and the point above it, shape (n,)."""
+        inland = (point[:, 0] <= self.left_edge) | (point[:, 0] >= self.right_edge)
+        flat: NDArray[np.bool_] = inland & (point[:, 2] > self._spine_z)
+        return flat
+
+    @property
+    def _spine_z(self) -> float:
+        return self.ground_z - EDGE_RADIUS
+
+    def _spine_x(self, point: Array) -> list[Array]:
+        """Nearest x on the spine of each slab."""
+        slabs = [np.minimum(point[:, 0], self.left_edge)]
+        if self.right_edge < FAR:
+            slabs.append(np.maximum(point[:, 0], self.right_edge))
+        return slabs
+
+    def _foot(self, point: Array, spine_x: Array) -> Array:
+        spine = np.column_stack([spine_x, point[:, 1], np.full(len(point), self._spine_z)])
+        out = point - spine
+        foot: Array = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
+        return foot
