@@ -31,10 +31,11 @@ def write_case(folder, *, seed, last_iteration=40):
     position[:, 2] += 1.0 - lowest
     shift = random.normal(size=position.shape)
     error = np.linalg.norm(shift, axis=1)
-    rows = np.column_stack([position, quaternion, position + shift, quaternion, error])
+    force = np.linspace(12.0, 0.0, ROBOTS)
+    rows = np.column_stack([position, quaternion, position + shift, quaternion, error, force])
     write_table(
         folder / "robots.csv",
-        f"robot,{POSE},error_R",
+        f"robot,{POSE},error_R,sensed_force",
         [[name, *row] for name, row in enumerate(rows.tolist())],
     )
     iteration = np.arange(0, last_iteration + 1, 10)

@@ -10,7 +10,7 @@ from PIL import Image
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render import packages, pictures, render_run
-from tiswarm.report.render.build import build_scenes
+from tiswarm.report.render.build import build_pictures
 from tiswarm.report.render.pictures import RENDERERS, RendererError, draw_in_child, is_blank
 from tiswarm.report.render.probe import missing_packages, probe_renderers
 
@@ -43,7 +43,7 @@ def child_that_does(code):
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    scene = build_scenes(read_cases(run_folder)[0])["structure"]
+    scene = build_pictures(read_cases(run_folder)[0])["structure"].scene
     camera = scene.camera
     small = replace(camera, width=camera.width // 4, height=camera.height // 4)
     return replace(scene, camera=small)
@@ -66,7 +66,11 @@ def test_the_next_renderer_steps_in(run_folder, monkeypatch):
 
     drawn = render_run(run_folder, tell=ignore)
 
-    assert [picture.path.name for picture in drawn] == ["structure.png", "truth-and-estimate.png"]
+    assert [picture.path.name for picture in drawn] == [
+        "structure.png",
+        "sensed-force.png",
+        "truth-and-estimate.png",
+    ]
     for picture in drawn:
         assert picture.renderer == "taichi"
         assert picture.reason == (
@@ -105,7 +109,11 @@ def test_pictures_of_a_chosen_case_carry_its_name(run_folder):
     drawn = render_run(run_folder, tell=ignore, renderer="taichi", case="0-no-z")
 
     names = [picture.path.name for picture in drawn]
-    assert names == ["structure-0-no-z.png", "truth-and-estimate-0-no-z.png"]
+    assert names == [
+        "structure-0-no-z.png",
+        "sensed-force-0-no-z.png",
+        "truth-and-estimate-0-no-z.png",
+    ]
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiswarm.report.folder import read_cases
-from tiswarm.report.render.build import build_scenes
+from tiswarm.report.render.build import build_pictures
 from tiswarm.report.render.camera import frame
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import Scene
@@ -16,7 +16,7 @@ from tiswarm.report.render.tiles import tile_tracer
 @pytest.fixture
 def scene(run_folder):
     """Truth and estimate of twelve robots."""
-    return build_scenes(read_cases(run_folder)[0])["truth-and-estimate"]
+    return build_pictures(read_cases(run_folder)[0])["truth-and-estimate"].scene
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 30), (40, 1, 1), (1, 40, 1), (0, 0, 0)])
@@ -50,14 +50,14 @@ def test_a_scene_comes_back_from_its_file(scene, tmp_path):
 def test_robots_without_an_estimate_are_drawn_once(run_folder):
     """A robot that was never located appears among the true ones only."""
     case = read_cases(run_folder)[0]
-    whole = build_scenes(case)["truth-and-estimate"]
+    whole = build_pictures(case)["truth-and-estimate"].scene
     table = case.folder / "robots.csv"
     header, *robots = table.read_text().splitlines()
     cells = robots[-1].split(",")
     cells[8:11] = ["", "", ""]
     table.write_text("\n".join([header, *robots[:-1], ",".join(cells)]) + "\n")
 
-    scene = build_scenes(case)["truth-and-estimate"]
+    scene = build_pictures(case)["truth-and-estimate"].scene
 
     assert len(whole.radius) - len(scene.radius) == 7  # a hub, three arms, three docks
 

@@ -1,6 +1,7 @@
 """Builds the scenes of a case from its tables."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,16 @@ from tiswarm.records.lines import numbered_lines, placed
 from tiswarm.records.sensing_line import HeaderLine, parse_header
 from tiswarm.report.folder import Case, read_columns
 from tiswarm.report.render.camera import frame
-from tiswarm.report.render.legend import ESTIMATE_ORANGE, JOIN_COLORS, TRUE_BLUE
+from tiswarm.report.render.legend import (
+    ESTIMATE_ORANGE,
+    FORCE_COLORS,
+    JOIN_COLORS,
+    TRUE_BLUE,
+    Keys,
+    Legend,
+    Scale,
+    colors_along,
+)
 from tiswarm.report.render.scene import Ground, Scene
 
 GIRTH = 1.45
@@ -70,8 +80,15 @@ class Robots:
     """How stout they are."""
 
 
-def build_scenes(case: Case) -> dict[str, Scene]:
-    """Build every picture's scene from a case, by the name of the picture.
+class Picture(NamedTuple):
+    """What a picture shows, and what its colors mean."""
+
+    scene: Scene
+    legend: Legend
+
+
+def build_pictures(case: Case) -> dict[str, Picture]:
+    """Build every picture of a case, by its name.
 
     Raises:
         InputError: where a file of the case is missing or damaged.
@@ -80,17 +97,32 @@ def build_scenes(case: Case) -> dict[str, Scene]:
     offsets = np.array(header.dock_offsets) / header.dock_radius
     ground_z = None if header.ground_z is None else header.ground_z / header.dock_radius
     table = read_columns(case.folder / "robots.csv", POSE + ESTIMATED_POSE)
-    joined = np.linspace(0.0, len(JOIN_COLORS) - 1.0, len(table))
-    scale = np.arange(len(JOIN_COLORS))
-    order = np.column_stack([np.interp(joined, scale, channel) for channel in JOIN_COLORS.T])
+    order = colors_along(np.linspace(0.0, 1.0, len(table)), JOIN_COLORS)
     structure = _robots(table[:, :7], offsets, order, TRUE_SIZE)
+    force = read_columns(case.folder / "robots.csv", ["sensed_force"])[:, 0]
+    greatest = max(np.nanmax(force, initial=0.0), 1e-9)
+    loaded = _robots(
+        table[:, :7],
+        offsets,
+        colors_along(np.nan_to_num(force) / greatest, FORCE_COLORS),
+        TRUE_SIZE,
+    )
     truth = _robots(table[:, :7], offsets, np.tile(TRUE_BLUE, (len(table), 1)), TRUTH_LOOK)
     estimate = _robots(
         table[:, 7:], offsets, np.tile(ESTIMATE_ORANGE, (len(table), 1)), ESTIMATE_LOOK
     )
     return {
-        "structure": build_scene([structure], ground_z),
-        "truth-and-estimate": build_scene([truth, estimate], ground_z),
+        "structure": Picture(
+            build_scene([structure], ground_z), Scale(JOIN_COLORS, "joined first", "last")
+        ),
+        "sensed-force": Picture(
+            build_scene([loaded], ground_z),
+            Scale(FORCE_COLORS, "senses 0", f"{greatest:.3g} dock weights"),
+        ),
+        "truth-and-estimate": Picture(
+            build_scene([truth, estimate], ground_z),
+            Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))),
+        ),
     }
 
 

@@ -1,8 +1,10 @@
 """The colors of a picture, and the legend that says what they mean."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 TRUE_BLUE = (0.0, 0.447, 0.698)
@@ -31,33 +33,76 @@ FONT = 26
 INK = (40, 40, 40)
 
 
-def add_legend(picture: Image.Image, name: str) -> Image.Image:
-    """Put the legend of a picture, chosen by the picture's name, above it."""
+FORCE_COLORS = np.array(
+    [
+        [0.65, 0.72, 0.80],
+        [0.91, 0.80, 0.62],
+        [0.95, 0.58, 0.33],
+        [0.84, 0.26, 0.20],
+        [0.53, 0.03, 0.15],
+    ]
+)
+"""From idle to heavily loaded: pale gray-blue over orange to dark red."""
+
+
+@dataclass(frozen=True)
+class Keys:
+    """What single colors mean."""
+
+    entries: tuple[tuple[tuple[float, float, float], str], ...]
+    """Color and meaning of each."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a range of colors means."""
+
+    colors: NDArray[np.float64]
+    """Red, green, blue along the range, shape (n, 3)."""
+
+    low: str
+    """What its first color means."""
+
+    high: str
+    """What its last color means."""
+
+
+Legend = Keys | Scale
+
+
+def colors_along(share: NDArray[np.floating], colors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colors at places from 0 to 1 along a range, shape (n, 3)."""
+    scale = np.linspace(0.0, 1.0, len(colors))
+    return np.column_stack([np.interp(share, scale, channel) for channel in colors.T])
+
+
+def add_legend(picture: Image.Image, legend: Legend) -> Image.Image:
+    """Put a legend above a picture."""
     whole = Image.new("RGB", (picture.width, picture.height + BAND), "white")
     whole.paste(picture, (0, BAND))
     pen = ImageDraw.Draw(whole)
     font = ImageFont.load_default(FONT)
-    if name == "structure":
-        _bar(pen, font)
+    if isinstance(legend, Scale):
+        _bar(pen, font, legend)
         return whole
     left = MARGIN
-    for color, text in ((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated")):
+    for color, text in legend.entries:
         pen.ellipse((left, MARGIN, left + 24, MARGIN + 24), fill=_rgb(color))
         pen.text((left + 34, MARGIN + 12), text, INK, font, anchor="lm")
         left += 70 + int(pen.textlength(text, font))
     return whole
 
 
-def _bar(pen: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> None:
-    """Draw the scale of join order."""
-    length, scale = 200, np.arange(len(JOIN_COLORS))
-    pen.text((MARGIN, MARGIN), "joined first", INK, font)
-    left = MARGIN + int(pen.textlength("joined first ", font))
-    for x in range(length):
-        place = x * scale[-1] / (length - 1)
-        color = [np.interp(place, scale, channel) for channel in JOIN_COLORS.T]
+def _bar(
+    pen: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, legend: Scale
+) -> None:
+    """Draw a range of colors between the meanings of its ends."""
+    length = 200
+    pen.text((MARGIN, MARGIN), legend.low, INK, font)
+    left = MARGIN + int(pen.textlength(f"{legend.low} ", font))
+    for x, color in enumerate(colors_along(np.linspace(0.0, 1.0, length), legend.colors)):
         pen.line((left + x, MARGIN + 6, left + x, MARGIN + 26), fill=_rgb(color))
-    pen.text((left + length, MARGIN), " last", INK, font)
+    pen.text((left + length, MARGIN), f" {legend.high}", INK, font)
 
 
 def _rgb(color: Iterable[float]) -> tuple[int, ...]:

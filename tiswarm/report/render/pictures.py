@@ -71,17 +71,17 @@ def render_run(
     if renderer is not None and renderer not in RENDERERS:
         msg = f"unknown renderer {renderer!r}; choose one of {', '.join(RENDERERS)}"
         raise InputError(msg, key="--renderer")
-    from tiswarm.report.render.build import build_scenes  # noqa: PLC0415 - slow to import
+    from tiswarm.report.render.build import build_pictures  # noqa: PLC0415 - slow to import
 
-    scenes = build_scenes(_choose(read_cases(folder), case, folder))
+    planned = build_pictures(_choose(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"
-    pictures, used, reason = _draw(list(scenes.values()), renderer)
+    pictures, used, reason = _draw([plan.scene for plan in planned.values()], renderer)
     tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     place = subfolder(folder, "renders")
     drawn = []
-    for name, picture in zip(scenes, pictures, strict=True):
+    for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()
-        add_legend(Image.fromarray(picture), name).save(stream, format="PNG")
+        add_legend(Image.fromarray(picture), plan.legend).save(stream, format="PNG")
         path = place / f"{name}{suffix}.png"
         write_bytes(path, stream.getvalue())
         tell(f"renders/{path.name}")
