@@ -228,5 +228,8 @@ def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
 
     assert done.returncode == 3
     assert "max_spawns" in done.stderr
-    summary = pd.read_csv(next(tmp_path.iterdir()) / "summary.csv")
-    assert (summary["status"] == "failed").all()
+    run = next(tmp_path.iterdir())
+    summary = (run / "summary.csv").read_text()
+    assert (pd.read_csv(run / "summary.csv")["status"] == "failed").all()
+    assert tiswarm("report", run).returncode == 0
+    assert (run / "summary.csv").read_text() == summary

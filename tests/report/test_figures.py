@@ -36,7 +36,7 @@ def test_the_same_tables_give_the_same_bytes(run_folder):
 def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
     """Nobody takes three structures for four."""
     drawn = []
-    monkeypatch.setattr(figures, "_png", lambda figure: drawn.append(figure) or b"")
+    monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
     draw_figures(run_folder, ignore)
 

@@ -50,6 +50,7 @@ scenarios = st.builds(
     seeds=st.integers(1, 99)
     | st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True).map(tuple),
     precision=st.sampled_from(["f64", "f32"]),
+    scorecard=st.sampled_from(["none", "reactivebuild-laws"]),
     robot=st.builds(RobotGeometry, rho=st.floats(1.2, 10.0)),
     structure=st.builds(
         TowerParams,
@@ -94,7 +95,7 @@ def test_the_text_is_plain_yaml_with_every_default():
     data = yaml.safe_load(text)
 
     assert list(data) == list(scenario_schema()["properties"])
-    assert data["structure"]["climb"]["patience"] == 2
+    assert data["structure"]["climb"]["patience"] == 3
     assert data["conditions"] == {"a": shared, "b": shared}
     assert "&" not in text
 

@@ -50,6 +50,7 @@ def test_name_and_kind_are_enough(scenario):
     assert small.robots == 100
     assert small.seed_list == (0,)
     assert small.conditions == {"baseline": {}}
+    assert small.scorecard == "none"
     assert without_method.localization == VirtualForceParams(iterations=7)
 
 
@@ -90,6 +91,12 @@ REFUSED = [
     (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 is too small; it must be at least 0"),
     (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 stands twice; give each value once"),
     (f"{SMALL}precision: f16", 3, "precision", "\"f16\" is not a choice here; use 'f64' or 'f32'"),
+    (
+        f"{SMALL}scorecard: laws",
+        3,
+        "scorecard",
+        "not a choice here; use 'none' or 'reactivebuild-la",
+    ),
     (
         "name: x\nstructure:\n  kind: tower\n  climb:\n    patiense: 3",
         5,

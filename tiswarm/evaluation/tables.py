@@ -2,9 +2,10 @@
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from tiswarm.evaluation import metrics
-from tiswarm.records.contact_graph import contact_count
+from tiswarm.records.contact_graph import contact_count, earlier_contact_count
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.rigidity import floppy_modes
 from tiswarm.records.sensing_log import SensingLog
@@ -25,12 +26,10 @@ def score(
         height_known: Whether the localizer used the heights, which leaves fewer floppy modes.
     """
     rmse = metrics.rmse(estimate.position, truth.position)
-    top = truth.position[:, 2].max() - (log.ground_z or 0.0)
     return {
         "robots": log.robot_count,
-        "contacts_per_robot": len(log.contacts) / log.robot_count,
+        "contacts_per_robot": float(earlier_contact_count(log)[1:].mean()),
         "rms_radius_R": metrics.rms_radius(truth.position),
-        "height_R": float(top),
         "floppy_modes": floppy_modes(truth.position, log, height_known=height_known),
         "sse_R2": metrics.sse(estimate.position, truth.position),
         "rmse_R": rmse,
@@ -39,8 +38,17 @@ def score(
     }
 
 
-def by_robot(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
-    """One row a robot, in join order: true and estimated pose, error, what it touches."""
+def by_robot(
+    truth: Truth, log: SensingLog, estimate: Estimate, sensed_force: NDArray[np.float64]
+) -> pd.DataFrame:
+    """One row a robot, in join order: true and estimated pose, error, what it touches and bears.
+
+    Args:
+        truth: Where the robots are.
+        log: What they sensed.
+        estimate: Where they are thought to be.
+        sensed_force: What each feels in its links [weight of a dock], shape (N,).
+    """
     columns: dict[str, object] = {"robot": truth.robot_id}
     columns |= dict(zip(("x_R", "y_R", "z_R"), truth.position.T, strict=True))
     columns |= dict(zip(("qw", "qx", "qy", "qz"), truth.orientation_wxyz.T, strict=True))
@@ -52,6 +60,7 @@ def by_robot(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
     columns["ground_docks"] = np.bincount(log.ground_docks[:, 0], minlength=log.robot_count)
     columns["flip_height_R"] = log.flip_height
     columns["located"] = estimate.located
+    columns["sensed_force"] = sensed_force
     return pd.DataFrame(columns)
 
 

@@ -1,46 +1,37 @@
 """The figures of a run: convergence, error against height, estimated against true positions."""
 
-import io
 import itertools
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.records.atomic import write_bytes
+from tiswarm.report.canvas import (
+    COLUMN_WIDTH,
+    ESTIMATE_ORANGE,
+    PALETTE,
+    STYLE,
+    TRUE_BLUE,
+    add_note,
+    new_figure,
+    png,
+)
 from tiswarm.report.folder import Case, Tell, read_cases, read_columns, subfolder
+from tiswarm.report.law_figures import LAW_FIGURES
+from tiswarm.report.law_points import has_laws, read_law_points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-TRUE_BLUE = "#0072B2"
-ESTIMATE_ORANGE = "#E69F00"
-PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
-"""Colours that stay apart for colour-blind readers (Okabe and Ito)."""
-
 LINE_STYLES = ("-", "--", ":")
-COLUMN_WIDTH = 3.5
-"""Width of a paper's column [inch]."""
-
-DPI = 300
 MAX_PANELS = 9
 MAX_POINTS = 20_000
 """Points drawn in one panel; of more, a fixed random choice."""
-
-STYLE: dict[Any, Any] = {
-    "axes.linewidth": 0.6,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "font.size": 8.0,
-    "legend.fontsize": 7.0,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-}
 
 Series = dict[str, list[Case]]
 
@@ -48,7 +39,8 @@ Series = dict[str, list[Case]]
 def draw_figures(folder: Path, tell: Tell) -> list[Path]:
     """Draw every figure of a run into `figures/`.
 
-    Cases that failed are left out, and a note on each figure says how many.
+    Cases that failed are left out, and a note on each figure says how many. A run that is held
+    against laws has figures of these; of its many settings, errors would tell little.
 
     Returns:
         The files written; empty where no case is done.
@@ -70,18 +62,26 @@ def draw_figures(folder: Path, tell: Tell) -> list[Path]:
     note = f"{failed} of {len(cases)} cases failed and are left out" if failed else ""
     place = subfolder(folder, "figures")
     written = []
-    for name, draw in FIGURES.items():
+    for name, draw in _painters(folder, series, note).items():
         path = place / f"{name}.png"
         with style.context(["default", STYLE]):
-            write_bytes(path, _png(draw(series, note)))
+            write_bytes(path, png(draw()))
         tell(f"figures/{path.name}")
         written.append(path)
     return written
 
 
+def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[], "Figure"]]:
+    """By file name, what draws each figure that a run has."""
+    if has_laws(folder):
+        laws = read_law_points(folder)
+        return {name: partial(draw, laws, note) for name, draw in LAW_FIGURES.items()}
+    return {name: partial(draw, series, note) for name, draw in FIGURES.items()}
+
+
 def draw_convergence(series: Series, note: str) -> "Figure":
     """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation."""
-    figure = _figure(COLUMN_WIDTH, 2.5)
+    figure = new_figure(COLUMN_WIDTH, 2.5)
     axes = figure.add_subplot()
     top = 0.0
     for index, (name, cases) in enumerate(series.items()):
@@ -101,7 +101,7 @@ def draw_convergence(series: Series, note: str) -> "Figure":
     axes.margins(x=0.0)
     title = f"mean ± std, {seeds} seeds" if seeds > 1 else "1 seed"
     axes.legend(title=title, title_fontsize=7.0, loc="best")
-    _add_note(figure, note)
+    add_note(figure, note)
     return figure
 
 
@@ -122,7 +122,7 @@ def draw_error_against_height(series: Series, note: str) -> "Figure":
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
-    figure = _figure(width, 0.5 + 2.0 * rows)
+    figure = new_figure(width, 0.5 + 2.0 * rows)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     tables = [_errors(cases) for _, cases in shown]
     last_join = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
@@ -145,7 +145,7 @@ def draw_error_against_height(series: Series, note: str) -> "Figure":
     bar.ax.spines["outline"].set_visible(False)
     if len(shown) < len(series):
         notes.append(f"{len(series) - len(shown)} more conditions are not shown")
-    _add_note(figure, "; ".join(notes))
+    add_note(figure, "; ".join(notes))
     return figure
 
 
@@ -167,7 +167,7 @@ def draw_positions(series: Series, note: str) -> "Figure":
     names = ["x_R", "y_R", "z_R", "x_est_R", "y_est_R", "z_est_R"]
     rows = read_columns(case.folder / "robots.csv", names)
     pairs = rows[np.isfinite(rows).all(axis=1)].reshape(-1, 2, 3)
-    figure = _figure(COLUMN_WIDTH, COLUMN_WIDTH)
+    figure = new_figure(COLUMN_WIDTH, COLUMN_WIDTH)
     figure.set_layout_engine("none")  # it knows nothing of three dimensions
     axes: Axes3D = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", computed_zorder=False)
     axes.add_collection3d(Line3DCollection(pairs, colors="0.35", linewidths=0.6))
@@ -182,7 +182,7 @@ def draw_positions(series: Series, note: str) -> "Figure":
         loc="upper left", title=f"case {case.name}", title_fontsize=7.0, markerscale=1.5,
         alignment="left", borderaxespad=0.2,
     )  # fmt: skip
-    _add_note(figure, note)
+    add_note(figure, note)
     return figure
 
 
@@ -233,27 +233,6 @@ def _place_labels(axes: "Axes3D", extent: NDArray[np.float64], tall: float) -> N
 def _dot_area(count: int) -> float:
     """Shrink dots as they get many, so that a cloud stays a cloud [pt^2]."""
     return float(np.clip(9000.0 / max(count, 1), 1.0, 12.0))
-
-
-def _figure(width: float, height: float) -> "Figure":
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-
-
-def _add_note(figure: "Figure", note: str) -> None:
-    if note:
-        figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
-
-
-def _png(figure: "Figure") -> bytes:
-    """Encode a figure in bytes that depend on nothing but what it shows."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    stream = io.BytesIO()
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.print_png(stream, metadata={"Software": None})
-    return stream.getvalue()
 
 
 FIGURES: dict[str, Callable[[Series, str], "Figure"]] = {

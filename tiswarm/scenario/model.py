@@ -114,6 +114,10 @@ class Scenario:
     )
     """By dotted key, values to be run one after another, in all combinations."""
 
+    scorecard: Literal["none", "reactivebuild-laws"] = "none"
+    """What the finished structures are held against: nothing, or the laws that ReactiveBuild's
+    structures were published to follow, row by row in `laws.csv`."""
+
     @property
     def seed_list(self) -> tuple[int, ...]:
         """Every seed."""

@@ -11,6 +11,7 @@ import numpy as np
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch
 from tiswarm.errors import InputError
+from tiswarm.evaluation import growth
 from tiswarm.evaluation import tables as scores
 from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
@@ -20,6 +21,7 @@ from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.sensing import observe
 from tiswarm.study import manifest, tables
 from tiswarm.study.cases import Case, chunks, plan
+from tiswarm.study.scorecard import write_scorecard
 from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -87,7 +89,7 @@ def run(
             folder.path, manifest.describe(backend.current(), stopwatch) | {"cases": len(cases)}
         )
     complete = [records[case.name] for case in cases]
-    write_tables(folder, cases, complete)
+    write_tables(folder, scenario, cases, complete)
     return RunResult(
         folder=folder.path,
         computed=len(missing),
@@ -96,11 +98,15 @@ def run(
     )
 
 
-def write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
-    """Write `summary.csv` and `table.csv` from the cases' records."""
+def write_tables(
+    folder: RunFolder, scenario: Scenario, cases: Sequence[Case], records: Sequence[CaseRecord]
+) -> None:
+    """Write `summary.csv`, `table.csv` and the scorecard, if one is wanted, from the cases."""
     write_table(tables.summary(records), folder.path / "summary.csv")
     settings = [case.settings for case in cases]
     write_table(tables.table(records, settings), folder.path / "table.csv")
+    if scenario.scorecard != "none":
+        write_scorecard(folder, cases, records)
 
 
 def tabulate(path: Path) -> None:
@@ -113,10 +119,10 @@ def tabulate(path: Path) -> None:
     if not resolved.is_file():
         msg = "this is no run folder, for it holds no scenario.yaml; give one that a run made"
         raise InputError(msg, path=path)
-    folder = RunFolder(path)
-    stored = [(case, folder.stored(case.name)) for case in plan(load_scenario(resolved))]
+    folder, scenario = RunFolder(path), load_scenario(resolved)
+    stored = [(case, folder.recorded(case.name)) for case in plan(scenario)]
     kept = [(case, record) for case, record in stored if record is not None]
-    write_tables(folder, [case for case, _ in kept], [record for _, record in kept])
+    write_tables(folder, scenario, [case for case, _ in kept], [record for _, record in kept])
 
 
 class _Bench:
@@ -177,6 +183,9 @@ class _Bench:
         for failure in failures:
             self.folder.store_failure(failure)
             self.watcher.say(f"case {failure.case} failed: {failure.reason}")
+        for seed, history in histories.items():
+            if history.ended and not faults[seed]:
+                self.watcher.say(f"seed {seed}: growth ended: {history.ended}")
         return [case for case in chunk if not faults[case.seed]], failures
 
     def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> list[SensingLog]:
@@ -213,12 +222,13 @@ class _Bench:
             height_known=case.settings.localization.z_correction,
         )
         return self.folder.store(
-            _record(case, DONE, history.ended, _json_numbers(scored)),
+            _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),
             truth=truth,
             log=log,
             estimate=estimate,
-            robots=scores.by_robot(truth, log, estimate),
+            robots=scores.by_robot(truth, log, estimate, history.sensed),
             convergence=scores.by_iteration(truth, estimate),
+            growth=growth.by_join(history),
         )
 
 

@@ -78,13 +78,18 @@ class RunFolder:
 
     def stored(self, name: str) -> CaseRecord | None:
         """Read a finished case; None where there is none or its files are not what it says."""
+        record = self.recorded(name)
+        return record if record is not None and record.status == DONE else None
+
+    def recorded(self, name: str) -> CaseRecord | None:
+        """Read a case, finished or failed; None where its files are not what it says."""
         folder = self.cases / name
         try:
             record = CaseRecord(**json.loads((folder / "case.json").read_text()))
             intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
         except (OSError, ValueError, TypeError):
             return None
-        return record if intact and record.status == DONE else None
+        return record if intact else None
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -99,6 +104,7 @@ class RunFolder:
         estimate: Estimate,
         robots: pd.DataFrame,
         convergence: pd.DataFrame,
+        growth: pd.DataFrame,
     ) -> CaseRecord:
         """Write a case and make it appear at once; return its record with the digests."""
         work = self._workplace(record.case)
@@ -107,6 +113,7 @@ class RunFolder:
         write_positions(work / "estimate.csv", estimate.robot_id, estimate.position, estimate.sd)
         write_table(robots, work / "robots.csv")
         write_table(convergence, work / "convergence.csv")
+        write_table(growth, work / "growth.csv")
         files = {path.name: _digest(path) for path in sorted(work.iterdir())}
         complete = CaseRecord(**{**asdict(record), "files": files})
         self._publish(complete, work)

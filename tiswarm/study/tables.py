@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from tiswarm.scenario import Scenario
+from tiswarm.study.scorecard import summed_up
 from tiswarm.study.storage import CaseRecord
 
 PAPER = {
@@ -24,6 +25,7 @@ AVERAGED = (
     "contacts_per_robot",
     "rms_radius_R",
     "height_R",
+    "peak_stress",
     "floppy_modes",
     "rmse_R",
     "rmse_rho",
@@ -66,10 +68,11 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
 
 
 def headline(folder: Path) -> str:
-    """Say in a few lines what a run came to, from its `table.csv`."""
+    """Say in a few lines what a run came to, from its `table.csv` and `laws.csv`."""
     rows = pd.read_csv(folder / "table.csv")
     lines = [_headline_row(row) for row in rows.to_dict("records")]
-    return "\n".join([*lines, f"results in {folder}"])
+    lines += [f"results in {folder}", summed_up(folder)]
+    return "\n".join(line for line in lines if line)
 
 
 def _headline_row(row: dict[Hashable, Any]) -> str:

@@ -1,0 +1,88 @@
+"""Times the growth of towers and says where the time goes.
+
+    python -m benchmarks.growth            # 100 robots x 25 seeds, 1,000 and 10,000 robots
+    python -m benchmarks.growth --quick    # 100 robots x 25 seeds
+
+On one thread, after a small structure has warmed up what is compiled.
+"""
+
+import argparse
+import os
+import platform
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from tiswarm.compute import backend
+from tiswarm.robot import RobotGeometry
+from tiswarm.study.manifest import machine, peak_memory_mb
+from tiswarm.world import mechanics, site
+from tiswarm.world.growth import grow
+from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.params import TowerParams
+from tiswarm.world.walks import Walks
+
+SIZES = {
+    "100 robots, 25 structures": (100, 25, TowerParams()),
+    "1,000 robots": (1_000, 1, TowerParams()),
+    "10,000 robots, 100 movers, a solve every 100 joins": (
+        10_000,
+        1,
+        TowerParams(movers=100, solve_every=100, mechanics=MechanicsParams(model="rigid")),
+    ),
+}
+PARTS: dict[str, tuple[Any, str]] = {
+    "climbing (kernel)": (Walks, "climb"),
+    "joining (kernel)": (Walks, "join"),
+    "mechanics": (mechanics.Frame, "solve"),
+    "of which factoring (SuperLU)": (mechanics, "splu"),
+    "relays": (site, "relay"),
+    "spawning": (site.Site, "spawn"),
+}
+
+
+def main() -> None:
+    """Measure and print a table in Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="the smallest size only")
+    sizes = list(SIZES.items())[: 1 if parser.parse_args().quick else None]
+    running = backend.start(threads=1)
+    print(f"machine: {machine()}, Python {platform.python_version()}, {running.library}")
+    print(f"threads: {running.threads}, load before: {os.getloadavg()[0]:.2f}\n")
+    print("| size | wall s | a structure s | a join ms | peak MB |", " | ".join(PARTS), "|")
+    print("|---" * (5 + len(PARTS)) + "|")
+    grow(TowerParams(), robots=10, seeds=[0], robot=RobotGeometry())
+    spent: Counter[str] = Counter()
+    for part, (owner, name) in PARTS.items():
+        setattr(owner, name, _timed(getattr(owner, name), part, spent))
+    for size, (robots, seeds, params) in sizes:
+        spent.clear()
+        print(_row(size, robots, seeds, params, spent), flush=True)
+
+
+def _timed(function: Callable[..., Any], part: str, spent: Counter[str]) -> Callable[..., Any]:
+    """Add the time of every call of a function to its part."""
+
+    def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - whatever the function takes
+        begun = time.perf_counter()
+        try:
+            return function(*args, **kwargs)
+        finally:
+            spent[part] += time.perf_counter() - begun
+
+    return timed
+
+
+def _row(name: str, robots: int, seeds: int, params: TowerParams, spent: Counter[str]) -> str:
+    """Grow one size and describe it."""
+    begun = time.perf_counter()
+    grow(params, robots=robots, seeds=range(seeds), robot=RobotGeometry())
+    wall = time.perf_counter() - begun
+    parts = [f"{spent[part]:.2f} s" for part in PARTS]
+    figures = f"{wall:.1f}", f"{wall / seeds:.3f}", f"{1e3 * wall / seeds / robots:.2f}"
+    return "| " + " | ".join([name, *figures, str(peak_memory_mb()), *parts]) + " |"
+
+
+if __name__ == "__main__":
+    main()

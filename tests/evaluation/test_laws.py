@@ -1,0 +1,283 @@
+"""The scorecard tells structures that follow the published laws from those that do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tiswarm.evaluation.fits import Form, affine, exponent, proportional
+from tiswarm.evaluation.grown import SETTINGS, TOTALS, Grown
+from tiswarm.evaluation.laws import LAWS, scorecard
+from tiswarm.evaluation.verdicts import Band, Row, above, at_least, at_most, below, within
+
+SEEDS = (0, 1, 2)
+THRESHOLDS = (1.0, 2.5, 5.0, 10.0, 25.0)
+GAINED = {1.0: 0.0, 2.5: 0.4, 5.0: 1.0, 10.0: 5.0, 25.0: 9.0}
+RATIO = "greatest ratio of height at one J to the J before"
+ACROSS = "share across a gap of"
+GAIN = "reach gained from N = 25 to 100 [R]"
+STANDARD = {"force_threshold": 10.0, "recruit_base": 3.0, "recruit_limit": 5, "gap": np.nan}
+
+
+def structure(kind, name, **known):
+    """One structure, its settings and totals: those that matter are given."""
+    nothing = dict.fromkeys(TOTALS, 0.0) | {"robots": 100, "rms_radius_R": 9.75}
+    settings = {"kind": kind, **STANDARD}
+    return {"case": f"{kind}-{name}", **settings, **nothing, **known}
+
+
+def towers():
+    """Towers of exact height and peak over F, B and J, and of none called."""
+    for f in THRESHOLDS:
+        yield {"force_threshold": f, "height_R": tower_height(f), "peak_stress": 10 + 19 * f}
+    for f in (2.5, 5.0):
+        base = {"force_threshold": f, "height_R": tower_height(f), "peak_stress": 10 + 19 * f}
+        for b in (1.5, 6.0, 10.0):
+            scaled = {k: base[k] * (0.5 + 1.5 / b) for k in ("height_R", "peak_stress")}
+            yield base | scaled | {"recruit_base": b}
+        for j, factor in ((1, 1.5), (2, 1.2), (1000, 0.9)):
+            scaled = {k: base[k] * factor for k in ("height_R", "peak_stress")}
+            yield base | scaled | {"recruit_limit": j}
+    yield {"recruit_limit": 0, "height_R": 65.0, "peak_stress": 4000.0}
+
+
+def tower_height(threshold):
+    """Affine in sqrt F, 37.5 R at F = 10."""
+    return 12.5 * np.sqrt(threshold) - 2.0
+
+
+def edges():
+    """Cantilevers, bridges and chains."""
+    for f in THRESHOLDS:
+        yield "cantilever", {"force_threshold": f}
+    for f in (2.5, 10.0):
+        for gap in (20.0, 25.0, 30.0):
+            crossing = {"crossed": 1.0, "robots": 40} if f > 5.0 else {}
+            yield "bridge", dict(force_threshold=f, gap=gap, **crossing)
+    for f in THRESHOLDS[1:]:
+        yield "chain", {"force_threshold": f, "depth_R": 10.0 * f**0.75}
+
+
+def joins(row):
+    """Growth of one structure after laws of N."""
+    n = np.arange(1.0, 101.0)
+    return pd.DataFrame(
+        {
+            "case": row["case"],
+            "robots": n,
+            "height_R": row["height_R"] * (0.5 + 0.05 * np.sqrt(n)),
+            "reach_R": 6.0 + GAINED.get(row["force_threshold"], 0.0) * (n - 25.0) / 75.0,
+            "depth_R": 3.0 + 2.0 * np.log(n),
+            "peak_stress": 5.0 + 2.0 * n,
+        }
+    )
+
+
+def spheres(row):
+    """So many spheres in layers 1 R apart that a cross-section is 3 d^2 + 2 of them."""
+    depth = np.arange(int(row["height_R"]))
+    return pd.DataFrame(
+        {"case": row["case"], "z_R": np.repeat(1.0 + depth[::-1], np.maximum(1, depth**2))}
+    )
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """Structures that follow every law, the seeds differing a little but not in the mean."""
+    kinds = [("tower", known) for known in towers()] + list(edges())
+    rows = [
+        structure(kind, f"{place}-{seed}", **known)
+        | {"peak_stress": known.get("peak_stress", 0.0) + seed - 1.0}
+        for place, (kind, known) in enumerate(kinds)
+        for seed in SEEDS
+    ]
+    return Grown(
+        structures=pd.DataFrame(rows, columns=["case", *SETTINGS, *TOTALS]),
+        joins=pd.concat(map(joins, rows)),
+        spheres=pd.concat([spheres(row) for row in rows if 20.0 < row["height_R"] < 40.0]),
+    )
+
+
+def changed(grown, kind, column, value, **where):
+    """The same structures with one total of some set to a value."""
+    table = grown.structures.astype({column: float})
+    chosen = table["kind"] == kind
+    for name, setting in where.items():
+        chosen &= table[name] == setting
+    table.loc[chosen, column] = value
+    return replace(grown, structures=table)
+
+
+def verdicts(grown):
+    """What the scorecard says, by law and quantity."""
+    return scorecard(grown)[0].set_index(["law", "quantity"])["verdict"]
+
+
+@pytest.fixture(scope="module")
+def sound(exact):
+    """What it says where every law holds."""
+    return verdicts(exact)
+
+
+def test_where_every_law_holds_every_row_is_in_band(exact):
+    """Each law has rows, and none of those with a band is missed."""
+    rows, points = scorecard(exact)
+
+    judged = rows[rows["band"] != ""]
+    assert set(judged["verdict"]) == {"in band"}
+    assert set(rows[rows["band"] == ""]["verdict"]) == {"reported"}
+    assert set(rows["law"]) == set(LAWS)
+    assert (rows["structures"] >= len(SEEDS)).all()
+    assert points.notna()[["law", "series", "x", "mean"]].all(axis=None)
+
+
+def test_what_follows_a_law_exactly_is_fitted_exactly(exact):
+    """R2 is 1, the formula is that of the data, and exponents are those of a power."""
+    rows, _ = scorecard(exact)
+    rows = rows.set_index(["law", "quantity"])
+
+    for law, quantity, formula in (
+        ("tower height over F", "R2 of a + b F^0.5", "-2 + 12.5 F^0.5"),
+        ("tower peak over F", "R2 of a + b F", "10 + 19 F"),
+        ("tower peak over N", "R2 of a + b N, F = 10", "5 + 2 N"),
+        ("chain depth over N", "R2 of a + b ln N, F = 10", "3 + 2 ln N"),
+    ):
+        assert rows.loc[(law, quantity), "ours"] == pytest.approx(1.0)
+        assert rows.loc[(law, quantity), "fit"] == formula
+    assert rows.loc[("chain depth over F", "exponent"), "ours"] == pytest.approx(0.75)
+    assert rows.loc[("cantilever reach", f"{GAIN}, F = 25"), "ours"] == pytest.approx(9.0)
+
+
+F, B, J = "force_threshold", "recruit_base", "recruit_limit"
+BREACHES = [
+    ("tower height over F", "exponent, F >= 2.5", "tower", "height_R", 20.0, {}),
+    ("tower height over F", "R2 of a + b F^0.5", "tower", "height_R", 5.0, {F: 25.0}),
+    ("tower peak over F", "R2 of a + b F", "tower", "peak_stress", 9.0, {F: 25.0}),
+    ("tower peak over F", "exponent", "tower", "peak_stress", 1.0, {F: 1.0}),
+    ("tower height over B", "R2 of a + b / B, F = 5", "tower", "height_R", 50.0, {B: 10.0}),
+    ("tower peak over B", "R2 of a + b / B, F = 5", "tower", "peak_stress", 99.0, {B: 10.0}),
+    ("tower height over J", f"{RATIO}, F = 2.5", "tower", "height_R", 40.0, {J: 1000}),
+    ("tower peak over J", "peak at J = 1 / at J = 5, F = 5", "tower", "peak_stress", 9.0, {J: 1}),
+    ("tower without recruitment", "height at J = 0 [R]", "tower", "height_R", 59.0, {J: 0}),
+    ("tower without recruitment", "peak at J = 0 / at J = 5", "tower", "peak_stress", 9.0, {J: 0}),
+    ("tower shape", "height [R]", "tower", "height_R", 32.0, {F: 10.0, J: 5}),
+    ("tower shape", "rms radius [R]", "tower", "rms_radius_R", 18.0, {}),
+    ("cantilever shape", "rms radius [R]", "cantilever", "rms_radius_R", 18.0, {}),
+    ("bridge success", f"{ACROSS} 20 R, F = 10", "bridge", "crossed", 0.0, {"gap": 20.0}),
+    ("bridge success", f"{ACROSS} 30 R, F = 10", "bridge", "robots", 100.0, {"gap": 30.0}),
+]
+
+
+@pytest.mark.parametrize(("law", "quantity", "kind", "column", "value", "where"), BREACHES)
+def test_a_total_that_breaks_a_law_is_out_of_band(
+    exact, sound, law, quantity, kind, column, value, where
+):
+    """The row says so, and the other laws' rows do not."""
+    broken = changed(exact, kind, column, value, **where)
+
+    said = verdicts(broken)
+    assert sound[law, quantity] == "in band"
+    assert said[law, quantity] == "out of band"
+    assert said["tower cross-section", "R2 of k d^2, F = 5"] == "in band"
+
+
+@pytest.mark.parametrize(
+    ("law", "quantity", "column", "value"),
+    [
+        ("tower height over N", "R2 of a + b N^0.5, F = 10", "height_R", lambda n: (n - 60.0) ** 2),
+        ("tower height over N", "height at N = 100 / at N = 25, F = 10", "height_R", np.square),
+        ("cantilever reach", f"{GAIN}, F = 5", "reach_R", lambda n: 0.1 * n),
+        ("cantilever reach", f"{GAIN}, F = 10", "reach_R", lambda n: 9.0 + 0.0 * n),
+    ],
+)
+def test_growth_that_breaks_a_law_is_out_of_band(exact, sound, law, quantity, column, value):
+    """Laws of N look at every join, not at the end alone."""
+    broken = replace(exact, joins=exact.joins.assign(**{column: value(exact.joins["robots"])}))
+
+    assert sound[law, quantity] == "in band"
+    assert verdicts(broken)[law, quantity] == "out of band"
+
+
+def test_a_tower_as_thick_at_the_top_as_below_breaks_the_cross_section_law(exact):
+    """A column of one thickness does not fit k d^2, and its R2 may be below zero."""
+    column = [pd.DataFrame({"case": c, "z_R": np.arange(40.0)}) for c in exact.structures["case"]]
+    broken = replace(exact, spheres=pd.concat(column))
+
+    assert verdicts(broken)["tower cross-section", "R2 of k d^2, F = 10"] == "out of band"
+
+
+def test_without_structures_every_row_is_there_and_not_measured(exact):
+    """A run of other things than the laws ask for cannot pass by leaving rows out."""
+    nothing = Grown(
+        structures=exact.structures[:0], joins=exact.joins[:0], spheres=exact.spheres[:0]
+    )
+
+    rows, points = scorecard(nothing)
+
+    whole, _ = scorecard(exact)
+    assert set(rows["verdict"]) == {"not measured"}
+    pd.testing.assert_frame_equal(rows[["law", "quantity"]], whole[["law", "quantity"]])
+    assert points.empty
+
+
+def test_cross_sections_count_spheres_within_one_radius():
+    """By hand: spheres 0, 1, 1.5 and 4 below the top, then a tower that is less tall."""
+    low = pd.DataFrame({"case": "low", "z_R": [1.0, 3.5, 4.0, 5.0]})
+    tall = pd.DataFrame({"case": "tall", "z_R": [1.0, 9.0]})
+    table = pd.DataFrame({"case": ["low", "tall"]})
+
+    alone = Grown(structures=table[:1], joins=low, spheres=low).cross_sections()
+    both = Grown(structures=table, joins=low, spheres=pd.concat([low, tall])).cross_sections()
+
+    assert alone["x"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert alone["mean"].tolist() == [2.0, 3.0, 2.0, 1.0, 1.0]
+    assert both["mean"].tolist() == [1.5, 2.0, 1.0, 0.5, 0.5]
+    assert both["structures"].tolist() == [2] * 5
+
+
+def test_only_complete_structures_are_behind_a_law_of_robots(exact):
+    """One that ended early would make the mean jump where it ends."""
+    table = exact.structures[exact.structures["kind"] == "chain"].copy()
+    short = table["case"].iloc[0]
+    table.loc[table["case"] == short, "robots"] = 60
+    chains = replace(exact, structures=table).swept("chain", **{F: 2.5})
+
+    points = chains.over_robots("depth_R", least=25)
+
+    assert points["x"].tolist() == list(range(25, 101))
+    assert set(points["structures"]) == {len(SEEDS) - 1}
+
+
+def test_fits_find_what_is_there():
+    """Constants and powers of exact data, and NaN where there is too little of it."""
+    x = np.array([1.0, 4.0, 9.0, 16.0])
+    root = Form(name="x^0.5", of=np.sqrt)
+
+    assert affine(x, 3.0 + 2.0 * np.sqrt(x), root).text == "3 + 2 x^0.5"
+    assert proportional(x, 5.0 * np.sqrt(x), root).text == "5 x^0.5"
+    assert proportional(x, 9.0 - np.sqrt(x), root).r2 < 0.0
+    assert exponent(x, 7.0 * x**1.5) == pytest.approx(1.5)
+    assert np.isnan(affine(x[:2], x[:2], root).r2)
+    assert np.isnan(exponent(x, x - 1.0))
+
+
+@pytest.mark.parametrize(
+    ("band", "inside", "outside"),
+    [
+        (within(1.0, 2.0), (1.0, 1.5, 2.0), (0.99, 2.01)),
+        (at_least(0.9), (0.9, 1.0), (0.89,)),
+        (at_most(0.1), (0.0, 0.1), (0.11,)),
+        (above(2.5), (2.51,), (2.5, 0.0)),
+        (below(1.0), (0.99, -3.0), (1.0, 2.0)),
+    ],
+)
+def test_bands_know_their_ends(band: Band, inside, outside):
+    """What is allowed to be equal is, and an unknown number is neither in nor out."""
+
+    def said(value):
+        return Row(quantity="q", ours=value, structures=1, band=band).verdict
+
+    assert {said(value) for value in inside} == {"in band"}
+    assert {said(value) for value in outside} == {"out of band"}
+    assert said(float("nan")) == "not measured"

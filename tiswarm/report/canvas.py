@@ -1,0 +1,66 @@
+"""What all figures share: colours, sizes, and how one becomes a file."""
+
+import io
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TRUE_BLUE = "#0072B2"
+ESTIMATE_ORANGE = "#E69F00"
+PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
+"""Colours that stay apart for colour-blind readers (Okabe and Ito)."""
+
+COLUMN_WIDTH = 3.5
+"""Width of a paper's column [inch]."""
+
+PAGE_WIDTH = 7.0
+"""Width of a paper's page [inch]."""
+
+NOTE_HEIGHT = 0.1
+"""Room for a note below a figure [inch]."""
+
+DPI = 300
+"""Dots per inch."""
+
+STYLE: dict[Any, Any] = {
+    "axes.linewidth": 0.6,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "font.size": 8.0,
+    "legend.fontsize": 7.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+}
+
+
+def new_figure(width: float, height: float) -> "Figure":
+    """Make an empty figure of a size [inch] that lays itself out."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def add_note(figure: "Figure", note: str) -> None:
+    """Write a small line into the lower right corner, below everything else."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    if not note:
+        return
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        line = NOTE_HEIGHT / float(figure.get_size_inches()[1])
+        engine.set(rect=(0.0, line, 1.0, 1.0 - line))
+    figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
+
+
+def png(figure: "Figure") -> bytes:
+    """Encode a figure in bytes that depend on nothing but what it shows."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    stream = io.BytesIO()
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.print_png(stream, metadata={"Software": None})
+    return stream.getvalue()
