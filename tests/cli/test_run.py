@@ -52,6 +52,22 @@ def test_every_shipped_scenario_runs(tiswarm, tmp_path, scenario):
     assert (pd.read_csv(folder / "summary.csv")["status"] == "done").all()
 
 
+@pytest.mark.parametrize("kind", ["tower", "cantilever", "bridge", "chain"])
+def test_logs_of_every_kind_are_read_back(tiswarm, tmp_path, kind):
+    """Whatever grew, its stored log gives the bytes of the estimate that the run stored."""
+    ran = tiswarm(
+        "run", f"scenarios/{kind}.yaml", "--set", "robots=15", "--set", "seeds=[2]",
+        "--no-pictures", "--out", tmp_path,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    case = next(tmp_path.glob("*/cases/2-baseline"))
+
+    done = tiswarm("localize", case / "sensing.jsonl", "--out", tmp_path / "estimate.csv")
+
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "estimate.csv").read_bytes() == (case / "estimate.csv").read_bytes()
+
+
 def test_a_run_leaves_everything_behind(small_run):
     """Tables, cases, manifest and pictures are there, and say what they should."""
     summary = pd.read_csv(small_run / "summary.csv")

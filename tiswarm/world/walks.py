@@ -9,6 +9,7 @@ from tiswarm.errors import TiswarmError
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world import kernels
 from tiswarm.world.history import Walk
+from tiswarm.world.join_kernels import join_undisturbed
 from tiswarm.world.meeting import ClimbLaw
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.structure import Structures
@@ -143,7 +144,7 @@ class Walks:
     def join(
         self, law: ClimbLaw, structures: Structures, movers: Slots, wants: NDArray[np.int32]
     ) -> None:
-        """Let movers join whose walks no earlier one disturbs; see `kernels.join_undisturbed`.
+        """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
 
         Args:
             law: Terrain, distances and limits.
@@ -154,7 +155,7 @@ class Walks:
         first = np.searchsorted(
             self.structure_of[movers], np.arange(len(structures.robot_count) + 1)
         )
-        kernels.join_undisturbed(
+        join_undisturbed(
             law,
             first.astype(np.int32),
             movers,
