@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tiswarm.compute import backend
@@ -34,6 +35,34 @@ def test_starting_twice_is_starting_once():
     assert backend.start(threads=1) is first
     assert backend.start(threads=2).threads == 2
     assert backend.start(precision="f32").precision == "f32"
+
+
+@pytest.mark.parametrize("arch", ["cuda", "vulkan"])
+def test_a_device_grows_what_the_processor_grows_or_is_refused(arch):
+    """Some take float64 and lack its functions, or round to float32; none goes unnoticed."""
+    code = (
+        "import sys\n"
+        "from tiswarm.compute import backend\n"
+        "from tiswarm.errors import TiswarmError\n"
+        "from tiswarm.robot import RobotGeometry\n"
+        "from tiswarm.world.growth import grow\n"
+        "from tiswarm.world.params import TowerParams\n"
+        "try: backend.start(sys.argv[1])\n"
+        "except TiswarmError as trouble: sys.exit('refused: ' + str(trouble))\n"
+        "grown = grow(TowerParams(), robots=4, seeds=[0], robot=RobotGeometry())[0]\n"
+        "print(*grown.position.ravel())"
+    )
+    there, here = (
+        subprocess.run(
+            [sys.executable, "-c", code, device], capture_output=True, text=True, check=False
+        )
+        for device in (arch, "cpu")
+    )
+
+    if "refused: " not in there.stderr:
+        places = [np.array(done.stdout.split(), float) for done in (there, here)]
+        np.testing.assert_allclose(*places, atol=1e-6)
+        assert len(places[0]) == 12
 
 
 def test_environment_variables_cannot_change_the_backend_unseen():

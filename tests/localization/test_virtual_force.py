@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute import backend
+from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.localization import virtual_force
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
@@ -163,6 +165,14 @@ def test_f32_agrees_with_f64_to_its_precision(log):
 
     np.testing.assert_allclose(single, double, atol=2e-3)
     assert not np.array_equal(single, double)
+
+
+def test_a_launch_that_does_nothing_is_noticed(log, monkeypatch):
+    """Some drivers return without having run the kernel; that is no estimate."""
+    monkeypatch.setattr(virtual_force, "localize_in_join_order", lambda *_arrays: None)
+
+    with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
+        localize(log, SHORT)
 
 
 def test_missing_heights_switch_the_height_force_off(log):

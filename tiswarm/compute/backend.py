@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.choices import ARCHS, Arch, Precision
 from tiswarm.compute.dialect import ti
-from tiswarm.compute.kernels import probe_square_root
+from tiswarm.compute.kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.float32}
@@ -92,15 +92,17 @@ def start(
     threadpool_limits(1, user_api="blas")
     cache = _cache_folder()
     _init(arch, count, precision, cache)
-    _started = Backend(
+    _started = None
+    started = Backend(
         arch=arch,
         threads=count,
         precision=precision,
         library=f"taichi {'.'.join(map(str, ti.__version__))}",
         cache=str(cache),
     )
-    _check_arithmetic(_started)
-    return _started
+    _check_arithmetic(started)
+    _started = started
+    return started
 
 
 def current() -> Backend:
@@ -164,13 +166,17 @@ def _discard(folder: Path) -> None:
 
 
 def _check_arithmetic(backend: Backend) -> None:
-    """Refuse a device that takes float64 and computes in float32, as some do."""
-    value = np.array([2.0], dtype=backend.dtype)
-    probe_square_root(value)
-    expected = np.sqrt(np.array([2.0], dtype=backend.dtype))
-    if abs(value[0] - expected[0]) > 4 * np.finfo(backend.dtype).eps:
+    """Refuse a device that takes float64 and computes in float32, or lacks its functions."""
+    expected = np.linspace(0.1, 3.0, 16, dtype=backend.dtype)
+    value = expected.copy()
+    try:
+        probe_arithmetic(value)
+        sound = bool(np.allclose(value, expected, rtol=8 * np.finfo(backend.dtype).eps, atol=0.0))
+    except RuntimeError:
+        sound = False
+    if not sound:
         msg = (
-            f"backend {backend.arch} does not compute in {backend.precision}; "
-            "use --precision f32 or --arch cpu"
+            f"backend {backend.arch} does not compute in {backend.precision}; use --arch cpu, "
+            "or --precision f32 where structures need not be grown"
         )
         raise EnvironmentTroubleError(msg)

@@ -4,11 +4,15 @@ from tiswarm.compute.dialect import Reals1, ti
 
 
 @ti.kernel
-def probe_square_root(value: Reals1):
-    """Replace each value by its square root, to see in which precision the device computes.
+def probe_arithmetic(value: Reals1):
+    """Replace each value by sqrt(cos^2 + sin^2) of it times it: the same value, to rounding.
+
+    Shows in which precision a device computes, and whether it knows these functions in it.
 
     Args:
         value: Read and written, shape (n,).
     """
     for i in range(value.shape[0]):
-        value[i] = ti.sqrt(value[i])
+        c = ti.cos(value[i])
+        s = ti.sin(value[i])
+        value[i] *= ti.sqrt(c * c + s * s)

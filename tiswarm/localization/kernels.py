@@ -149,7 +149,7 @@ def initial_position(
 
     A robot that touches no earlier one starts from the anchor instead.
     """
-    total = 0.0 * vector_at(position, robot)
+    total = 0.0 * vector_at(position, base)
     count = 0
     first = contact_start[robot]
     for row in range(first, contact_start[robot + 1]):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tiswarm.compute import backend
 from tiswarm.compute.cells import CellChains
 from tiswarm.compute.rotations import dock_offsets
+from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.kernels import localize_in_join_order
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.contact_graph import located
@@ -47,7 +48,7 @@ def localize_batch(
     chains = CellChains.allocate(
         len(logs), max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     )
-    position = np.zeros((start[-1], 3), dtype)
+    position = np.full((start[-1], 3), np.nan, dtype)
     position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
     trace = np.empty((len(frames), start[-1], 3), dtype)
     step_length = np.empty((len(frames), start[-1]), dtype)
@@ -69,6 +70,13 @@ def localize_batch(
         trace,
         step_length,
     )
+    if np.isnan(position).any():
+        running = backend.current()
+        msg = (
+            f"backend {running.arch} returned without placing every robot; "
+            "its driver is faulty: use --arch cpu"
+        )
+        raise EnvironmentTroubleError(msg)
     return [
         _estimate(log, frames, trace[:, a:b], step_length[:, a:b])
         for log, a, b in zip(logs, start[:-1], start[1:], strict=True)
