@@ -156,7 +156,7 @@ BREACHES = [
     ("tower peak over F", "R2 of a + b F", "tower", "peak_stress", 9.0, {F: 25.0}),
     ("tower peak over F", "exponent", "tower", "peak_stress", 1.0, {F: 1.0}),
     ("tower height over B", "R2 of a + b / B, F = 5", "tower", "height_R", 50.0, {B: 10.0}),
-    ("tower peak over B", "R2 of a + b / B, F = 5", "tower", "peak_stress", 99.0, {B: 10.0}),
+    ("tower peak over B", "R2 of a + b / B, F = 2.5", "tower", "peak_stress", 99.0, {B: 10.0}),
     ("tower height over J", f"{RATIO}, F = 2.5", "tower", "height_R", 40.0, {J: 1000}),
     ("tower peak over J", "peak at J = 1 / at J = 5, F = 5", "tower", "peak_stress", 9.0, {J: 1}),
     ("tower without recruitment", "height at J = 0 [R]", "tower", "height_R", 59.0, {J: 0}),

@@ -19,9 +19,6 @@ THRESHOLDS = (1.0, 2.5, 5.0, 10.0, 25.0)
 SWEEP_THRESHOLDS = (2.5, 5.0)
 """F at which B and J were swept."""
 
-BASE_THRESHOLD = 5.0
-"""F at which the laws over B are held to their bands."""
-
 
 def height_over_threshold(grown: Grown) -> Iterator[Row]:
     """Mean height of finished towers over F: affine in sqrt F; exponent from F = 2.5 up."""
@@ -145,13 +142,11 @@ def _over_robots(grown: Grown, threshold: float, column: str, form: Form) -> Cur
 
 
 def _over_base(grown: Grown, column: str) -> Iterator[Row]:
-    """Bands are for F = 5; at F = 2.5 most calls are cut off at J, whatever B."""
     inverse = Form(name="/ B", of=np.reciprocal)
     for threshold in SWEEP_THRESHOLDS:
         points = grown.swept("tower", B, **{F: threshold}).over(B, column)
         curve = Curve.through(points, inverse, series=f"F = {threshold:g}")
-        band = at_least(0.93) if threshold == BASE_THRESHOLD else None
-        yield Row.of_fit("a + b / B", curve, "0.99", band)
+        yield Row.of_fit("a + b / B", curve, "0.99", at_least(0.93))
 
 
 def _over_limit(grown: Grown, column: str) -> Iterator[Curve]:
