@@ -17,10 +17,15 @@ from tiswarm.params import STRICT
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.world.history import History
 
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingParams:
-    """Noise of the robots' senses; none by default, as in the paper."""
+    """Noise of the robots' senses; none by default, as in the paper.
+
+    Fractions count the contacts of every stance, each drawn for itself.
+    """
 
     tilt_noise_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, drawn anew for
@@ -30,6 +35,22 @@ class SensingParams:
     """Standard deviation of the sensed orientation about the vertical, drawn anew for each
     stance [deg]."""
 
+    yaw_bias_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
+    """Standard deviation of a further turn about the vertical, drawn once for each robot [deg]."""
+
+    spawn_noise: Annotated[float, Field(ge=0.0)] | None = None
+    """Standard deviation of each coordinate of the place where a robot thinks that it started
+    [R]; where null, robots do not know it."""
+
+    missed_contacts: Fraction = 0.0
+    """Fraction of contacts that are not felt [1]."""
+
+    wrong_docks: Fraction = 0.0
+    """Fraction of contacts felt at another dock of the same neighbour [1]."""
+
+    false_contacts: Fraction = 0.0
+    """Contacts felt with any dock of any earlier robot, per contact that there is [1]."""
+
 
 def observe(history: History, params: SensingParams) -> SensingLog:
     """Let every robot of a structure sense its whole walk.
@@ -37,27 +58,37 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     Args:
         history: What truly happened.
         params: Noise of the senses. Draws depend on the history's seed, the robot and the
-            stance alone.
+            stance or contact alone.
 
     Returns:
-        The log; it holds no true position but the anchor's.
+        The log; it holds no true position but the anchor's and, if asked for, the spawns'.
     """
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = _sensed_orientation(history, length, params)
+    contacts = _felt_contacts(history, params)
+    at_rest = contacts[:, 1] == length[contacts[:, 0]] - 1
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],
         orientation_wxyz=sensed[end - 1],
-        contacts=history.contacts,
+        contacts=np.ascontiguousarray(contacts[at_rest][:, [3, 4, 0, 2]]),
         ground_z=history.ground_z,
         ground_docks=history.ground_docks,
         flip_height=_flip_height(history, sensed, end),
-        spawn_position=np.full((history.robot_count, 3), np.nan),
-        stances=_stances(history, sensed, length),
-        noise=SensingNoise(tilt_deg=params.tilt_noise_deg, yaw_deg=params.yaw_noise_deg),
+        spawn_position=_spawn_position(history, params),
+        stances=_stances(history, sensed, length, contacts[~at_rest]),
+        noise=SensingNoise(
+            tilt_deg=params.tilt_noise_deg,
+            yaw_deg=params.yaw_noise_deg,
+            yaw_bias_deg=params.yaw_bias_deg,
+            spawn=params.spawn_noise,
+            missed_contacts=params.missed_contacts,
+            wrong_docks=params.wrong_docks,
+            false_contacts=params.false_contacts,
+        ),
     )
 
 
@@ -66,16 +97,63 @@ def _sensed_orientation(
 ) -> NDArray[np.float64]:
     """Orientation that each robot senses at each of its stances, shape (all stances, 4)."""
     true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
-    if params.tilt_noise_deg == 0.0 and params.yaw_noise_deg == 0.0:
+    if params.tilt_noise_deg == params.yaw_noise_deg == params.yaw_bias_deg == 0.0:
         return true
     robot = np.repeat(np.arange(len(length)), length)
     stance = np.concatenate([np.arange(count) for count in length])
     draw = 3 * stance[:, None] + np.arange(3)
     sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
     turn = sd * random.normal(history.seed, "orientation", robot[:, None], draw)
-    sensed = Rotation.from_rotvec(turn) * Rotation.from_quat(true, scalar_first=True)
+    bias = np.zeros_like(turn)
+    bias[:, 2] = np.radians(params.yaw_bias_deg) * random.normal(history.seed, "yaw bias", robot, 0)
+    sensed = (
+        Rotation.from_rotvec(bias)
+        * Rotation.from_rotvec(turn)
+        * Rotation.from_quat(true, scalar_first=True)
+    )
     wxyz: NDArray[np.float64] = sensed.as_quat(canonical=True, scalar_first=True)
     return wxyz
+
+
+def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:
+    """Contacts felt at any stance, rows of (robot, stance, own dock, other robot, other dock).
+
+    Sorted and unique, shape (K, 5).
+    """
+    parts = [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
+    true: NDArray[np.int32] = np.concatenate(parts)
+    if params.missed_contacts == params.wrong_docks == params.false_contacts == 0.0:
+        return true
+    robot = true[:, 0]
+    place = np.concatenate([np.arange(len(part)) for part in parts])
+
+    def draw(stream: str, which: int) -> NDArray[np.float64]:
+        return random.uniform(history.seed, stream, robot, 4 * place + which)
+
+    docks = len(history.robot.dock_offset_body)
+    false = true.copy()
+    false[:, 2] = draw("false contact", 1) * docks
+    false[:, 3] = draw("false contact", 2) * robot
+    false[:, 4] = draw("false contact", 3) * docks
+    false = false[draw("false contact", 0) < params.false_contacts]
+    is_wrong = draw("wrong dock", 0) < params.wrong_docks
+    turned = 1 + (draw("wrong dock", 1) * (docks - 1)).astype(np.int32)
+    felt = true.copy()
+    felt[:, 4] = np.where(is_wrong, (felt[:, 4] + turned) % docks, felt[:, 4])
+    felt = felt[draw("missed contact", 0) >= params.missed_contacts]
+    every: NDArray[np.int32] = np.unique(np.concatenate([felt, false]), axis=0)
+    return every
+
+
+def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float64]:
+    """Where each robot thinks that it started [R], NaN where it does not know, shape (N, 3)."""
+    true = np.array([walk.center[0] for walk in history.walks])
+    if params.spawn_noise is None:
+        return np.full_like(true, np.nan)
+    robot = np.arange(history.robot_count)[:, None]
+    return true + params.spawn_noise * random.normal(
+        history.seed, "spawn position", robot, np.arange(3)
+    )
 
 
 def _flip_height(
@@ -96,30 +174,37 @@ def _flip_height(
     return height
 
 
-def _stances(history: History, sensed: NDArray[np.float64], length: NDArray[np.int64]) -> Stances:
-    """Every stance but each robot's last, robot after robot."""
+def _stances(
+    history: History,
+    sensed: NDArray[np.float64],
+    length: NDArray[np.int64],
+    contacts: NDArray[np.int32],
+) -> Stances:
+    """Every stance but each robot's last, robot after robot.
+
+    Args:
+        history: What truly happened.
+        sensed: Orientation sensed at every stance, shape (all stances, 4).
+        length: Stances of each robot, shape (N,).
+        contacts: Contacts felt at all stances but the last, as `_felt_contacts` gives them.
+    """
     start = np.concatenate([[0], np.cumsum(length - 1)])
     is_last = np.zeros(len(sensed), np.bool_)
     is_last[np.cumsum(length) - 1] = True
-    contacts = [_before_last(walk.contacts, walk.stance_count) for walk in history.walks]
-    ground = [_before_last(walk.ground_docks, walk.stance_count) for walk in history.walks]
+    ground = [
+        np.insert(walk.ground_docks[walk.ground_docks[:, 0] < count - 1], 0, j, axis=1)
+        for j, (walk, count) in enumerate(zip(history.walks, length, strict=True))
+    ]
     return Stances(
         start=start,
         orientation_wxyz=sensed[~is_last],
         pivot_dock=np.concatenate([walk.pivot_dock for walk in history.walks]),
-        contacts=_renumbered(contacts, start),
-        ground_docks=_renumbered(ground, start),
+        contacts=_numbered(contacts, start),
+        ground_docks=_numbered(np.concatenate(ground), start),
     )
 
 
-def _before_last(rows: NDArray[np.int32], stance_count: int) -> NDArray[np.int32]:
-    """Rows, stance first, that are not of the last stance."""
-    return rows[rows[:, 0] < stance_count - 1]
-
-
-def _renumbered(rows: list[NDArray[np.int32]], start: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Join the robots' rows, counting stances through the whole log."""
-    shifted = [part.copy() for part in rows]
-    for part, first in zip(shifted, start[:-1], strict=True):
-        part[:, 0] += np.int32(first)
-    return np.concatenate(shifted)
+def _numbered(rows: NDArray[np.int32], start: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Count stances through the whole log in rows of (robot, stance, ...)."""
+    stance = (start[rows[:, 0]] + rows[:, 1]).astype(np.int32)
+    return np.column_stack([stance, rows[:, 2:]])

@@ -22,6 +22,19 @@ orientation = (
     .map(lambda wxyz: np.array(wxyz) / np.linalg.norm(wxyz))
 )
 
+spreads = st.floats(0.0, allow_infinity=False, allow_subnormal=False)
+fractions = st.floats(0.0, 1.0, allow_subnormal=False)
+noises = st.builds(
+    SensingNoise,
+    tilt_deg=spreads,
+    yaw_deg=spreads,
+    yaw_bias_deg=st.none() | spreads,
+    spawn=st.none() | spreads,
+    missed_contacts=st.none() | fractions,
+    wrong_docks=st.none() | fractions,
+    false_contacts=st.none() | fractions,
+)
+
 
 def table(rows, dtype, width):
     """Rows, perhaps none, as an array of so many columns."""
@@ -82,7 +95,7 @@ def logs(draw):
         flip_height=np.array([draw(number | st.just(np.nan)) for _ in range(robots)]),
         spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
         stances=draw(st.none() | stances_of(robots, ground=ground_z is not None)),
-        noise=draw(st.none() | st.just(SensingNoise(tilt_deg=1.0, yaw_deg=0.1))),
+        noise=draw(st.none() | noises),
         length_unit=draw(st.text(st.characters(codec="utf-8"), min_size=1, max_size=5)),
     )
 

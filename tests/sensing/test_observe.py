@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
@@ -53,11 +53,7 @@ def test_noise_has_the_stated_size(towers):
     for history in towers:
         perfect = observe(history, SensingParams()).stances.orientation_wxyz
         sensed = observe(history, NOISY).stances.orientation_wxyz
-        difference = (
-            Rotation.from_quat(sensed, scalar_first=True)
-            * Rotation.from_quat(perfect, scalar_first=True).inv()
-        )
-        turns.append(np.degrees(difference.as_rotvec()))
+        turns.append(_turn(sensed, perfect))
     spread = np.concatenate(turns).std(axis=0)
 
     # Some 1,500 stances: five standard errors of a standard deviation are 10 %.
@@ -71,6 +67,114 @@ def test_noise_depends_on_the_seed_alone(towers):
 
     np.testing.assert_array_equal(first.orientation_wxyz, again.orientation_wxyz)
     assert (first.orientation_wxyz != other.orientation_wxyz).any(axis=1).all()
+
+
+def test_a_yaw_bias_stays_with_its_robot(towers):
+    """A robot's bias turns all its stances alike, and is as wide as asked among robots."""
+    params = SensingParams(yaw_bias_deg=10.0)
+    biases = []
+    for seed in range(20):
+        history = dataclasses.replace(towers[0], seed=seed)
+        log, perfect = observe(history, params), observe(history, SensingParams())
+        at_rest = _turn(log.orientation_wxyz, perfect.orientation_wxyz)
+        walking = _turn(log.stances.orientation_wxyz, perfect.stances.orientation_wxyz)
+
+        owner = np.repeat(np.arange(log.robot_count), np.diff(log.stances.start))
+        np.testing.assert_allclose(walking, at_rest[owner], atol=1e-9)
+        np.testing.assert_allclose(at_rest[:, :2], 0.0, atol=1e-9)
+        biases.append(at_rest[:, 2])
+
+    # 600 robots: five standard errors are 15 %.
+    np.testing.assert_allclose(np.std(biases), 10.0, rtol=0.15)
+
+
+def _turn(sensed, true):
+    """Turn from one orientation to another [deg], shape (rows, 3)."""
+    turn = Rotation.from_quat(sensed, scalar_first=True)
+    return np.degrees((turn * Rotation.from_quat(true, scalar_first=True).inv()).as_rotvec())
+
+
+def test_robots_know_their_spawn_only_where_asked(towers):
+    """By default they do not; else to the stated width, and the header says which."""
+    history = towers[0]
+    start = np.array([walk.center[0] for walk in history.walks])
+
+    silent, exact, vague = (
+        observe(history, SensingParams(spawn_noise=noise)) for noise in (None, 0.0, 0.5)
+    )
+
+    assert np.isnan(silent.spawn_position).all()
+    np.testing.assert_array_equal(exact.spawn_position, start)
+    # 90 coordinates: five standard errors are 37 %.
+    np.testing.assert_allclose((vague.spawn_position - start).std(), 0.5, rtol=0.37)
+    assert [log.noise.spawn for log in (silent, exact, vague)] == [None, 0.0, 0.5]
+
+
+def _felt(history, **noise):
+    """Every contact that a log holds, as (robot, stance, own dock, other robot, other dock)."""
+    log = observe(history, SensingParams(**noise))
+    start = log.stances.start
+    robot = np.searchsorted(start, log.stances.contacts[:, 0], side="right") - 1
+    rows = {(int(j), *map(int, row)) for j, row in zip(robot, log.stances.contacts, strict=True)}
+    rest = {(j, int(start[j + 1]), own, i, dock) for i, dock, j, own in log.contacts.tolist()}
+    assert len(rows) == len(log.stances.contacts)
+    assert len(rest) == len(log.contacts)
+    return rows | rest
+
+
+def test_contacts_are_missed_mistaken_and_made_up_as_often_as_asked(towers):
+    """Missed ones are gone, wrong ones name another dock, false ones come on top."""
+    missed = wrong = false = total = 0
+    for seed in range(5):
+        history = dataclasses.replace(towers[2], seed=seed)
+        true = _felt(history)
+        fewer = _felt(history, missed_contacts=0.1)
+        assert _felt(history, missed_contacts=0.2) < fewer < true
+        total += len(true)
+        missed += len(true - fewer)
+
+        mistaken = _felt(history, wrong_docks=0.1)
+        assert {row[:4] for row in mistaken} == {row[:4] for row in true}
+        wrong += len(true - mistaken)
+
+        more = _felt(history, false_contacts=0.1)
+        assert true < more
+        assert all(other < robot for robot, _, _, other, _ in more)
+        false += len(more - true)
+
+    # Some 5,000 contacts: five standard errors of a tenth are 0.021.
+    np.testing.assert_allclose([missed, wrong, false], 0.1 * total, atol=0.021 * total)
+    assert _felt(history, missed_contacts=1.0) == set()
+
+
+def test_one_noise_does_not_change_another(towers):
+    """Each has random numbers of its own, and the header states them all."""
+    everything = {
+        "yaw_bias_deg": 3.0,
+        "spawn_noise": 0.1,
+        "missed_contacts": 0.1,
+        "wrong_docks": 0.02,
+        "false_contacts": 0.01,
+    }
+    alone, together = observe(towers[0], NOISY), observe(towers[0], SensingParams(**everything))
+    both = observe(towers[0], dataclasses.replace(NOISY, **everything))
+
+    np.testing.assert_array_equal(both.contacts, together.contacts)
+    np.testing.assert_array_equal(both.spawn_position, together.spawn_position)
+    np.testing.assert_allclose(
+        _turn(both.orientation_wxyz, alone.orientation_wxyz),
+        _turn(together.orientation_wxyz, towers[0].orientation_wxyz),
+        atol=1e-9,
+    )
+    assert both.noise == SensingNoise(
+        tilt_deg=1.0,
+        yaw_deg=2.0,
+        yaw_bias_deg=3.0,
+        spawn=0.1,
+        missed_contacts=0.1,
+        wrong_docks=0.02,
+        false_contacts=0.01,
+    )
 
 
 def test_stances_feel_what_the_walk_felt(towers):

@@ -7,6 +7,7 @@ directions hold the log and one line at a time.
 
 import json
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,8 @@ def _header_entries(log: SensingLog) -> _Entries:
         "length_unit": log.length_unit,
     }
     if log.noise is not None:
-        entries["noise"] = {"tilt_deg": log.noise.tilt_deg, "yaw_deg": log.noise.yaw_deg}
+        stated = asdict(log.noise).items()
+        entries["noise"] = {key: value for key, value in stated if value is not None}
     return entries
 
 

@@ -21,6 +21,8 @@ Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
 Contacts = Annotated[list[Contact], Field(fail_fast=True)]
 Docks = Annotated[list[int], Field(fail_fast=True)]
+Spread = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class _Line(BaseModel):
@@ -28,10 +30,15 @@ class _Line(BaseModel):
 
 
 class NoiseEntry(_Line):
-    """Standard deviation of the sensed orientation per stance."""
+    """How wrong the senses are; keys as `SensingNoise` explains them."""
 
-    tilt_deg: Annotated[float, Field(ge=0.0)]
-    yaw_deg: Annotated[float, Field(ge=0.0)]
+    tilt_deg: Spread
+    yaw_deg: Spread
+    yaw_bias_deg: Spread | None = None
+    spawn: Spread | None = None
+    missed_contacts: Fraction | None = None
+    wrong_docks: Fraction | None = None
+    false_contacts: Fraction | None = None
 
 
 class HeaderLine(_Line):

@@ -8,13 +8,31 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class SensingNoise:
-    """Standard deviation of each robot's orientation at each stance, as the log states it."""
+    """How wrong the senses are, as the log states it; None where it does not.
+
+    Orientations are off by a standard deviation at each stance anew, but for the bias.
+    """
 
     tilt_deg: float
-    """Rotation about a horizontal axis [deg]."""
+    """Standard deviation about a horizontal axis [deg]."""
 
     yaw_deg: float
-    """Rotation about the vertical [deg]."""
+    """Standard deviation about the vertical [deg]."""
+
+    yaw_bias_deg: float | None = None
+    """Standard deviation about the vertical that a robot keeps at all its stances [deg]."""
+
+    spawn: float | None = None
+    """Standard deviation of each coordinate of a spawn position [log unit]."""
+
+    missed_contacts: float | None = None
+    """Fraction of contacts that are not felt [1]."""
+
+    wrong_docks: float | None = None
+    """Fraction of contacts that name the wrong dock of the other robot [1]."""
+
+    false_contacts: float | None = None
+    """Contacts that are none, per contact [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
