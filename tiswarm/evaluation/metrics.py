@@ -1,5 +1,10 @@
-"""Accuracy of estimated positions, Eqs. (4) to (7) of the paper."""
+"""Accuracy of estimated positions, Eqs. (4) to (7) of the paper.
 
+The alignments take any number of robots in any arrangement: where points on a line, or in one
+place, leave a turn open, any turn fits equally well and one of them is taken.
+"""
+
+import math
 import warnings
 
 import numpy as np
@@ -33,6 +38,20 @@ def rms_radius(position: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
 
 
+def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn the estimate about the vertical and shift it onto the truth, the best way there is.
+
+    What remains is what robots that feel gravity can be blamed for. Arguments and result as for
+    `rigidly_aligned`.
+    """
+    mean = estimate.mean(axis=0)
+    (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
+    yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
+    turn = Rotation.from_euler("z", yaw)
+    aligned: NDArray[np.float64] = turn.apply(estimate - mean) + truth.mean(axis=0)
+    return aligned
+
+
 def rigidly_aligned(
     estimate: NDArray[np.float64], truth: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -46,8 +65,9 @@ def rigidly_aligned(
         The moved estimate [R], shape (N, 3).
     """
     mean = estimate.mean(axis=0)
+    if len(truth) == 1:
+        return truth.copy()
     with warnings.catch_warnings():
-        # Points on a line leave a turn about the line free; any of them fits equally well.
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - mean)
     aligned: NDArray[np.float64] = rotation.apply(estimate - mean) + truth.mean(axis=0)
@@ -59,14 +79,12 @@ def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float6
 
     Zero means congruent. Unlike `scipy.spatial.procrustes` this neither rescales nor
     reflects, so there is no upper bound of 1, whatever the paper says: an estimate twice
-    the true size scores 1, three times scores 4.
+    the true size scores 1, three times scores 4. NaN where all true centres coincide, for then
+    there is no shape.
 
     Args:
         estimate: Estimated centres [R], shape (N, 3).
         truth: True centres [R], shape (N, 3).
-
-    Raises:
-        ValueError: where all true centres coincide, for then there is no shape.
 
     >>> tower = np.array([[0, 0, 0], [0, 0, 2], [0, 1, 4], [1, 0, 6]], dtype=float)
     >>> procrustes_disparity(tower + 5.0, tower) < 1e-12
@@ -76,6 +94,5 @@ def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float6
     """
     spread = float(np.sum((truth - truth.mean(axis=0)) ** 2))
     if spread == 0.0:
-        msg = "all true positions coincide, so the disparity of shapes is not defined"
-        raise ValueError(msg)
+        return math.nan
     return sse(rigidly_aligned(estimate, truth), truth) / spread

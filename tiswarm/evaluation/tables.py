@@ -5,7 +5,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tiswarm.evaluation import metrics
-from tiswarm.records.contact_graph import contact_count, earlier_contact_count
+from tiswarm.evaluation.profiles import relative_errors
+from tiswarm.records.contact_graph import contact_count, earlier_contact_count, hops
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.rigidity import floppy_modes
 from tiswarm.records.sensing_log import SensingLog
@@ -25,16 +26,22 @@ def score(
         robot: Their shape; an RMSE is also given in units of its rho.
         height_known: Whether the localizer used the heights, which leaves fewer floppy modes.
     """
-    rmse = metrics.rmse(estimate.position, truth.position)
+    estimated, true = estimate.position, truth.position
+    rmse = metrics.rmse(estimated, true)
     return {
         "robots": log.robot_count,
-        "contacts_per_robot": float(earlier_contact_count(log)[1:].mean()),
-        "rms_radius_R": metrics.rms_radius(truth.position),
-        "floppy_modes": floppy_modes(truth.position, log, height_known=height_known),
-        "sse_R2": metrics.sse(estimate.position, truth.position),
+        "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
+        "rms_radius_R": metrics.rms_radius(true),
+        "floppy_modes": floppy_modes(true, log, height_known=height_known),
+        "unlocated": int((~estimate.located).sum()),
+        "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,
         "rmse_rho": rmse / robot.rho,
-        "procrustes_disparity": metrics.procrustes_disparity(estimate.position, truth.position),
+        "rmse_yaw_aligned_R": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
+        "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
+        "rmse_per_contact_R": _mean(relative_errors(estimated, true, log.contacts[:, [0, 2]]) ** 2)
+        ** 0.5,
+        "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
     }
 
 
@@ -55,8 +62,14 @@ def by_robot(
     columns |= dict(zip(("x_est_R", "y_est_R", "z_est_R"), estimate.position.T, strict=True))
     sensed = ("qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed")
     columns |= dict(zip(sensed, log.orientation_wxyz.T, strict=True))
-    columns["error_R"] = metrics.robot_errors(estimate.position, truth.position)
+    for name, aligned in (
+        ("error_R", estimate.position),
+        ("error_yaw_aligned_R", metrics.yaw_aligned(estimate.position, truth.position)),
+        ("error_rigid_aligned_R", metrics.rigidly_aligned(estimate.position, truth.position)),
+    ):
+        columns[name] = metrics.robot_errors(aligned, truth.position)
     columns["contacts"] = contact_count(log)
+    columns["hops_from_anchor"] = _whole(hops(log, np.zeros(1, np.int64))[0])
     columns["ground_docks"] = np.bincount(log.ground_docks[:, 0], minlength=log.robot_count)
     columns["flip_height_R"] = log.flip_height
     columns["located"] = estimate.located
@@ -80,3 +93,13 @@ def by_iteration(truth: Truth, estimate: Estimate) -> pd.DataFrame:
             )
         ]
     )
+
+
+def _mean(values: NDArray[np.generic]) -> float:
+    """Mean; NaN where there is nothing to average."""
+    return float(values.mean()) if values.size else float("nan")
+
+
+def _whole(values: NDArray[np.float64]) -> pd.Series:
+    """Whole numbers as such; empty where there is none."""
+    return pd.Series(values).replace(np.inf, np.nan).astype("Int64")

@@ -2,19 +2,32 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from tiswarm.records.sensing_log import SensingLog
 
 
 def located(log: SensingLog) -> NDArray[np.bool_]:
     """Whether a chain of contacts ties each robot to the anchor, shape (N,)."""
-    i, j = log.contacts[:, 0], log.contacts[:, 2]
-    size = log.robot_count
-    graph = coo_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(size, size))
-    _, part = connected_components(graph, directed=False)
+    _, part = connected_components(_graph(log), directed=False)
     return np.asarray(part == part[0])
+
+
+def hops(log: SensingLog, start: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Fewest contacts that lead from some robots to every robot, infinite where none do.
+
+    Args:
+        log: What was sensed.
+        start: Where to start, shape (n,).
+
+    Returns:
+        Count of contacts, shape (n, N).
+    """
+    distance: NDArray[np.float64] = dijkstra(
+        _graph(log), directed=False, indices=start, unweighted=True
+    )
+    return distance
 
 
 def contact_count(log: SensingLog) -> NDArray[np.int64]:
@@ -29,3 +42,10 @@ def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
     equations that a robot has for its three unknowns when it joins.
     """
     return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
+
+
+def _graph(log: SensingLog) -> coo_matrix:
+    """Robots that touch, each pair at its two numbers, shape (N, N)."""
+    i, j = log.contacts[:, 0], log.contacts[:, 2]
+    size = log.robot_count
+    return coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(size, size))

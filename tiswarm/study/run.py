@@ -13,6 +13,7 @@ from tiswarm.compute.choices import Arch
 from tiswarm.errors import InputError
 from tiswarm.evaluation import growth
 from tiswarm.evaluation import tables as scores
+from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -101,10 +102,12 @@ def run(
 def write_tables(
     folder: RunFolder, scenario: Scenario, cases: Sequence[Case], records: Sequence[CaseRecord]
 ) -> None:
-    """Write `summary.csv`, `table.csv` and the scorecard, if one is wanted, from the cases."""
+    """Write the tables of a run, and the scorecard if one is wanted, from the cases."""
     write_table(tables.summary(records), folder.path / "summary.csv")
     settings = [case.settings for case in cases]
     write_table(tables.table(records, settings), folder.path / "table.csv")
+    write_table(tables.paired(records), folder.path / "paired.csv")
+    write_table(tables.profiles(records, folder.cases), folder.path / "profiles.csv")
     if scenario.scorecard != "none":
         write_scorecard(folder, cases, records)
 
@@ -226,9 +229,12 @@ class _Bench:
             truth=truth,
             log=log,
             estimate=estimate,
-            robots=scores.by_robot(truth, log, estimate, history.sensed),
-            convergence=scores.by_iteration(truth, estimate),
-            growth=growth.by_join(history),
+            tables={
+                "robots": scores.by_robot(truth, log, estimate, history.sensed),
+                "convergence": scores.by_iteration(truth, estimate),
+                "growth": growth.by_join(history),
+                "relative": by_hops_apart(truth, log, estimate),
+            },
         )
 
 

@@ -21,6 +21,8 @@ from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
 
 DONE = "done"
 FAILED = "failed"
+TABLES = ("robots", "convergence", "growth", "relative")
+"""Tables of a finished case; one without them all was stored by an older version."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +91,8 @@ class RunFolder:
             intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
         except (OSError, ValueError, TypeError):
             return None
-        return record if intact else None
+        whole = record.status == FAILED or {f"{name}.csv" for name in TABLES} <= set(record.files)
+        return record if intact and whole else None
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -102,18 +105,23 @@ class RunFolder:
         truth: Truth,
         log: SensingLog,
         estimate: Estimate,
-        robots: pd.DataFrame,
-        convergence: pd.DataFrame,
-        growth: pd.DataFrame,
+        tables: Mapping[str, pd.DataFrame],
     ) -> CaseRecord:
-        """Write a case and make it appear at once; return its record with the digests."""
+        """Write a case and make it appear at once; return its record with the digests.
+
+        Args:
+            record: What came of the case.
+            truth: Where the robots are.
+            log: What they sensed.
+            estimate: Where they are thought to be.
+            tables: By name, each of `TABLES`.
+        """
         work = self._workplace(record.case)
         write_sensing_log(log, work / "sensing.jsonl")
         write_positions(work / "truth.csv", truth.robot_id, truth.position)
         write_positions(work / "estimate.csv", estimate.robot_id, estimate.position, estimate.sd)
-        write_table(robots, work / "robots.csv")
-        write_table(convergence, work / "convergence.csv")
-        write_table(growth, work / "growth.csv")
+        for name in TABLES:
+            write_table(tables[name], work / f"{name}.csv")
         files = {path.name: _digest(path) for path in sorted(work.iterdir())}
         complete = CaseRecord(**{**asdict(record), "files": files})
         self._publish(complete, work)

@@ -1,14 +1,23 @@
-"""`summary.csv`, a row a case, and `table.csv`, a row a condition beside the paper's numbers."""
+"""The tables of a run.
 
-from collections.abc import Hashable, Sequence
+`summary.csv` has a row a case, `table.csv` a row a condition beside the paper's numbers,
+`paired.csv` a row a pair of conditions on the same structures, `profiles.csv` a row a range of
+robots that are alike.
+"""
+
+import itertools
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 
+from tiswarm.evaluation.profiles import error_profile, relative_profile
+from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.scenario import Scenario
 from tiswarm.study.scorecard import summed_up
-from tiswarm.study.storage import CaseRecord
+from tiswarm.study.storage import DONE, CaseRecord
 
 PAPER = {
     ("tower", True, True): (1.64, 0.045),
@@ -21,16 +30,24 @@ PAPER = {
 """Table II of the paper: (kind, z correction, undocked repulsion) to RMSE in its "robot radii",
 which it does not define, and Procrustes disparity."""
 
+ACCURACY = (
+    "rmse_R",
+    "rmse_rho",
+    "rmse_yaw_aligned_R",
+    "rmse_rigid_aligned_R",
+    "rmse_per_contact_R",
+    "procrustes_disparity",
+)
 AVERAGED = (
     "contacts_per_robot",
     "rms_radius_R",
     "height_R",
     "peak_stress",
     "floppy_modes",
-    "rmse_R",
-    "rmse_rho",
-    "procrustes_disparity",
+    *ACCURACY,
 )
+
+_Item = TypeVar("_Item")
 
 
 def summary(records: Sequence[CaseRecord]) -> pd.DataFrame:
@@ -52,19 +69,82 @@ def summary(records: Sequence[CaseRecord]) -> pd.DataFrame:
 
 
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
-    """One row a sweep point and condition: mean and standard deviation over its seeds.
+    """One row a sweep point and condition: mean over its seeds, and how far it can be trusted.
 
     Args:
         records: What came of each case.
         settings: What each case was computed from.
     """
-    rows: dict[str, dict[str, object]] = {}
-    of_row: dict[str, list[CaseRecord]] = {}
-    for record, setting in zip(records, settings, strict=True):
-        key = record.case.partition("-")[2]
-        rows.setdefault(key, {"condition": record.condition, **record.point, **_paper(setting)})
-        of_row.setdefault(key, []).append(record)
-    return pd.DataFrame([_with_statistics(rows[key], of_row[key]) for key in rows])
+    pairs = list(zip(records, settings, strict=True))
+    return pd.DataFrame(
+        [
+            {
+                "condition": group[0][0].condition,
+                **group[0][0].point,
+                **_with_statistics([record for record, _ in group]),
+                **_paper(group[0][1]),
+            }
+            for group in _grouped(pairs, lambda pair: _series(pair[0]))
+        ]
+    )
+
+
+def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
+    """One row a measure and pair of conditions of a sweep point: differences by structure.
+
+    Args:
+        records: What came of each case.
+    """
+    rows = []
+    for of_point in _grouped(records, lambda record: repr(record.point)):
+        conditions = _grouped(of_point, lambda record: record.condition)
+        for first, second in itertools.combinations(conditions, 2):
+            pair = _accuracy(first).merge(_accuracy(second), on="seed")
+            rows += [
+                {
+                    "condition": second[0].condition,
+                    "against": first[0].condition,
+                    **first[0].point,
+                    "measure": name,
+                    **paired_difference(
+                        pair[f"{name}_x"].to_numpy(float), pair[f"{name}_y"].to_numpy(float)
+                    ),
+                }
+                for name in ACCURACY
+            ]
+    return pd.DataFrame(rows, columns=None if rows else ["condition", "against", "measure"])
+
+
+def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
+    """Rows of errors by what robots have in common, for each sweep point and condition.
+
+    Args:
+        records: What came of each case.
+        cases: Folder of the cases.
+    """
+    parts = []
+    done = [record for record in records if record.status == DONE]
+    for of_row in _grouped(done, _series):
+        folders = [cases / record.case for record in of_row]
+        robots = [pd.read_csv(folder / "robots.csv") for folder in folders]
+        robots = [table.assign(join=np.arange(len(table))) for table in robots]
+        relative = [pd.read_csv(folder / "relative.csv") for folder in folders]
+        profile = pd.concat(
+            [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
+        )
+        first = {"condition": of_row[0].condition, **of_row[0].point}
+        for place, (name, value) in enumerate(first.items()):
+            profile.insert(place, name, [value] * len(profile))
+        parts.append(profile)
+    return pd.concat(parts) if parts else pd.DataFrame(columns=["condition", "by"])
+
+
+def _accuracy(records: Sequence[CaseRecord]) -> pd.DataFrame:
+    """Seed and accuracy of the cases that are done."""
+    return pd.DataFrame(
+        [{"seed": record.seed, **record.scores} for record in records if record.scores],
+        columns=["seed", *ACCURACY],
+    )
 
 
 def headline(folder: Path) -> str:
@@ -77,13 +157,15 @@ def headline(folder: Path) -> str:
 
 def _headline_row(row: dict[Hashable, Any]) -> str:
     """One condition in words."""
-    known = {"condition", "cases", "failed"} | {name for name in row if "_" in str(name)}
-    point = " ".join(f"{key}={value}" for key, value in row.items() if key not in known)
+    names = list(row)
+    swept = names[names.index("condition") + 1 : names.index("cases")]
+    point = " ".join(f"{key}={row[key]}" for key in swept)
     name = f"{point} {row['condition']}".strip()
     if not row["cases"]:
         return f"{name}: no case was finished"
+    interval = f" ± {row['rmse_R_ci95']:.2f}" if row["rmse_R_ci95"] >= 0.0 else ""
     return (
-        f"{name}: RMSE {row['rmse_R_mean']:.2f} R, disparity "
+        f"{name}: RMSE {row['rmse_R_mean']:.2f}{interval} R, disparity "
         f"{row['procrustes_disparity_mean']:.4f}, {row['cases']} structures"
     )
 
@@ -96,14 +178,25 @@ def _paper(setting: Scenario) -> dict[str, object]:
     return {"paper_rmse_radii": rmse, "paper_procrustes_disparity": disparity}
 
 
-def _with_statistics(row: dict[str, object], records: Sequence[CaseRecord]) -> dict[str, object]:
-    """Add counts, means and standard deviations of the cases that are done."""
-    paper = {name: row[name] for name in row if name.startswith("paper_")}
+def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
+    """Counts of the cases, and means and their certainty of those that are done."""
     scores = pd.DataFrame([record.scores for record in records if record.scores])
-    full: dict[str, object] = {name: row[name] for name in row if name not in paper}
-    full |= {"cases": len(scores), "failed": len(records) - len(scores)}
+    full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
     for name in AVERAGED:
-        column = scores[name].astype(float) if name in scores else pd.Series(dtype=float)
-        full[f"{name}_mean"] = column.mean()
-        full[f"{name}_std"] = column.std()
-    return full | paper
+        column = scores[name] if name in scores else pd.Series(dtype=float)
+        values = spread(column.to_numpy(np.float64))
+        full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
+    return full
+
+
+def _series(record: CaseRecord) -> str:
+    """What a case shares with its other seeds."""
+    return record.case.partition("-")[2]
+
+
+def _grouped(items: Iterable[_Item], key: Callable[[_Item], str]) -> list[list[_Item]]:
+    """Lists of items with the same key, in the order in which each first appears."""
+    groups: dict[str, list[_Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return list(groups.values())

@@ -1,0 +1,160 @@
+"""Errors are told apart by what robots have in common, and by how far apart they are."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tiswarm.evaluation.profiles import (
+    BINS,
+    by_hops_apart,
+    error_profile,
+    relative_errors,
+    relative_profile,
+)
+from tiswarm.evaluation.statistics import paired_difference, spread
+from tiswarm.evaluation.tables import by_robot, score
+from tiswarm.records.contact_graph import hops
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.truth import Truth
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing import SensingParams, observe
+
+RNG = np.random.default_rng(3)
+
+
+def _scored(history, off):
+    """Truth, log, and an estimate that is off by so much."""
+    log = observe(history, SensingParams())
+    truth = Truth(
+        robot_id=log.robot_id,
+        position=history.position,
+        orientation_wxyz=history.orientation_wxyz,
+    )
+    estimate = Estimate(
+        robot_id=log.robot_id,
+        position=history.position + off,
+        located=np.ones(log.robot_count, bool),
+        iteration=np.array([0]),
+        trace=(history.position + off)[None],
+        residual=np.zeros(1),
+    )
+    return truth, log, estimate
+
+
+def _hops_slowly(log, start):
+    """Spread from robot to robot, one contact at a time."""
+    apart = {start: 0}
+    edge = [start]
+    while edge:
+        touching = {(i, j) for i, _, j, _ in log.contacts.tolist()}
+        near = {b for pair in touching for a, b in (pair, pair[::-1]) if a in edge}
+        edge = sorted(near - set(apart))
+        apart |= dict.fromkeys(edge, max(apart.values()) + 1)
+    return [apart.get(robot, np.inf) for robot in range(log.robot_count)]
+
+
+def test_hops_are_counted_along_contacts(towers):
+    """As by spreading from each robot in turn."""
+    log = observe(towers[0], SensingParams())
+
+    apart = hops(log, np.arange(log.robot_count))
+
+    for robot in (0, 7, 29):
+        np.testing.assert_array_equal(apart[robot], _hops_slowly(log, robot))
+
+
+def test_relative_errors_do_not_see_a_shift(towers):
+    """What moves all robots alike moves none as another sees it; a stretch grows with hops."""
+    shifted = by_hops_apart(*_scored(towers[0], np.array([3.0, 1.0, -2.0])))
+    stretched = by_hops_apart(*_scored(towers[0], 0.1 * towers[0].position))
+
+    np.testing.assert_allclose(shifted["rmse_R"], 0.0, atol=1e-12)
+    assert stretched["rmse_R"].is_monotonic_increasing
+    assert stretched["hops_apart"].tolist()[:3] == [1, 2, 4]
+
+
+def test_one_hop_is_one_pair_that_touches(towers):
+    """Means over pairs are those over contacts, counted once a pair and way."""
+    truth, log, estimate = _scored(towers[0], RNG.normal(size=(30, 3)))
+    pairs = np.unique(log.contacts[:, [0, 2]], axis=0)
+
+    table = by_hops_apart(truth, log, estimate)
+
+    error = relative_errors(estimate.position, truth.position, pairs)
+    assert table["pairs"][0] == 2 * len(pairs)
+    assert table["rmse_R"][0] == pytest.approx(np.sqrt(np.mean(error**2)))
+
+
+def test_every_robot_is_in_one_range_of_each_profile(towers):
+    """Ranges lie apart, and their errors add up to the error of all."""
+    truth, log, estimate = _scored(towers[0], RNG.normal(size=(30, 3)))
+    robots = by_robot(truth, log, estimate, np.zeros(30)).assign(join=np.arange(30))
+
+    for _, part in error_profile(robots).groupby("by"):
+        assert part["count"].sum() == 30
+        assert len(part) <= BINS
+        assert (part["low"].to_numpy()[1:] >= part["high"].to_numpy()[:-1] - 1e-9).all()
+        total = (part["count"] * part["rmse_R"] ** 2).sum()
+        assert total == pytest.approx((robots["error_R"] ** 2).sum())
+
+
+def test_relative_profiles_weigh_structures_by_their_pairs():
+    """Three pairs of error 2 and one of 6."""
+    table = pd.DataFrame(
+        {"hops_apart": [1, 1], "pairs": [3, 1], "mean_error_R": [2.0, 6.0], "rmse_R": [2.0, 6.0]}
+    )
+
+    row = relative_profile(table).iloc[0]
+
+    assert (row["count"], row["mean_error_R"]) == (4, 3.0)
+    assert row["rmse_R"] == pytest.approx(np.sqrt((3 * 4 + 36) / 4))
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_tiny_structures_are_scored(towers, robots):
+    """One robot has no contacts to average; all else is a number, and nothing warns."""
+    history = towers[0]
+    small = type(history)(
+        **{**vars(history), "walks": history.walks[:robots], "strain": history.strain[:robots]}
+    )
+    truth, log, estimate = _scored(small, np.full(3, 0.5))
+
+    scores = score(truth, log, estimate, RobotGeometry(), height_known=True)
+    table = by_robot(truth, log, estimate, np.zeros(robots)).assign(join=np.arange(robots))
+
+    unknown = {name for name, value in scores.items() if np.isnan(value)}
+    alone = {"contacts_per_robot", "rmse_per_contact_R", "procrustes_disparity"}
+    assert unknown == (alone if robots == 1 else set())
+    assert scores["rmse_rigid_aligned_R"] == pytest.approx(0.0, abs=1e-9)
+    assert error_profile(table).groupby("by")["count"].sum().eq(robots).all()
+
+
+def test_intervals_hold_the_mean_as_often_as_they_say():
+    """Of 2,000 samples of five normal numbers, 95 % within four standard errors."""
+    samples = np.random.default_rng(0).normal(size=(2000, 5))
+
+    held = np.mean([abs(s["mean"]) <= s["ci95"] for s in map(spread, samples)])
+
+    assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
+
+
+def test_paired_differences_see_through_what_structures_share():
+    """A small gain on very different structures is certain, and missing ones are left out."""
+    structure = 100.0 * RNG.normal(size=21)
+    gain = 1.0 + 0.1 * RNG.normal(size=21)
+    second = structure - gain
+    second[20] = np.nan
+
+    difference = paired_difference(structure, second)
+
+    assert (difference["structures"], difference["smaller"]) == (20, 20)
+    assert difference["difference_mean"] == pytest.approx(-gain[:20].mean())
+    assert difference["difference_ci95"] < 0.1
+    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**20)
+
+
+def test_too_few_structures_have_no_spread():
+    """None, one, or two that agree: unknown is NaN, and no test is made up."""
+    assert np.isnan(spread(np.array([]))["mean"])
+    assert np.isnan(spread(np.array([2.0]))["ci95"])
+    assert np.isnan(paired_difference(np.ones(2), np.ones(2))["wilcoxon_p"])
