@@ -32,32 +32,47 @@ def localize(log, params):
     dock = [[r @ b for b in log.dock_offset_body] for r in turn]
     position = [np.array(log.anchor_position)]
     rows = {tuple(row) for row in log.contacts}
+    rows |= {(j, b, i, a) for i, a, j, b in rows}
+    rounds = params.back_propagation
     for j in range(1, log.robot_count):
-        neighbors = sorted({i for i, _, other, _ in rows if other == j})
+        neighbors = sorted({i for i, _, other, _ in rows if other == j and i < j})
         start = np.mean([position[i] for i in neighbors], axis=0)
         up = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[j][:, 2]
-        here = start + params.initial_offset * up
+        position.append(start + params.initial_offset * up)
         for t in range(1, params.iterations + 1):
-            force = np.zeros(3)
-            for i in range(j):
-                for a, own in enumerate(dock[j]):
-                    for b, other in enumerate(dock[i]):
-                        offset = position[i] + other - here - own
-                        force += pair_force(offset, (i, b, j, a) in rows, params, t)
-            if params.z_correction:
-                force[2] += params.height_gain * (log.flip_height[j] - here[2])
-            length = np.linalg.norm(force)
-            here = here + force * min(1.0, params.max_step / length if length else 1.0)
-        position.append(here)
+            ramp = t / params.iterations
+            position[j] = position[j] + step(log, params, position, dock, rows, j, ramp)
+        if rounds and (j + 1 == log.robot_count or (j + 1) % rounds.every == 0):
+            for t in range(1, rounds.sweeps + 1):
+                ramp = rounds.ramp_start + (1 - rounds.ramp_start) * t / rounds.sweeps
+                for i in range(1, j + 1):
+                    position[i] = position[i] + step(log, params, position, dock, rows, i, ramp)
     return np.array(position)
 
 
-def pair_force(offset, connected, params, t):
-    """Eq. (1) for connected docks, Eq. (2) for others closer than D."""
-    ramp = t / params.iterations
+def step(log, params, position, dock, rows, robot, ramp):
+    """Sum of the forces on a robot by all others that have a position, no longer than the cap."""
+    force = np.zeros(3)
+    for i, other_position in enumerate(position):
+        if i == robot:
+            continue
+        near = any((i, b, robot, a) in rows for a in range(3) for b in range(3))
+        for a, own in enumerate(dock[robot]):
+            for b, other in enumerate(dock[i]):
+                offset = other_position + other - position[robot] - own
+                force += pair_force(offset, (i, b, robot, a) in rows, near, params, ramp)
+    if params.z_correction:
+        force[2] += params.height_gain * (log.flip_height[robot] - position[robot][2])
+    length = np.linalg.norm(force)
+    return force * min(1.0, params.max_step / length if length else 1.0)
+
+
+def pair_force(offset, connected, near, params, ramp):
+    """Eq. (1) for connected docks, Eq. (2) for others closer than D, of robots near or anywhere."""
     if connected:
         return dock_pair_force(offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp)
-    if params.undocked_repulsion and np.linalg.norm(offset) < 2.0:
+    wanted = params.undocked_repulsion or (params.neighbor_repulsion and near)
+    if wanted and np.linalg.norm(offset) < 2.0:
         return dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)
     return np.zeros(3)
 

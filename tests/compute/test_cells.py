@@ -4,16 +4,23 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.compute.cells import CellChains, bucket_of, cube_of, link, neighbor_cube
+from tiswarm.compute.cells import CellChains, bucket_of, cube_of, link, neighbor_cube, relink
 from tiswarm.compute.dialect import Ints1, Ints2, Reals2, ti
 
 
 @ti.kernel
-def _count_near(point: Reals2, reach: float, head: Ints2, following: Ints2, count: Ints1):
+def _count_near(
+    before: Reals2, point: Reals2, reach: float, head: Ints2, following: Ints2, count: Ints1
+):
     ti.loop_config(serialize=True)
     for i in range(point.shape[0]):
-        here = ti.Vector([point[i, 0], point[i, 1], point[i, 2]])
+        here = ti.Vector([before[i, 0], before[i, 1], before[i, 2]])
         link(head, following, 0, i, cube_of(here, 1.0 / reach))
+    ti.loop_config(serialize=True)
+    for i in range(point.shape[0]):
+        old = ti.Vector([before[i, 0], before[i, 1], before[i, 2]])
+        new = ti.Vector([point[i, 0], point[i, 1], point[i, 2]])
+        relink(head, following, 0, i, cube_of(old, 1.0 / reach), cube_of(new, 1.0 / reach))
     for i in range(point.shape[0]):
         here = ti.Vector([point[i, 0], point[i, 1], point[i, 2]])
         for which in range(27):
@@ -33,14 +40,15 @@ def _count_near(point: Reals2, reach: float, head: Ints2, following: Ints2, coun
     stretch=st.sampled_from([(5.0, 5.0, 5.0), (1e4, 1.0, 1.0), (1e5, 1e5, 1e5), (0.0, 0.0, 9.0)]),
 )
 def test_nothing_is_missed_or_found_twice(seed, size, stretch):
-    """Dense, tall, far and negative places, and points that coincide."""
+    """Dense, tall, far and negative places, points that coincide and points that have moved."""
     rng = np.random.default_rng(seed)
     point = (rng.random((size, 3)) - 0.5) * stretch
     point[size // 2] = point[0]
+    moved = point + rng.normal(scale=2.0, size=point.shape)
     chains = CellChains.allocate(1, size)
     count = np.zeros(size, np.int32)
 
-    _count_near(point, 1.5, chains.head, chains.following, count)
+    _count_near(moved, point, 1.5, chains.head, chains.following, count)
 
     apart = np.linalg.norm(point[:, None] - point[None], axis=2)
     np.testing.assert_array_equal(count, (apart < 1.5).sum(axis=1))

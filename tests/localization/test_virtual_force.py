@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute import backend
+from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.params import BackPropagation, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
@@ -29,7 +30,13 @@ CUES = [
     SHORT,
     dataclasses.replace(SHORT, z_correction=False),
     dataclasses.replace(SHORT, z_correction=False, undocked_repulsion=False),
+    dataclasses.replace(
+        SHORT, z_correction=False, undocked_repulsion=False, neighbor_repulsion=True
+    ),
     dataclasses.replace(SHORT, initial_offset_axis="body", initial_offset=1.0, max_step=0.3),
+    dataclasses.replace(
+        SHORT, back_propagation=BackPropagation(every=5, sweeps=12, ramp_start=0.3)
+    ),
 ]
 
 
@@ -185,15 +192,38 @@ def test_missing_heights_switch_the_height_force_off(log):
     np.testing.assert_array_equal(estimate.position, expected.position)
 
 
-def test_the_trace_ends_at_the_estimate(log):
-    """Frames run from the start to the last iteration, whatever the stride."""
-    params = dataclasses.replace(SHORT, iterations=11, trace_every=4)
+@pytest.mark.parametrize(
+    ("rounds", "frames"),
+    [
+        (None, [0, 4, 8, 11]),
+        (BackPropagation(sweeps=1), [0, 4, 8, 11, 12]),
+        (BackPropagation(sweeps=8), [0, 4, 8, 11, 15, 19]),
+    ],
+)
+def test_the_trace_ends_at_the_estimate(log, rounds, frames):
+    """Frames run from the start to the last iteration, then through the last round."""
+    params = dataclasses.replace(SHORT, iterations=11, trace_every=4, back_propagation=rounds)
 
     estimate = localize(log, params)
 
-    assert estimate.iteration.tolist() == [0, 4, 8, 11]
+    assert estimate.iteration.tolist() == frames
     np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
-    assert len(estimate.residual) == 4
+    np.testing.assert_array_equal(
+        estimate.trace[:, 0], np.tile(log.anchor_position, (len(frames), 1))
+    )
+    assert np.isfinite(estimate.residual).all()
+
+
+def test_later_robots_correct_earlier_ones(log):
+    """Contacts that were left stretched by robots placed too early close when rounds follow."""
+    params = dataclasses.replace(SHORT, z_correction=False, undocked_repulsion=False)
+    rounds = BackPropagation(every=4, sweeps=200, ramp_start=1.0)
+
+    before = _stretch(log, localize(log, params))
+    after = _stretch(log, localize(log, dataclasses.replace(params, back_propagation=rounds)))
+
+    assert before > 0.05
+    assert after < 0.1 * before
 
 
 def _pair(contacts):
@@ -215,3 +245,11 @@ def _pair(contacts):
 def _least_gap(log, offset):
     dock = log.dock_offset_body
     return np.linalg.norm(dock[:, None] + offset - dock[None], axis=2).min()
+
+
+def _stretch(log, estimate):
+    """Root mean square distance by which docks in contact are too far apart [R]."""
+    i, a, j, b = log.contacts.T
+    dock = estimate.position[:, None] + dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    gap = np.linalg.norm(dock[j, b] - dock[i, a], axis=1) - log.spacing
+    return np.sqrt(np.mean(np.maximum(gap, 0.0) ** 2))

@@ -298,6 +298,7 @@ def test_a_method_is_set_up_without_a_file():
     [
         ("magic", "iterations=7", "--method: 'magic' is not a choice here; use 'virtual-force'"),
         ("virtual-force", "iterations=0", "--set iterations=0: 0 is too small; it must be at"),
+        ("virtual-force", "back_propagation={evry: 5}", "--set back_propagation={evry: 5}: unk"),
         ("virtual-force", "iteration=5", "--set iteration=5: unknown key; did you mean iterat"),
         ("virtual-force", "max.step=5", "--set max.step=5: unknown key; the keys here are method,"),
         ("virtual-force", "method.x=5", "--set method.x=5: localization.method is a single val"),

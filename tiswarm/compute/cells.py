@@ -64,3 +64,19 @@ def link(head: ti.template(), following: ti.template(), structure, item, cube):
     bucket = bucket_of(cube, head.shape[1])
     following[structure, item] = head[structure, bucket]
     head[structure, bucket] = item
+
+
+@ti.func
+def relink(head: ti.template(), following: ti.template(), structure, item, old, new):
+    """Move an item from the chain of one cube to the front of another's."""
+    bucket = bucket_of(old, head.shape[1])
+    if bucket != bucket_of(new, head.shape[1]):
+        after = following[structure, item]
+        if head[structure, bucket] == item:
+            head[structure, bucket] = after
+        else:
+            before = head[structure, bucket]
+            while following[structure, before] != item:
+                before = following[structure, before]
+            following[structure, before] = after
+        link(head, following, structure, item, new)

@@ -1,23 +1,12 @@
-"""Virtual forces between docks, and Algorithm 1 as one launch.
+"""Virtual forces between docks, Eqs. (1) to (3).
 
 A force is the step of a robot's centre in one iteration [R]; it is gathered, never
 scattered, so runs repeat bit for bit. Offsets point from the robot's own dock to the other
 one: a positive magnitude pulls toward it. Lengths in R.
 """
 
-from tiswarm.compute.cells import bucket_of, cube_of, link, neighbor_cube
-from tiswarm.compute.dialect import (
-    GRAIN,
-    I32,
-    Float,
-    Ints1,
-    Ints2,
-    Reals1,
-    Reals2,
-    Reals3,
-    kernel_struct,
-    ti,
-)
+from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
+from tiswarm.compute.dialect import I32, Float, kernel_struct, ti
 
 
 @ti.func
@@ -65,6 +54,41 @@ def dock_at(position: ti.template(), dock_offset: ti.template(), robot, k):
     return vector_at(position, robot) + offset
 
 
+NO_DOCKS = 0
+DOCKS_OF_NEIGHBORS = 1
+ALL_DOCKS = 2
+"""Which docks part that overlap without being connected."""
+
+
+@kernel_struct
+class VirtualForceLaw:
+    """Gains of one structure; see `VirtualForceParams`."""
+
+    attraction_gain: Float
+    repulsion_gain: Float
+    height_gain: Float
+    initial_offset: Float
+    max_step: Float
+    sweep_ramp_start: Float
+    spacing: Float
+    undocked: I32
+
+
+@ti.func
+def law_of(gains: ti.template(), structure):
+    """Read the gains of a structure; columns as `VirtualForceLaw` lists them."""
+    return VirtualForceLaw(
+        attraction_gain=gains[structure, 0],
+        repulsion_gain=gains[structure, 1],
+        height_gain=gains[structure, 2],
+        initial_offset=gains[structure, 3],
+        max_step=gains[structure, 4],
+        sweep_ramp_start=gains[structure, 5],
+        spacing=gains[structure, 6],
+        undocked=ti.cast(gains[structure, 7], ti.i32),
+    )
+
+
 @ti.func
 def is_connected(contact: ti.template(), first, last, own, robot, k):
     """Whether the contact rows `first` to `last` hold (own dock, robot, dock `k`)."""
@@ -77,24 +101,35 @@ def is_connected(contact: ti.template(), first, last, own, robot, k):
 
 
 @ti.func
+def touches(contact: ti.template(), first, last, robot):
+    """Whether the contact rows `first` to `last` hold any dock of a robot."""
+    found = False
+    for row in range(first, last):
+        found = found or contact[row, 1] == robot
+    return found
+
+
+@ti.func
 def connected_force(
     law: ti.template(),
     robot,
     base,
+    placed,
     ramp,
     contact_start: ti.template(),
     contact: ti.template(),
     dock_offset: ti.template(),
     position: ti.template(),
 ):
-    """Sum of Eq. (1) over the robot's contacts with earlier robots."""
+    """Sum of Eq. (1) over the robot's contacts with the first `placed` robots."""
     force = 0.0 * vector_at(position, robot)
     for row in range(contact_start[robot], contact_start[robot + 1]):
-        own = dock_at(position, dock_offset, robot, contact[row, 0])
-        other = dock_at(position, dock_offset, base + contact[row, 1], contact[row, 2])
-        force += dock_pair_force(
-            other - own, law.attraction_gain, law.repulsion_gain, law.spacing, ramp
-        )
+        if contact[row, 1] < placed:
+            own = dock_at(position, dock_offset, robot, contact[row, 0])
+            other = dock_at(position, dock_offset, base + contact[row, 1], contact[row, 2])
+            force += dock_pair_force(
+                other - own, law.attraction_gain, law.repulsion_gain, law.spacing, ramp
+            )
     return force
 
 
@@ -112,12 +147,13 @@ def undocked_force(
     head: ti.template(),
     following: ti.template(),
 ):
-    """Sum of Eq. (2) over all docks closer than D that are not connected to the robot's.
+    """Sum of Eq. (2) over docks in the cell list closer than D, but not connected, to the robot's.
 
     The paper prints the force with a unit vector from the other dock to the robot's own and
     a minus sign, which would pull them together; here it pushes them apart, as the text says.
     """
     docks = dock_offset.shape[1]
+    first, last = contact_start[robot], contact_start[robot + 1]
     force = 0.0 * vector_at(position, robot)
     for k in range(docks):
         own = dock_at(position, dock_offset, robot, k)
@@ -127,148 +163,40 @@ def undocked_force(
             while item >= 0:
                 other = item // docks
                 offset = dock_at(position, dock_offset, base + other, item % docks) - own
-                if offset.norm_sqr() < law.spacing * law.spacing and not is_connected(
-                    contact, contact_start[robot], contact_start[robot + 1], k, other, item % docks
-                ):
-                    force += dock_pair_force(offset, 0.0, law.repulsion_gain, law.spacing, ramp)
+                if offset.norm_sqr() < law.spacing * law.spacing and other != robot - base:
+                    if (
+                        law.undocked == ALL_DOCKS or touches(contact, first, last, other)
+                    ) and not is_connected(contact, first, last, k, other, item % docks):
+                        force += dock_pair_force(offset, 0.0, law.repulsion_gain, law.spacing, ramp)
                 item = following[structure, item]
     return force
 
 
 @ti.func
-def initial_position(
+def virtual_force(
     law: ti.template(),
     robot,
     base,
+    structure,
+    placed,
+    ramp,
     contact_start: ti.template(),
     contact: ti.template(),
-    initial_direction: ti.template(),
+    dock_offset: ti.template(),
+    flip_height: ti.template(),
     position: ti.template(),
+    head: ti.template(),
+    following: ti.template(),
 ):
-    """Mean of the earlier neighbours, each counted once, plus the offset of Algorithm 1.
-
-    A robot that touches no earlier one starts from the anchor instead.
-    """
-    total = 0.0 * vector_at(position, base)
-    count = 0
-    first = contact_start[robot]
-    for row in range(first, contact_start[robot + 1]):
-        counted = False
-        for earlier in range(first, row):
-            counted = counted or contact[earlier, 1] == contact[row, 1]
-        if not counted:
-            total += vector_at(position, base + contact[row, 1])
-            count += 1
-    if count == 0:
-        total = vector_at(position, base)
-        count = 1
-    return total / count + law.initial_offset * vector_at(initial_direction, robot)
-
-
-@kernel_struct
-class VirtualForceLaw:
-    """Gains of one structure; see `VirtualForceParams`."""
-
-    attraction_gain: Float
-    repulsion_gain: Float
-    height_gain: Float
-    initial_offset: Float
-    max_step: Float
-    spacing: Float
-    undocked: I32
-
-
-@ti.func
-def law_of(gains: ti.template(), structure):
-    """Read the gains of a structure; columns as `VirtualForceLaw` lists them."""
-    return VirtualForceLaw(
-        attraction_gain=gains[structure, 0],
-        repulsion_gain=gains[structure, 1],
-        height_gain=gains[structure, 2],
-        initial_offset=gains[structure, 3],
-        max_step=gains[structure, 4],
-        spacing=gains[structure, 5],
-        undocked=ti.cast(gains[structure, 6], ti.i32),
+    """Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure."""
+    force = connected_force(
+        law, robot, base, placed, ramp, contact_start, contact, dock_offset, position
     )
-
-
-@ti.kernel
-def localize_in_join_order(
-    iterations: I32,
-    trace_every: I32,
-    gains: Reals2,
-    # logs, end to end
-    start: Ints1,
-    contact_start: Ints1,
-    contact: Ints2,
-    dock_offset: Reals3,
-    initial_direction: Reals2,
-    flip_height: Reals1,
-    # scratch
-    head: Ints2,
-    following: Ints2,
-    # out
-    position: Reals2,
-    trace: Reals3,
-    step_length: Reals2,
-):
-    """Algorithm 1: place each robot by its contacts with those that joined before it.
-
-    Structures are independent and run in parallel; within one, robots follow each other.
-
-    Args:
-        iterations: T, refinement steps of each robot.
-        trace_every: Steps between recorded frames; frame 0 is the start, the last frame T.
-        gains: One row a structure, columns as in `VirtualForceLaw`, shape (S, 7).
-        start: First robot of each structure, shape (S + 1,).
-        contact_start: First contact row of each robot, shape (N + 1,).
-        contact: Rows of (own dock, earlier robot within the structure, its dock), shape (C, 3).
-        dock_offset: Centre to dock, world frame [R], shape (N, docks, 3).
-        initial_direction: Unit vector of the initial offset, shape (N, 3).
-        flip_height: Height from the flips [R], NaN where unknown, shape (N,).
-        head: Cell lists, empty, shape (S, buckets).
-        following: Cell lists, empty, shape (S, most docks).
-        position: Anchors are read, the rest written [R], shape (N, 3).
-        trace: Written: position at each frame [R], shape (F, N, 3).
-        step_length: Written: last step before each frame [R], shape (F, N).
-    """
-    for i in range((start.shape[0] - 1) * GRAIN):
-        if i % GRAIN == 0:
-            s = i // GRAIN
-            law = law_of(gains, s)
-            base = start[s]
-            for robot in range(base, start[s + 1]):
-                here = vector_at(position, robot)
-                if robot > base:
-                    here = initial_position(
-                        law, robot, base, contact_start, contact, initial_direction, position
-                    )
-                moved = 0.0
-                frame = 0
-                for t in range(iterations + 1):
-                    for c in ti.static(range(3)):
-                        position[robot, c] = here[c]
-                    if t % trace_every == 0 or t == iterations:
-                        for c in ti.static(range(3)):
-                            trace[frame, robot, c] = here[c]
-                        step_length[frame, robot] = moved
-                        frame += 1
-                    if robot > base and t < iterations:
-                        ramp = (t + 1.0) / iterations
-                        force = connected_force(
-                            law, robot, base, ramp, contact_start, contact, dock_offset, position
-                        )
-                        if law.undocked:
-                            force += undocked_force(
-                                law, robot, base, s, ramp,
-                                contact_start, contact, dock_offset, position, head, following,
-                            )  # fmt: skip
-                        if not ti.math.isnan(flip_height[robot]):
-                            force[2] += law.height_gain * (flip_height[robot] - here[2])
-                        step = capped(force, law.max_step)
-                        moved = step.norm()
-                        here += step
-                for k in range(dock_offset.shape[1]):
-                    item = (robot - base) * dock_offset.shape[1] + k
-                    point = dock_at(position, dock_offset, robot, k)
-                    link(head, following, s, item, cube_of(point, 1.0 / law.spacing))
+    if law.undocked != NO_DOCKS:
+        force += undocked_force(
+            law, robot, base, structure, ramp,
+            contact_start, contact, dock_offset, position, head, following,
+        )  # fmt: skip
+    if not ti.math.isnan(flip_height[robot]):
+        force[2] += law.height_gain * (flip_height[robot] - position[robot, 2])
+    return force

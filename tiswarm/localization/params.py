@@ -9,6 +9,21 @@ from tiswarm.params import STRICT
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class BackPropagation:
+    """Rounds in which robots that have been placed learn from those that joined after them."""
+
+    every: Annotated[int, Field(ge=1)] = 10
+    """Joins between two rounds; the last join is followed by one too."""
+
+    sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 30
+    """Steps that every robot takes in a round; 0 switches rounds off."""
+
+    ramp_start: Annotated[float, Field(ge=0.0, le=1.0)] = 0.98
+    """alpha_t as a round begins; it rises to 1 linearly. Near 1, for at full strength repulsion
+    would undo what is right already."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualForceParams:
     """Gains of Eqs. (1)-(3) and the schedule that applies them.
 
@@ -24,6 +39,13 @@ class VirtualForceParams:
 
     undocked_repulsion: bool = True
     """Push apart docks that overlap though they are not in contact, Eq. (2)."""
+
+    neighbor_repulsion: bool = False
+    """Without `undocked_repulsion`, push apart such docks of robots in contact all the same, as
+    the listing of Algorithm 1 does; its text says that robots know nothing of them then."""
+
+    back_propagation: BackPropagation | None = None
+    """Correct earlier robots by later ones, the paper's proposal for future work; off if null."""
 
     attraction_gain: Annotated[float, Field(ge=0.0)] = 0.7
     """A in Eq. (1): step per unit of stretch [1]."""

@@ -2,7 +2,8 @@
 
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; a
-robot stops after T steps, since the error that the paper's loop tests is unknown to it.
+robot stops after T steps, since the error that the paper's loop tests is unknown to it. Of
+back-propagation the paper says no more than that it would follow every ten joins.
 """
 
 from collections.abc import Hashable, Sequence
@@ -14,18 +15,22 @@ from tiswarm.compute import backend
 from tiswarm.compute.cells import CellChains
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.localization.kernels import localize_in_join_order
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.join_order_kernels import localize_in_join_order
+from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
+from tiswarm.localization.params import BackPropagation, VirtualForceParams
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
+NO_SWEEPS = BackPropagation(sweeps=0)
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
-    return (len(log.dock_offset_body), params.iterations, params.trace_every)
+    rounds = params.back_propagation or NO_SWEEPS
+    schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps)
+    return (len(log.dock_offset_body), *schedule)
 
 
 def localize_batch(
@@ -42,9 +47,14 @@ def localize_batch(
     """
     dtype = backend.current().dtype
     iterations, every = params[0].iterations, params[0].trace_every
-    frames = np.unique(np.r_[0 : iterations + 1 : every, iterations])
+    rounds = params[0].back_propagation or NO_SWEEPS
+    frames = np.r_[
+        0:iterations:every, iterations, iterations + np.r_[every : rounds.sweeps : every]
+    ]
+    if rounds.sweeps:
+        frames = np.r_[frames, iterations + rounds.sweeps]
     start = np.cumsum([0, *(log.robot_count for log in logs)]).astype(np.int32)
-    contact_start, contact = _contacts_by_joiner(logs)
+    contact_start, contact = _contacts_by_robot(logs)
     chains = CellChains.allocate(
         len(logs), max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     )
@@ -54,6 +64,8 @@ def localize_batch(
     step_length = np.empty((len(frames), start[-1]), dtype)
     localize_in_join_order(
         iterations,
+        rounds.every,
+        rounds.sweeps,
         every,
         np.array([_gains(p) for p in params], dtype),
         start,
@@ -85,14 +97,16 @@ def localize_batch(
 
 def _gains(params: VirtualForceParams) -> list[float]:
     """Columns of the kernel's `gains`; lengths in R, so D is 2."""
+    undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return [
         params.attraction_gain,
         params.repulsion_gain,
         params.height_gain if params.z_correction else 0.0,
         params.initial_offset,
         params.max_step,
+        (params.back_propagation or NO_SWEEPS).ramp_start,
         2.0,
-        float(params.undocked_repulsion),
+        float(ALL_DOCKS if params.undocked_repulsion else undocked),
     ]
 
 
@@ -108,15 +122,19 @@ def _directions(log: SensingLog, params: VirtualForceParams) -> NDArray[np.float
     return dock_offsets(log.orientation_wxyz, WORLD_UP[None, :])[:, 0]
 
 
-def _contacts_by_joiner(
+def _contacts_by_robot(
     logs: Sequence[SensingLog],
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """First row of each robot, shape (N + 1,), and rows (own dock, robot, dock), shape (C, 3)."""
-    count = [np.bincount(log.contacts[:, 2], minlength=log.robot_count) for log in logs]
+    """First row of each robot, shape (N + 1,), and rows (own dock, robot, dock), shape (2 C, 3)."""
+    seen = [np.concatenate([log.contacts[:, [2, 3, 0, 1]], log.contacts]) for log in logs]
+    # Earlier robots come first, in the order in which the joiner felt them.
+    seen = [rows[np.argsort(rows[:, 0], kind="stable")] for rows in seen]
+    count = [
+        np.bincount(rows[:, 0], minlength=log.robot_count)
+        for log, rows in zip(logs, seen, strict=True)
+    ]
     start = np.cumsum(np.concatenate([[0], *count])).astype(np.int32)
-    # Rows of a log are sorted by the joiner, the robot that felt them.
-    rows = np.concatenate([log.contacts[:, [3, 0, 1]] for log in logs])
-    return start, np.ascontiguousarray(rows, np.int32)
+    return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
 
 
 def _estimate(

@@ -75,6 +75,7 @@ def _allowed(path: tuple[Part, ...]) -> tuple[str, ...]:
 
 
 def _definition(section: Plain) -> Plain:
-    name = section.get("$ref", "").rpartition("/")[2]
+    sorts = [section, *section.get("anyOf", ())]  # a section that may be null is one of two
+    name = next((sort["$ref"] for sort in sorts if "$ref" in sort), "").rpartition("/")[2]
     definition: Plain = scenario_schema()["$defs"].get(name, section)
     return definition

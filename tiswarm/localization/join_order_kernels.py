@@ -1,0 +1,171 @@
+"""Algorithm 1 as one launch, with or without back-propagation.
+
+Structures are independent and run in parallel; within one, robots follow each other.
+"""
+
+from tiswarm.compute.cells import cube_of, link, relink
+from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, ti
+from tiswarm.localization.kernels import capped, dock_at, law_of, vector_at, virtual_force
+
+
+@ti.func
+def initial_position(
+    law: ti.template(),
+    robot,
+    base,
+    contact_start: ti.template(),
+    contact: ti.template(),
+    initial_direction: ti.template(),
+    position: ti.template(),
+):
+    """Mean of the earlier neighbours, each counted once, plus the offset of Algorithm 1.
+
+    A robot that touches no earlier one starts from the anchor instead.
+    """
+    total = 0.0 * vector_at(position, base)
+    count = 0
+    first = contact_start[robot]
+    for row in range(first, contact_start[robot + 1]):
+        counted = contact[row, 1] >= robot - base
+        for earlier in range(first, row):
+            counted = counted or contact[earlier, 1] == contact[row, 1]
+        if not counted:
+            total += vector_at(position, base + contact[row, 1])
+            count += 1
+    if count == 0:
+        total = vector_at(position, base)
+        count = 1
+    return total / count + law.initial_offset * vector_at(initial_direction, robot)
+
+
+@ti.func
+def write_row(array: ti.template(), i, vector):
+    """Write a row of an (n, 3) array."""
+    for c in ti.static(range(3)):
+        array[i, c] = vector[c]
+
+
+@ti.func
+def record(trace: ti.template(), step_length: ti.template(), frame, robot, place, moved):
+    """Write where a robot is thought to be in a frame, and how far it came in the last step."""
+    for c in ti.static(range(3)):
+        trace[frame, robot, c] = place[c]
+    step_length[frame, robot] = moved
+
+
+@ti.func
+def move(
+    law: ti.template(),
+    robot,
+    base,
+    structure,
+    step,
+    dock_offset: ti.template(),
+    position: ti.template(),
+    head: ti.template(),
+    following: ti.template(),
+):
+    """Let a robot that has been placed take a step, its docks in the cell list with it."""
+    for k in range(dock_offset.shape[1]):
+        item = (robot - base) * dock_offset.shape[1] + k
+        here = dock_at(position, dock_offset, robot, k)
+        old = cube_of(here, 1.0 / law.spacing)
+        relink(head, following, structure, item, old, cube_of(here + step, 1.0 / law.spacing))
+    write_row(position, robot, vector_at(position, robot) + step)
+
+
+@ti.kernel
+def localize_in_join_order(
+    iterations: I32,
+    sweep_every: I32,
+    sweeps: I32,
+    trace_every: I32,
+    gains: Reals2,
+    # logs, end to end
+    start: Ints1,
+    contact_start: Ints1,
+    contact: Ints2,
+    dock_offset: Reals3,
+    initial_direction: Reals2,
+    flip_height: Reals1,
+    # scratch
+    head: Ints2,
+    following: Ints2,
+    # out
+    position: Reals2,
+    trace: Reals3,
+    step_length: Reals2,
+):
+    """Place each robot by its contacts with those that joined before it, Algorithm 1.
+
+    In back-propagation, all robots that have been placed step one after the other, in join
+    order, each by its contacts with all others; the next one sees where it went.
+
+    Args:
+        iterations: T, refinement steps of each robot.
+        sweep_every: Joins between two rounds of back-propagation; the last join has one too.
+        sweeps: Steps of every robot in a round, 0 without back-propagation.
+        trace_every: Steps between recorded frames: those of T from the start on, then those of
+            the last round.
+        gains: One row a structure, columns as in `VirtualForceLaw`, shape (S, 8).
+        start: First robot of each structure, shape (S + 1,).
+        contact_start: First contact row of each robot, shape (N + 1,).
+        contact: Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3).
+        dock_offset: Centre to dock, world frame [R], shape (N, docks, 3).
+        initial_direction: Unit vector of the initial offset, shape (N, 3).
+        flip_height: Height from the flips [R], NaN where unknown, shape (N,).
+        head: Cell lists, empty, shape (S, buckets).
+        following: Cell lists, empty, shape (S, most docks).
+        position: Anchors are read, the rest written [R], shape (N, 3).
+        trace: Written: position at each frame [R], shape (F, N, 3).
+        step_length: Written: last step before each frame [R], shape (F, N).
+    """
+    for i in range((start.shape[0] - 1) * GRAIN):
+        if i % GRAIN == 0:
+            s = i // GRAIN
+            law = law_of(gains, s)
+            base = start[s]
+            for robot in range(base, start[s + 1]):
+                here = vector_at(position, robot)
+                if robot > base:
+                    here = initial_position(
+                        law, robot, base, contact_start, contact, initial_direction, position
+                    )
+                moved = 0.0
+                frame = 0
+                for t in range(iterations + 1):
+                    write_row(position, robot, here)
+                    if t % trace_every == 0 or t == iterations:
+                        record(trace, step_length, frame, robot, here, moved)
+                        frame += 1
+                    if robot > base and t < iterations:
+                        force = virtual_force(
+                            law, robot, base, s, robot - base, (t + 1.0) / iterations,
+                            contact_start, contact, dock_offset, flip_height, position,
+                            head, following,
+                        )  # fmt: skip
+                        step = capped(force, law.max_step)
+                        moved = step.norm()
+                        here += step
+                for k in range(dock_offset.shape[1]):
+                    item = (robot - base) * dock_offset.shape[1] + k
+                    point = dock_at(position, dock_offset, robot, k)
+                    link(head, following, s, item, cube_of(point, 1.0 / law.spacing))
+                placed = robot - base + 1
+                if placed % sweep_every == 0 or robot == start[s + 1] - 1:
+                    for sweep in range(sweeps):
+                        part = (sweep + 1.0) / sweeps
+                        ramp = law.sweep_ramp_start + (1.0 - law.sweep_ramp_start) * part
+                        for j in range(base, base + placed):
+                            step = 0.0 * vector_at(position, j)
+                            if j > base:
+                                force = virtual_force(
+                                    law, j, base, s, placed, ramp,
+                                    contact_start, contact, dock_offset, flip_height, position,
+                                    head, following,
+                                )  # fmt: skip
+                                step = capped(force, law.max_step)
+                            move(law, j, base, s, step, dock_offset, position, head, following)
+                            there = vector_at(position, j)
+                            seen = frame + sweep // trace_every
+                            record(trace, step_length, seen, j, there, step.norm())
