@@ -57,7 +57,7 @@ def run(
     arch: OneArch = "cpu",
     threads: Threads = None,
     *,
-    pictures: Annotated[bool, typer.Option(help="Draw figures and renders.")] = True,
+    pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
     quiet: Quiet = False,
 ) -> None:
     """Grow, sense, localize, score and draw every case of a scenario.
@@ -73,6 +73,7 @@ def run(
     if pictures and (result.computed or not (result.folder / "renders").exists()):
         _draw_figures(result.folder, watcher)
         _draw_renders(result.folder, watcher)
+        _write_page(result.folder, watcher)
     if not quiet:
         typer.echo(study.headline(result.folder))
     if result.failed:
@@ -119,11 +120,13 @@ def localize(
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
 def report(run: RunFolderPath, *, quiet: Quiet = False) -> None:
-    """Redraw every table and figure of a run from its stored data."""
+    """Redraw every table, every figure and report.html of a run from its stored data."""
     from tiswarm import study
 
+    watcher = ConsoleWatcher(quiet=quiet)
     study.tabulate(run)
-    _draw_figures(run, ConsoleWatcher(quiet=quiet))
+    _draw_figures(run, watcher)
+    _write_page(run, watcher)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -138,8 +141,10 @@ def render(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Draw offscreen 3D pictures of a run from its stored data."""
-    _draw_renders(run, ConsoleWatcher(quiet=quiet), renderer=renderer, case=case)
+    """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
+    watcher = ConsoleWatcher(quiet=quiet)
+    _draw_renders(run, watcher, renderer=renderer, case=case)
+    _write_page(run, watcher)
 
 
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
@@ -194,6 +199,12 @@ def _draw_figures(folder: Path, watcher: ConsoleWatcher) -> None:
     from tiswarm.report.figures import draw_figures
 
     draw_figures(folder, watcher.say)
+
+
+def _write_page(folder: Path, watcher: ConsoleWatcher) -> None:
+    from tiswarm.report.page import write_page
+
+    write_page(folder, watcher.say)
 
 
 def _draw_renders(

@@ -23,6 +23,7 @@ from tiswarm.report.canvas import (
 from tiswarm.report.folder import Case, Tell, read_cases, read_columns, subfolder
 from tiswarm.report.law_figures import LAW_FIGURES
 from tiswarm.report.law_points import has_laws, read_law_points
+from tiswarm.report.profile_figure import draw_profiles, has_profiles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -76,7 +77,12 @@ def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[],
     if has_laws(folder):
         laws = read_law_points(folder)
         return {name: partial(draw, laws, note) for name, draw in LAW_FIGURES.items()}
-    return {name: partial(draw, series, note) for name, draw in FIGURES.items()}
+    painters: dict[str, Callable[[], Figure]] = {
+        name: partial(draw, series, note) for name, draw in FIGURES.items()
+    }
+    if has_profiles(folder):
+        painters["profiles"] = partial(draw_profiles, folder, note)
+    return painters
 
 
 def draw_convergence(series: Series, note: str) -> "Figure":

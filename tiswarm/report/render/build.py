@@ -93,7 +93,7 @@ def build_pictures(case: Case) -> dict[str, Picture]:
     Raises:
         InputError: where a file of the case is missing or damaged.
     """
-    header = _read_header(case)
+    header = read_header(case)
     offsets = np.array(header.dock_offsets) / header.dock_radius
     ground_z = None if header.ground_z is None else header.ground_z / header.dock_radius
     table = read_columns(case.folder / "robots.csv", POSE + ESTIMATED_POSE)
@@ -126,7 +126,7 @@ def build_pictures(case: Case) -> dict[str, Picture]:
     }
 
 
-def _read_header(case: Case) -> HeaderLine:
+def read_header(case: Case) -> HeaderLine:
     """Read the first line of the sensing log, which knows the robots' geometry."""
     path = case.folder / "sensing.jsonl"
     number, text = next(numbered_lines(path), (1, ""))

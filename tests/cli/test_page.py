@@ -1,0 +1,150 @@
+"""The page of a run opens from disk, draws, sorts, and says what the tables say."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from tiswarm.report.render.pictures import is_blank
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+LISTEN = """<script>
+const troubles = [];
+addEventListener("error", (event) => troubles.push(event.message));
+console.error = (...words) => troubles.push(words.join(" "));
+</script>"""
+PROBE = """<script>
+const view = document.getElementById("view"), found = {troubles};
+const column = (place) => [...document.querySelectorAll("table.sortable tbody tr")]
+  .filter((row) => !row.hidden).map((row) => row.cells[place].textContent);
+const heads = [...document.querySelectorAll("table.sortable th button")];
+const rmse = heads.findIndex((head) => head.textContent === "RMSE [R]");
+heads[rmse].click();
+found.ascending = column(rmse);
+heads[rmse].click();
+found.descending = column(rmse);
+const filter = document.getElementById("filter");
+filter.value = "NO-Z done";
+filter.dispatchEvent(new Event("input"));
+found.filtered = column(0);
+const count = () => view.data.find((trace) => trace.type === "mesh3d").x.length;
+found.corners = [count()];
+const picture = () => Plotly.toImage(view, { format: "png", width: 400, height: 300 });
+const tell = () => { document.body.dataset.found = JSON.stringify(found); };
+picture().then((whole) => {
+  found.whole = whole;
+  const joins = document.getElementById("joins");
+  joins.value = 4;
+  joins.dispatchEvent(new Event("input"));
+  setTimeout(() => { found.corners.push(count()); tell(); }, 500);
+});
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def seen(small_run, tmp_path_factory):
+    """What a browser makes of the page of a small run."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium or chrome here; install the package chromium")
+    page = (small_run / "report.html").read_text()
+    probed = tmp_path_factory.mktemp("page") / "probed.html"
+    probed.write_text(
+        page.replace("<head>", f"<head>{LISTEN}").replace("</body>", f"{PROBE}</body>")
+    )
+    options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", "--virtual-time-budget=10000", "--dump-dom"]
+    done = subprocess.run(
+        [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
+        check=False,
+    )  # fmt: skip
+    told = re.search(r'<body data-found="([^"]*)"', done.stdout)
+    assert told, done.stderr[-2000:]
+    return json.loads(told[1].replace("&quot;", '"').replace("&amp;", "&"))
+
+
+def test_the_page_draws_without_a_complaint(seen):
+    """Nothing is thrown, and the view in space shows something."""
+    kind, _, data = seen["whole"].partition(",")
+
+    assert seen["troubles"] == []
+    assert kind == "data:image/png;base64"
+    with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
+        assert not is_blank(np.asarray(picture.convert("RGB")))
+
+
+def test_the_slider_takes_the_structure_apart(seen):
+    """Four of twelve robots have a third of the corners."""
+    whole, part = seen["corners"]
+
+    assert 3 * part == whole
+
+
+def test_the_table_of_cases_sorts_and_filters(seen, small_run):
+    """By number, both ways; rows show that hold every word."""
+    rmse = pd.read_csv(small_run / "summary.csv")["rmse_R"]
+    ascending = [f"{value:.2f}" for value in sorted(rmse)]
+
+    assert seen["ascending"] == ascending
+    assert seen["descending"] == ascending[::-1]
+    assert len(seen["filtered"]) == 4
+    assert all("no-z" in name for name in seen["filtered"])
+
+
+class _Sources(HTMLParser):
+    """Gathers what a page would load."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.found = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in {"src", "href"}]
+
+
+def test_the_page_is_one_small_file(small_run):
+    """It loads nothing, and can be sent by mail."""
+    page = small_run / "report.html"
+
+    sources = _Sources(page.read_text()).found
+
+    assert len(sources) >= 6
+    assert all(source.startswith("data:") for source in sources)
+    assert page.stat().st_size < 8_000_000
+
+
+def test_the_page_says_what_the_tables_say(small_run):
+    """Means with their intervals beside the published numbers, and how to repeat the run."""
+    page = (small_run / "report.html").read_text()
+
+    for row in pd.read_csv(small_run / "table.csv").to_dict("records"):
+        assert f"{row['rmse_R_mean']:.2f} ± {row['rmse_R_ci95']:.2f}" in page
+        assert f">{row['paper_rmse_radii']:.2f}<" in page
+    assert "tiswarm run scenario.yaml --out again --arch cpu" in page
+
+
+def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
+    """As it stands, from the files of the run alone."""
+    run = tmp_path / "run"
+    shutil.copytree(small_run, run)
+    page = (run / "report.html").read_text()
+    command = re.search(r"<pre>tiswarm (.*)</pre>", page)[1].split()
+    repository = str(Path(__file__).parents[2])
+
+    done = tiswarm(*command, "--no-pictures", cwd=run, PYTHONPATH=repository)
+
+    assert done.returncode == 0, done.stderr
+    again = next((run / "again").iterdir())
+    assert again.name == small_run.name
+    assert (again / "table.csv").read_bytes() == (small_run / "table.csv").read_bytes()

@@ -1,0 +1,90 @@
+"""The page of a run: what it warns of, and what it does with odd runs."""
+
+import pandas as pd
+import pytest
+
+from tests.report.conftest import write_table
+from tiswarm.errors import InputError
+from tiswarm.report.folder import read_cases
+from tiswarm.report.page import write_page
+from tiswarm.report.page_tables import case_table, warnings_of
+from tiswarm.report.page_view import build_view
+
+SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,unlocated"
+SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
+
+
+def ignore(_line):
+    """Hear nothing."""
+
+
+@pytest.fixture
+def odd_run(tmp_path):
+    """A run whose only case failed, and whose texts are not to be trusted."""
+    row = ["0-baseline", 0, "baseline", "failed", "no <b>robot</b> came", "", "", ""]
+    write_table(tmp_path / "summary.csv", SUMMARY, [row])
+    write_table(tmp_path / "table.csv", "condition,cases,failed,paper_rmse_radii,"
+                "paper_procrustes_disparity", [["baseline", 0, 1, "", ""]])  # fmt: skip
+    (tmp_path / "scenario.yaml").write_text(SCENARIO)
+    return tmp_path
+
+
+def test_a_run_without_results_has_a_page(odd_run):
+    """It says why; there is nothing to look at in space, so no library is part of it."""
+    page = write_page(odd_run, ignore).read_text()
+
+    assert "1 of 1 cases failed" in page
+    assert 'id="view"' not in page
+    assert len(page) < 50_000
+
+
+def test_texts_stay_texts(odd_run):
+    """Descriptions and reasons cannot become part of the page."""
+    page = write_page(odd_run, ignore).read_text()
+
+    assert "<script>boom" not in page
+    assert "no &lt;b&gt;robot&lt;/b&gt; came" in page
+
+
+@pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
+def test_a_damaged_run_is_refused_by_name(odd_run, name):
+    """The message names the file."""
+    (odd_run / name).unlink()
+
+    with pytest.raises(InputError, match=f"{name}: cannot be read"):
+        write_page(odd_run, ignore)
+
+
+def test_the_view_shows_each_series_once(run_folder):
+    """The first case that is done of each, every robot in join order."""
+    view = build_view(read_cases(run_folder))
+
+    names = [case["name"] for case in view.data["cases"]]
+    assert names == ["0-baseline", "0-no-z"]
+    assert view.note == "2 of 3 cases are here."
+    for case in view.data["cases"]:
+        assert case["robot"] == list(range(12))
+        assert case["worst"] == max(case["error"])
+
+
+def test_warnings_count_what_limits_a_run():
+    """Failures, early ends, lost robots, floppy modes, and a renderer that stepped in."""
+    summary = pd.DataFrame(
+        {
+            "case": ["a", "b", "c"],
+            "status": ["done", "done", "failed"],
+            "reason": ["the gap is bridged", None, "too few robots"],
+            "floppy_modes": [4.0, 12.0, None],
+            "unlocated": [0.0, 3.0, None],
+        }
+    )
+    manifest = {"renders": {"structure.png": {"renderer": "taichi", "reason": "open3d: died"}}}
+
+    told = " ".join(warnings_of(summary, manifest))
+
+    assert "1 of 3 cases failed: too few robots" in told
+    assert "Growth of 1 cases ended early: the gap is bridged" in told
+    assert "3 robots in 1 cases are tied to the anchor by no" in told
+    assert "leave 4 to 12 floppy modes" in told
+    assert "open3d: died" in told
+    assert [row[1].text for row in case_table(summary).rows] == ["done", "done", "failed"]

@@ -1,0 +1,204 @@
+"""`report.html`: one self-contained page that shows a run, made from its files alone."""
+
+import base64
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from PIL import Image
+
+from tiswarm.errors import InputError
+from tiswarm.records.atomic import write_text
+from tiswarm.report.folder import Tell, read_cases
+from tiswarm.report.page_tables import (
+    Table,
+    case_table,
+    machine_table,
+    result_tables,
+    warnings_of,
+)
+from tiswarm.report.page_view import View, build_view
+
+LARGEST = 7_900_000
+"""Largest page [bytes]; pictures that do not fit are named instead."""
+
+PHOTO_QUALITY = 85
+ON_PAGE = {"figures": 0.42, "renders": 0.36}
+"""Pixels on the page for each of a picture's own, which are many for print."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A picture within the page."""
+
+    source: str
+    """The picture itself, as a data URL."""
+
+    caption: str
+    """What it shows, and the file it came from."""
+
+    width: int
+    """Width [pixels]."""
+
+    height: int
+    """Height [pixels]."""
+
+    wide: int
+    """Width on the page [pixels]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """What the template puts on the page."""
+
+    name: str
+    description: str
+    what: str
+    warnings: list[str]
+    tables: list[Table]
+    view: View | None
+    figures: list[Shown]
+    renders: list[Shown]
+    cases: Table
+    version: str
+    command: str
+    machine: Table
+    scenario: str
+
+
+def write_page(folder: Path, tell: Tell) -> Path:
+    """Write `report.html` into a run's folder.
+
+    Raises:
+        InputError: where the folder holds no run or a file is damaged.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
+    from plotly.offline import get_plotlyjs
+
+    environment = Environment(
+        loader=PackageLoader("tiswarm.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    template = environment.get_template("report.html")
+    page = _gather(folder)
+    plotly = get_plotlyjs()
+    room = LARGEST - len(template.render(page=page, plotly=plotly).encode())
+    page.figures.extend(_pictures(folder / "figures", room, lossless=True))
+    room -= sum(len(picture.source) for picture in page.figures)
+    page.renders.extend(_pictures(folder / "renders", room, lossless=False))
+    path = folder / "report.html"
+    write_text(path, template.render(page=page, plotly=plotly) + "\n")
+    tell(path.name)
+    return path
+
+
+def _gather(folder: Path) -> Page:
+    """Read everything but the pictures."""
+    cases = read_cases(folder)
+    scenario, manifest = _read_text(folder / "scenario.yaml"), _manifest(folder)
+    summary = _read_table(folder / "summary.csv")
+    table = _read_table(folder / "table.csv")
+    said = _top_of(scenario)
+    backend = manifest.get("backend", {})
+    return Page(
+        name=said.get("name", folder.name),
+        description=said.get("description", ""),
+        what=_in_words(summary, manifest),
+        warnings=warnings_of(summary, manifest),
+        tables=result_tables(table, *_optional(folder, "paired.csv", "laws.csv")),
+        view=build_view(cases),
+        figures=[],
+        renders=[],
+        cases=case_table(summary),
+        version=str(manifest.get("tiswarm", "of the same version")),
+        command=f"tiswarm run scenario.yaml --out again --arch {backend.get('arch', 'cpu')}",
+        machine=machine_table(manifest),
+        scenario=scenario,
+    )
+
+
+def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
+    """Say in a line what was computed, and in what time."""
+    counts = [f"{len(summary)} cases", f"{summary['seed'].nunique()} seeds"]
+    counts += [f"{summary['condition'].nunique()} conditions"]
+    if "robots" in summary:
+        least, most = summary["robots"].min(), summary["robots"].max()
+        counts += [f"{least:g} robots" if least == most else f"{least:g} to {most:g} robots"]
+    spent = sum(stage["wall_s"] for stage in manifest.get("stages", {}).values())
+    time = f", computed in {spent:.1f} s" if spent else ""
+    one = [text.removesuffix("s") if text.startswith("1 ") else text for text in counts]
+    return f"{', '.join(one)} each{time}."
+
+
+def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
+    """Embed the pictures of a folder, as far as there is room for them [bytes]."""
+    for path in sorted(folder.glob("*.png")):
+        stream = io.BytesIO()
+        with Image.open(path) as image:
+            image.convert("RGB").save(
+                stream, "WEBP", lossless=lossless, quality=PHOTO_QUALITY, method=4
+            )
+            width, height = image.size
+        source = f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode()}"
+        room -= len(source)
+        fits = room > 0
+        where = f"{folder.name}/{path.name}"
+        said = f"{path.stem.replace('-', ' ').capitalize()}: {where}"
+        yield Shown(
+            source=source if fits else where,
+            caption=said if fits else f"{said} (beside this page, for want of room in it)",
+            width=width,
+            height=height,
+            wide=round(ON_PAGE[folder.name] * width),
+        )
+
+
+def _top_of(scenario: str) -> dict[str, str]:
+    """Name and description of a scenario."""
+    import yaml  # noqa: PLC0415 - nothing else here needs it
+
+    content: dict[str, str] = yaml.safe_load(scenario)
+    return content
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeError) as error:
+        problem = f"cannot be read: {error}; run the scenario again to restore it"
+        raise InputError(problem, path=path) from error
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    """Read the manifest; nothing where there is none."""
+    path = folder / "manifest.json"
+    if not path.exists():
+        return {}
+    try:
+        content: dict[str, Any] = json.loads(_read_text(path))
+    except ValueError as error:
+        problem = f"is not JSON: {error}; run the scenario again to restore it"
+        raise InputError(problem, path=path) from error
+    return content
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
+        raise InputError(problem, path=path) from error
+
+
+def _optional(folder: Path, *names: str) -> list[pd.DataFrame]:
+    """Read tables that not every run has; empty where there is none."""
+    return [
+        _read_table(folder / name) if (folder / name).exists() else pd.DataFrame() for name in names
+    ]

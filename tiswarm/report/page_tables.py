@@ -1,0 +1,299 @@
+"""The tables of a run as the page shows them: chosen columns, rounded, with units."""
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+MOST_CASES = 2_000
+"""Rows of the table of cases; more are left to `summary.csv`."""
+
+MOST_REASONS = 5
+
+Row = Mapping[Hashable, Any]
+
+
+class Cell(NamedTuple):
+    """One cell: what is read, and what it is sorted by."""
+
+    text: str
+    value: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of the page."""
+
+    header: list[str]
+    """Names of the columns."""
+
+    rows: list[list[Cell]]
+    """A cell for each."""
+
+    title: str = ""
+    """What stands above it."""
+
+    note: str = ""
+    """What stands below it."""
+
+    sortable: bool = False
+    """Whether a click on a column sorts it."""
+
+
+ACCURACY = (
+    ("RMSE [R]", "rmse_R", 2),
+    ("RMSE [rho]", "rmse_rho", 2),
+    ("disparity", "procrustes_disparity", 3),
+)
+LIMITS = (
+    ("contacts per robot", "contacts_per_robot", 2),
+    ("floppy modes", "floppy_modes", 1),
+    ("rms radius [R]", "rms_radius_R", 1),
+)
+PARTS = (
+    ("as it is", "rmse_R", 2),
+    ("yaw and place aligned", "rmse_yaw_aligned_R", 2),
+    ("rigidly aligned", "rmse_rigid_aligned_R", 2),
+    ("between robots in contact", "rmse_per_contact_R", 2),
+)
+PUBLISHED = (
+    ("published RMSE [robot radii]", "paper_rmse_radii", 2),
+    ("published disparity", "paper_procrustes_disparity", 3),
+)
+CASE = (
+    ("robots", "robots", 0),
+    *ACCURACY[:1],
+    ("yaw aligned [R]", "rmse_yaw_aligned_R", 2),
+    ("rigidly aligned [R]", "rmse_rigid_aligned_R", 2),
+    *ACCURACY[2:],
+    *LIMITS,
+    ("height [R]", "height_R", 1),
+    ("peak stress", "peak_stress", 0),
+)
+
+
+def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame) -> list[Table]:
+    """Everything a reader wants to know first.
+
+    Args:
+        table: `table.csv`.
+        paired: `paired.csv`, or nothing.
+        laws: `laws.csv`, or nothing.
+    """
+    tables = [_headline(table), _parts(table)]
+    if "wilcoxon_p" in paired:
+        tables.append(_differences(paired))
+    if len(laws):
+        tables.append(_scorecard(laws))
+    return tables
+
+
+def case_table(summary: pd.DataFrame) -> Table:
+    """One row a case, to be sorted and filtered."""
+    columns = [column for column in CASE if column[1] in summary]
+    rows = [
+        [
+            Cell(str(row["case"])),
+            Cell(str(row["status"])),
+            *(_number(row[name], digits) for _, name, digits in columns),
+            Cell("" if pd.isna(row["reason"]) else str(row["reason"])),
+        ]
+        for row in summary.head(MOST_CASES).to_dict("records")
+    ]
+    left_out = len(summary) - len(rows)
+    return Table(
+        header=["case", "status", *(label for label, _, _ in columns), "reason"],
+        rows=rows,
+        note=f"{left_out} more cases are in summary.csv." if left_out > 0 else "",
+        sortable=True,
+    )
+
+
+def machine_table(manifest: Mapping[str, Any]) -> Table:
+    """By what and in what time the run was computed."""
+    facts = {
+        **manifest.get("machine", {}),
+        **manifest.get("backend", {}),
+        "peak_memory_MB": manifest.get("peak_memory_MB", ""),
+        "python": manifest.get("python", ""),
+        **manifest.get("libraries", {}),
+        **{
+            f"{name} [s wall, s CPU]": f"{spent['wall_s']}, {spent['cpu_s']}"
+            for name, spent in manifest.get("stages", {}).items()
+        },
+    }
+    return Table(
+        title="Machine and versions",
+        header=["what", "which"],
+        rows=[
+            [Cell(name.replace("_MB", " [MB]")), Cell(str(value))]
+            for name, value in facts.items()
+            if value != ""
+        ],
+    )
+
+
+def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]:
+    """What a reader must know before believing a number."""
+    done = summary["status"] == "done"
+    found = []
+    if not done.all():
+        reasons = [*dict.fromkeys(summary.loc[~done, "reason"].dropna())]
+        shown = "; ".join(map(str, reasons[:MOST_REASONS]))
+        found.append(f"{(~done).sum()} of {len(summary)} cases failed: {shown}.")
+    ended = summary.loc[done, "reason"].dropna()
+    if len(ended):
+        shown = "; ".join(map(str, [*dict.fromkeys(ended)][:MOST_REASONS]))
+        found.append(f"Growth of {len(ended)} cases ended early: {shown}.")
+    if "unlocated" in summary and (lost := summary["unlocated"].fillna(0)).any():
+        found.append(
+            f"{int(lost.sum())} robots in {(lost > 0).sum()} cases are tied to the anchor by no "
+            "chain of contacts; where they are is a guess."
+        )
+    found += _floppiness(summary[done])
+    renders = manifest.get("renders", {}).values()
+    excuses = {str(picture["reason"]) for picture in renders if picture["reason"]}
+    found += [f"Renders are by a simpler renderer: {reason}." for reason in sorted(excuses)]
+    return found
+
+
+def _floppiness(done: pd.DataFrame) -> list[str]:
+    """Say how much the senses leave open."""
+    if "floppy_modes" not in done or not len(done):
+        return []
+    modes = done["floppy_modes"]
+    found = []
+    if (modes > 0).any():
+        found.append(
+            f"Contacts, ground and known heights leave {modes.min():.0f} to {modes.max():.0f} "
+            "floppy modes a case: motions that no sensor would notice. No method can do away with "
+            "errors along them."
+        )
+    if modes.isna().any():
+        found.append(f"Floppy modes of {modes.isna().sum()} cases were too dear to count.")
+    return found
+
+
+def _headline(table: pd.DataFrame) -> Table:
+    """Accuracy beside the published numbers, and what limits it."""
+    published = [column for column in PUBLISHED if table[column[1]].notna().any()]
+    rmse, rho, disparity = ACCURACY
+    of_paper = {name: [_number_column(label, name, digits)] for label, name, digits in published}
+    columns = [
+        *_mean_columns(table, [rmse, rho]),
+        *of_paper.get("paper_rmse_radii", []),
+        *_mean_columns(table, [disparity]),
+        *of_paper.get("paper_procrustes_disparity", []),
+        *_mean_columns(table, LIMITS),
+    ]
+    notes = ["Mean ± half width of its 95 % confidence interval over structures."]
+    if published:
+        notes.append(
+            "R is the radius of a dock, rho the distance from a robot's centre to a dock; the "
+            'published "robot radius" is not defined, so both stand beside it.'
+        )
+    return Table(
+        header=[*_swept(table), "structures", *(label for label, _ in columns)],
+        rows=[
+            [
+                *(Cell(str(row[name])) for name in _swept(table)),
+                _number(row["cases"], 0),
+                *(cell(row) for _, cell in columns),
+            ]
+            for row in table.to_dict("records")
+        ],
+        note=" ".join(notes),
+    )
+
+
+def _parts(table: pd.DataFrame) -> Table:
+    """What the error is made of."""
+    columns = _mean_columns(table, PARTS)
+    return Table(
+        title="RMSE after alignment [R]",
+        header=[*_swept(table), *(label for label, _ in columns)],
+        rows=[
+            [
+                *(Cell(str(row[name])) for name in _swept(table)),
+                *(cell(row) for _, cell in columns),
+            ]
+            for row in table.to_dict("records")
+        ],
+        note=(
+            "What an alignment takes away was a turned or shifted frame; what stays is a wrong "
+            "shape. Between robots in contact: of one robot's place as seen from the other."
+        ),
+    )
+
+
+def _differences(paired: pd.DataFrame) -> Table:
+    """RMSE and disparity between conditions, structure by structure."""
+    chosen = paired[paired["measure"].isin(["rmse_R", "procrustes_disparity"])]
+    swept = list(paired.columns[2 : paired.columns.get_loc("measure")])
+    labels = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
+    return Table(
+        title="Differences on the same structures",
+        header=["condition", "against", *swept, "measure", "difference", "smaller in", "p"],
+        rows=[
+            [
+                Cell(str(row["condition"])),
+                Cell(str(row["against"])),
+                *(Cell(str(row[name])) for name in swept),
+                Cell(labels[row["measure"]]),
+                _mean(row, "difference", 3, sign="+"),
+                Cell(f"{row['smaller']} of {row['structures']}", float(row["smaller"])),
+                _number(row["wilcoxon_p"], 4),
+            ]
+            for row in chosen.to_dict("records")
+        ],
+        note="p by Wilcoxon's signed-rank test, not corrected for how many are made.",
+    )
+
+
+def _scorecard(laws: pd.DataFrame) -> Table:
+    """Structures against published laws, as `laws.csv` has it."""
+    return Table(
+        title="Structures against published laws",
+        header=[str(name) for name in laws.columns],
+        rows=[
+            [
+                _number(value, 3) if isinstance(value, float) else Cell(str(value))
+                for value in row.values()
+            ]
+            for row in laws.to_dict("records")
+        ],
+    )
+
+
+def _swept(table: pd.DataFrame) -> list[str]:
+    """Columns that tell rows of `table.csv` apart: the condition and what is swept."""
+    return list(table.columns[: table.columns.get_loc("cases")])
+
+
+def _mean_columns(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Any]:
+    """Label and cell of each mean that a table has."""
+    return [
+        (label, lambda row, name=name, digits=digits: _mean(row, name, digits))
+        for label, name, digits in columns
+        if f"{name}_mean" in table and table[f"{name}_mean"].notna().any()
+    ]
+
+
+def _number_column(label: str, name: str, digits: int) -> Any:  # noqa: ANN401 - as above
+    return (label, lambda row: _number(row[name], digits))
+
+
+def _mean(row: Row, name: str, digits: int, *, sign: str = "") -> Cell:
+    """Mean ± half width of its confidence interval."""
+    mean, width = row[f"{name}_mean"], row.get(f"{name}_ci95", math.nan)
+    if math.isnan(mean):
+        return Cell("")
+    interval = f" ± {width:.{digits}f}" if width >= 0.0 else ""
+    return Cell(f"{mean:{sign}.{digits}f}{interval}", float(mean))
+
+
+def _number(value: float, digits: int) -> Cell:
+    """A number, or nothing where it is unknown."""
+    return Cell("") if math.isnan(value) else Cell(f"{value:.{digits}f}", float(value))
