@@ -147,6 +147,23 @@ def render(
     _write_page(run, watcher)
 
 
+@app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("reports/comparison"),
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Set runs side by side: one table, differences on the structures they share, one figure."""
+    from tiswarm.report.comparison_figure import draw_comparison
+    from tiswarm.study.comparison import compare as tabulate
+
+    tabulate(runs, out)
+    draw_comparison(out, ConsoleWatcher(quiet=True).say)
+    if not quiet:
+        typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")
+
+
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
 def check(
     files: Annotated[list[Path], typer.Argument(help="Scenarios (.yaml) and logs (.jsonl).")],

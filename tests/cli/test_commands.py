@@ -10,7 +10,7 @@ import yaml
 
 from tests.cli.conftest import REPOSITORY
 
-COMMANDS = ("run", "localize", "report", "render", "check", "schema", "doctor")
+COMMANDS = ("run", "localize", "report", "render", "compare", "check", "schema", "doctor")
 
 
 def _only_line(done) -> str:

@@ -1,0 +1,53 @@
+"""Runs are set side by side on the structures they share."""
+
+import pandas as pd
+import pytest
+
+
+@pytest.fixture(scope="module")
+def other_run(tiswarm, tmp_path_factory):
+    """Folder of a run that has one structure in common with the small run."""
+    out = tmp_path_factory.mktemp("other")
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=[1, 7]",
+        "--set", "name=other", "--no-pictures", "--out", out,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return next(out.iterdir())
+
+
+def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_run, tmp_path):
+    """Seed 1 alone is in both; what is the same run twice over differs by nothing."""
+    done = tiswarm("compare", small_run, other_run, "--out", tmp_path / "both")
+
+    assert done.returncode == 0, done.stderr
+    summary = pd.read_csv(small_run / "summary.csv").set_index("case")["rmse_R"]
+    keys = ["against_series", "series", "measure"]
+    paired = pd.read_csv(tmp_path / "both" / "paired.csv").set_index(keys)
+    assert (paired["structures"] == 1).all()
+    assert paired.loc[("baseline", "baseline", "rmse_R"), "difference_mean"] == 0.0
+    assert paired.loc[("baseline", "no-z", "rmse_R"), "difference_mean"] == pytest.approx(
+        summary["1-no-z"] - summary["1-baseline"]
+    )
+
+
+def test_every_row_of_every_run_is_kept(tiswarm, small_run, other_run, tmp_path):
+    """Under the name of its run, with the same numbers; and there is a figure."""
+    tiswarm("compare", small_run, other_run, "--out", tmp_path)
+
+    both = pd.read_csv(tmp_path / "comparison.csv")
+    for run in (small_run, other_run):
+        table = pd.read_csv(run / "table.csv")
+        rows = both[both["run"] == run.name].reset_index(drop=True)
+        pd.testing.assert_frame_equal(rows[table.columns], table)
+    assert (tmp_path / "comparison.png").stat().st_size > 10_000
+
+
+def test_comparing_needs_two_runs(tiswarm, small_run, tmp_path):
+    """Neither one run twice nor a folder without one will do; nothing is written."""
+    for runs, told in (((small_run, small_run), "two or more"), ((small_run, "docs"), "docs")):
+        done = tiswarm("compare", *runs, "--out", tmp_path / "both")
+
+        assert done.returncode == 2
+        assert told in done.stderr
+    assert not (tmp_path / "both").exists()
