@@ -44,7 +44,7 @@ def localize(log, params):
             position[j] = position[j] + step(log, params, position, dock, rows, j, ramp)
         if rounds and (j + 1 == log.robot_count or (j + 1) % rounds.every == 0):
             for t in range(1, rounds.sweeps + 1):
-                ramp = rounds.ramp_start + (1 - rounds.ramp_start) * t / rounds.sweeps
+                ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
                 for i in range(1, j + 1):
                     position[i] = position[i] + step(log, params, position, dock, rows, i, ramp)
     return np.array(position)

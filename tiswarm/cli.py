@@ -118,6 +118,41 @@ def localize(
         )
 
 
+@app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")
+def tune(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    trials: Annotated[int, typer.Option(min=1, help="Trials, those of the record included.")] = 200,
+    training_seeds: Annotated[
+        int, typer.Option(min=1, help="Structures of each sweep point, from seed 1000 on.")
+    ] = 25,
+    condition: Annotated[str | None, typer.Option(help="Condition to fit; the first.")] = None,
+    out: Annotated[Path, typer.Option(help="Record of the fit.")] = Path("fit.json"),
+    arch: OneArch = "cpu",
+    threads: Threads = None,
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Fit the gains of virtual-force on structures that the scenario does not report on.
+
+    A fit that was interrupted goes on where it was.
+    """
+    from tiswarm import study
+    from tiswarm.scenario import load_scenario
+
+    record = study.tune(
+        load_scenario(scenario, overrides), out,
+        trials=trials, training_seeds=training_seeds, condition=condition,
+        watcher=ConsoleWatcher(quiet=quiet), arch=arch, threads=threads,
+    )  # fmt: skip
+    if not quiet:
+        for name in ("best", "chosen"):
+            gains = {key: value for key, value in record[name].items() if key in record["ranges"]}
+            told = ", ".join(f"{key} {value:.3g}" for key, value in gains.items())
+            typer.echo(f"{name}: RMSE {record[name]['rmse_R']:.3f} R with {told}")
+        typer.echo(f"record in {out}")
+
+
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
 def report(run: RunFolderPath, *, quiet: Quiet = False) -> None:
     """Redraw every table, every figure and report.html of a run from its stored data."""

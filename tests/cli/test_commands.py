@@ -10,7 +10,9 @@ import yaml
 
 from tests.cli.conftest import REPOSITORY
 
-COMMANDS = ("run", "localize", "report", "render", "compare", "check", "schema", "doctor")
+COMMANDS = (
+    "run", "localize", "tune", "report", "render", "compare", "check", "schema", "doctor",
+)  # fmt: skip
 
 
 def _only_line(done) -> str:

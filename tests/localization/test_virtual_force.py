@@ -35,7 +35,7 @@ CUES = [
     ),
     dataclasses.replace(SHORT, initial_offset_axis="body", initial_offset=1.0, max_step=0.3),
     dataclasses.replace(
-        SHORT, back_propagation=BackPropagation(every=5, sweeps=12, ramp_start=0.3)
+        SHORT, back_propagation=BackPropagation(every=5, sweeps=12, repulsion_share=0.7)
     ),
 ]
 
@@ -217,7 +217,7 @@ def test_the_trace_ends_at_the_estimate(log, rounds, frames):
 def test_later_robots_correct_earlier_ones(log):
     """Contacts that were left stretched by robots placed too early close when rounds follow."""
     params = dataclasses.replace(SHORT, z_correction=False, undocked_repulsion=False)
-    rounds = BackPropagation(every=4, sweeps=200, ramp_start=1.0)
+    rounds = BackPropagation(every=4, sweeps=200, repulsion_share=0.0)
 
     before = _stretch(log, localize(log, params))
     after = _stretch(log, localize(log, dataclasses.replace(params, back_propagation=rounds)))

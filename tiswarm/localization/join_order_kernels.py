@@ -154,8 +154,8 @@ def localize_in_join_order(
                 placed = robot - base + 1
                 if placed % sweep_every == 0 or robot == start[s + 1] - 1:
                     for sweep in range(sweeps):
-                        part = (sweep + 1.0) / sweeps
-                        ramp = law.sweep_ramp_start + (1.0 - law.sweep_ramp_start) * part
+                        left = 1.0 - (sweep + 1.0) / sweeps
+                        ramp = 1.0 - law.sweep_repulsion * left
                         for j in range(base, base + placed):
                             step = 0.0 * vector_at(position, j)
                             if j > base:

@@ -69,7 +69,7 @@ class VirtualForceLaw:
     height_gain: Float
     initial_offset: Float
     max_step: Float
-    sweep_ramp_start: Float
+    sweep_repulsion: Float
     spacing: Float
     undocked: I32
 
@@ -83,7 +83,7 @@ def law_of(gains: ti.template(), structure):
         height_gain=gains[structure, 2],
         initial_offset=gains[structure, 3],
         max_step=gains[structure, 4],
-        sweep_ramp_start=gains[structure, 5],
+        sweep_repulsion=gains[structure, 5],
         spacing=gains[structure, 6],
         undocked=ti.cast(gains[structure, 7], ti.i32),
     )

@@ -18,9 +18,9 @@ class BackPropagation:
     sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 30
     """Steps that every robot takes in a round; 0 switches rounds off."""
 
-    ramp_start: Annotated[float, Field(ge=0.0, le=1.0)] = 0.98
-    """alpha_t as a round begins; it rises to 1 linearly. Near 1, for at full strength repulsion
-    would undo what is right already."""
+    repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02
+    """1 - alpha_t as a round begins; it falls to 0 linearly. At full strength repulsion would
+    undo what is right already."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -104,7 +104,7 @@ def _gains(params: VirtualForceParams) -> list[float]:
         params.height_gain if params.z_correction else 0.0,
         params.initial_offset,
         params.max_step,
-        (params.back_propagation or NO_SWEEPS).ramp_start,
+        (params.back_propagation or NO_SWEEPS).repulsion_share,
         2.0,
         float(ALL_DOCKS if params.undocked_repulsion else undocked),
     ]

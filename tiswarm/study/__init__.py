@@ -5,5 +5,6 @@ The only room that holds the truth and an estimate together.
 
 from tiswarm.study.run import RunResult, Watcher, run, tabulate
 from tiswarm.study.tables import headline
+from tiswarm.study.tuning import tune
 
-__all__ = ["RunResult", "Watcher", "headline", "run", "tabulate"]
+__all__ = ["RunResult", "Watcher", "headline", "run", "tabulate", "tune"]

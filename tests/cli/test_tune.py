@@ -1,0 +1,71 @@
+"""Fits of gains: on other structures than those reported on, repeatable, taken up again."""
+
+import json
+import re
+
+import pytest
+
+from tests.cli.conftest import REPOSITORY
+from tiswarm.console import ConsoleWatcher
+from tiswarm.errors import InputError
+from tiswarm.scenario import load_scenario
+from tiswarm.study import tune
+
+PAPER = REPOSITORY / "scenarios" / "paper.yaml"
+SMALL = ("--set", "robots=8", "--training-seeds", "2")
+
+
+@pytest.fixture(scope="module")
+def record(tiswarm, tmp_path_factory):
+    """Path of the record of a fit of three trials."""
+    path = tmp_path_factory.mktemp("fits") / "fit.json"
+    done = tiswarm("tune", PAPER, *SMALL, "--trials", 3, "--out", path)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_the_first_trial_is_what_the_scenario_says(record):
+    """So a fit is never worse than what was there, and what is chosen is about as good."""
+    fit = json.loads(record.read_text())
+
+    assert fit["training_seeds"] == [1000, 1001]
+    assert len(fit["trials"]) == 3
+    assert fit["best"]["rmse_R"] == min(trial["rmse_R"] for trial in fit["trials"])
+    assert fit["chosen"]["rmse_R"] <= 1.02 * fit["best"]["rmse_R"]
+    assert fit["trials"][0]["rmse_R"] == pytest.approx(
+        sum(fit["trials"][0]["by_point_R"]) / 2, 1e-3
+    )
+
+
+def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
+    """A record cut short after one trial, as by a kill, ends in the same bytes."""
+    whole = json.loads(record.read_text())
+    cut = tmp_path / "fit.json"
+    cut.write_text(json.dumps(whole | {"trials": whole["trials"][:1]}))
+
+    done = tiswarm("tune", PAPER, *SMALL, "--trials", 3, "--out", cut)
+
+    assert done.returncode == 0, done.stderr
+    assert cut.read_bytes() == record.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("robots", "seeds", "condition", "told"),
+    [
+        (8, "[3, 1001]", None, "seeds: the scenario reports on seed 1001"),
+        (8, "1", "no-zz", "--condition: no condition 'no-zz'; choose one of baseline"),
+        (9, "1", None, "is the record of a fit with other settings; give another --out"),
+    ],
+)
+def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, condition, told):
+    """The message says why, and the record stays as it is."""
+    scenario = load_scenario(PAPER, [f"robots={robots}", f"seeds={seeds}"])
+    before = record.read_bytes()
+
+    with pytest.raises(InputError, match=re.escape(told)):
+        tune(
+            scenario, record, trials=4, training_seeds=2, condition=condition,
+            watcher=ConsoleWatcher(quiet=True),
+        )  # fmt: skip
+
+    assert record.read_bytes() == before

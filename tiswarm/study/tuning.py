@@ -1,0 +1,288 @@
+"""Fits the gains of a method on training structures, and writes down how.
+
+Trials come from a seeded sampler and are told back to it in turn. A record that is taken up
+again is therefore replayed, not run, and goes on as if it had never been left.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import tiswarm
+from tiswarm.compute import backend
+from tiswarm.compute.choices import Arch
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.evaluation import metrics
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.registry import localize_many
+from tiswarm.records.atomic import write_text
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.scenario import Scenario, Variant, variants
+from tiswarm.sensing import observe
+from tiswarm.study.run import Watcher
+from tiswarm.world.growth import grow
+
+if TYPE_CHECKING:
+    from optuna import Study, Trial
+
+FIRST_TRAINING_SEED = 1000
+SAMPLER_SEED = 0
+
+Range = tuple[float, float]
+
+GAINS: dict[str, Range] = {
+    "attraction_gain": (0.05, 2.0),
+    "repulsion_gain": (0.5, 200.0),
+    "height_gain": (0.005, 1.0),
+    "initial_offset": (0.5, 8.0),
+    "max_step": (0.25, 4.0),
+}
+"""Smallest and largest value tried, on a logarithmic scale; units as in `VirtualForceParams`."""
+
+OF_ROUNDS: dict[str, Range] = {"repulsion_share": (0.001, 1.0)}
+"""The same in `BackPropagation`, where a condition has it."""
+
+AS_GOOD = 1.02
+"""Trials with an error up to this much above the least are as good: other seeds would rank them
+otherwise. Of these the one with the weakest repulsion is chosen, for rounding grows with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lesson:
+    """One training structure: what was sensed, where the robots are, and what settings start."""
+
+    label: str
+    """Sweep point."""
+
+    log: SensingLog
+    """What the swarm sensed."""
+
+    true: NDArray[np.float64]
+    """True centres [R], shape (N, 3)."""
+
+    params: VirtualForceParams
+    """Settings that the fit starts from."""
+
+
+def tune(
+    scenario: Scenario,
+    path: Path,
+    *,
+    trials: int,
+    training_seeds: int,
+    condition: str | None,
+    watcher: Watcher,
+    arch: Arch = "cpu",
+    threads: int | None = None,
+) -> dict[str, Any]:
+    """Fit gains to the least mean RMSE over training structures of all sweep points.
+
+    Args:
+        scenario: What to grow and how to localize it; its own seeds are kept out.
+        path: Record of the fit, written after every trial; an earlier one is taken up again.
+        trials: Trials in all.
+        training_seeds: Structures of each sweep point, from `FIRST_TRAINING_SEED` on.
+        condition: Which condition's settings to fit; the first if None.
+        watcher: Told how it goes on.
+        arch: Device.
+        threads: CPU threads; all if None.
+
+    Returns:
+        The record.
+
+    Raises:
+        InputError: for seeds that the scenario reports on, settings without gains, or a record
+            of another fit.
+        EnvironmentTroubleError: where the sampler is not installed.
+    """
+    seeds = _kept_apart(scenario, training_seeds)
+    points = _points(scenario, condition)
+    ranges = GAINS | (OF_ROUNDS if _params(points[0]).back_propagation else {})
+    record: dict[str, Any] = {
+        "tiswarm": tiswarm.__version__,
+        "scenario": scenario.name,
+        "condition": points[0].condition,
+        "points": [point.label for point in points],
+        "robots": [point.settings.robots for point in points],
+        "training_seeds": seeds,
+        "objective": "mean RMSE over structures [R]",
+        "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {SAMPLER_SEED}",
+        "ranges": {name: list(limits) for name, limits in ranges.items()},
+    }
+    done = _taken_up(path, record)
+    study = _new_study(_start(_params(points[0]), ranges))
+    _replay(study, done, ranges, path)
+    backend.start(arch, threads=threads)
+    if len(done) < trials:
+        lessons = _lessons(points, seeds, watcher)
+        with watcher.stage("fit", trials - len(done)) as advance:
+            for _ in range(trials - len(done)):
+                trial = study.ask()
+                values = _suggested(trial, ranges)
+                done.append(values | _errors(lessons, values))
+                study.tell(trial, done[-1]["rmse_R"])
+                _write(path, record | _outcome(done), done)
+                advance(1)
+    return record | _outcome(done)
+
+
+def _kept_apart(scenario: Scenario, count: int) -> list[int]:
+    """Training seeds, none of which the scenario reports on."""
+    seeds = list(range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + count))
+    if shared := set(seeds) & set(scenario.seed_list):
+        problem = (
+            f"the scenario reports on seed {min(shared)}, which the fit would train on; "
+            f"keep its seeds below {FIRST_TRAINING_SEED}"
+        )
+        raise InputError(problem, key="seeds")
+    return seeds
+
+
+def _points(scenario: Scenario, condition: str | None) -> list[Variant]:
+    """Sweep points under one condition."""
+    wanted = condition or next(iter(scenario.conditions))
+    if wanted not in scenario.conditions:
+        problem = f"no condition {wanted!r}; choose one of {', '.join(scenario.conditions)}"
+        raise InputError(problem, key="--condition")
+    return [variant for variant in variants(scenario) if variant.condition == wanted]
+
+
+def _params(point: Variant) -> VirtualForceParams:
+    """Settings of a point whose gains can be fitted."""
+    params = point.settings.localization
+    if not isinstance(params, VirtualForceParams):
+        problem = f"{params.method} has no gains to fit; choose a condition of virtual-force"
+        raise InputError(problem, key="--condition")
+    return params
+
+
+def _lessons(points: Sequence[Variant], seeds: list[int], watcher: Watcher) -> list[Lesson]:
+    """Grow and sense every training structure, once."""
+    lessons = []
+    for point in points:
+        settings = point.settings
+        with watcher.stage("grow", len(seeds) * settings.robots) as advance:
+            grown = grow(
+                settings.structure,
+                robots=settings.robots,
+                seeds=seeds,
+                robot=settings.robot,
+                tell=advance,
+            )
+        lessons += [
+            Lesson(
+                label=point.label,
+                log=observe(history, settings.sensing),
+                true=history.position,
+                params=_params(point),
+            )
+            for history in grown
+        ]
+    return lessons
+
+
+def _errors(lessons: Sequence[Lesson], values: Mapping[str, float]) -> dict[str, Any]:
+    """Mean RMSE with such gains, over all structures and over those of each point [R]."""
+    params = [_with_values(lesson.params, values) for lesson in lessons]
+    estimates = localize_many([lesson.log for lesson in lessons], params)
+    of_point: dict[str, list[float]] = {}
+    for lesson, estimate in zip(lessons, estimates, strict=True):
+        error = metrics.rmse(estimate.position, lesson.true)
+        of_point.setdefault(lesson.label, []).append(error)
+    every = np.concatenate(list(of_point.values()))
+    means = [round(float(np.mean(errors)), 4) for errors in of_point.values()]
+    return {"rmse_R": round(float(every.mean()), 6), "by_point_R": means}
+
+
+def _with_values(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
+    """The same settings with other gains."""
+    gains: dict[str, Any] = {name: value for name, value in values.items() if name in GAINS}
+    rounds = params.back_propagation
+    if rounds:
+        of_rounds: dict[str, Any] = {
+            name: value for name, value in values.items() if name in OF_ROUNDS
+        }
+        gains |= {"back_propagation": replace(rounds, **of_rounds)}
+    return replace(params, **gains)
+
+
+def _start(params: VirtualForceParams, ranges: Mapping[str, Range]) -> dict[str, float]:
+    """Gains that the settings have now, as far as they are in range."""
+    values = {name: getattr(params, name) for name in ranges if name in GAINS}
+    values |= {name: getattr(params.back_propagation, name) for name in ranges if name in OF_ROUNDS}
+    return {name: float(np.clip(values[name], *ranges[name])) for name in ranges}
+
+
+def _optuna_version() -> str:
+    try:
+        import cmaes  # noqa: F401, PLC0415 - slow to import, and an extra
+        import optuna  # noqa: PLC0415
+    except ImportError as error:
+        msg = f"{error.name} is not installed; pip install 'tiswarm[tune]'"
+        raise EnvironmentTroubleError(msg) from error
+    return str(optuna.__version__)
+
+
+def _new_study(start: dict[str, float]) -> "Study":
+    """Make an empty study whose first trial is what the settings say now."""
+    import optuna  # noqa: PLC0415 - slow to import, and an extra
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(sampler=optuna.samplers.CmaEsSampler(seed=SAMPLER_SEED))
+    study.enqueue_trial(start)
+    return study
+
+
+def _suggested(trial: "Trial", ranges: Mapping[str, Range]) -> dict[str, Any]:
+    return {
+        name: trial.suggest_float(name, low, high, log=True) for name, (low, high) in ranges.items()
+    }
+
+
+def _replay(
+    study: "Study", done: Sequence[Mapping[str, Any]], ranges: Mapping[str, Range], path: Path
+) -> None:
+    """Bring the sampler to where it was after the trials of a record."""
+    for row in done:
+        trial = study.ask()
+        if _suggested(trial, ranges) != {name: row[name] for name in ranges}:
+            problem = "its trials do not repeat here; give another --out"
+            raise InputError(problem, path=path)
+        study.tell(trial, row["rmse_R"])
+
+
+def _taken_up(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Trials of an earlier record of the same fit; none where there is no record."""
+    if not path.exists():
+        return []
+    try:
+        earlier = json.loads(path.read_text(encoding="utf-8"))
+        trials: list[dict[str, Any]] = earlier["trials"]
+        same = all(earlier[name] == value for name, value in record.items())
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        problem = "is no record of a fit; give another --out"
+        raise InputError(problem, path=path) from error
+    if not same:
+        problem = "is the record of a fit with other settings; give another --out"
+        raise InputError(problem, path=path)
+    return trials
+
+
+def _outcome(done: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Best trial, and the one that is chosen."""
+    best = min(done, key=lambda row: row["rmse_R"])
+    as_good = [row for row in done if row["rmse_R"] <= AS_GOOD * best["rmse_R"]]
+    return {"best": best, "chosen": min(as_good, key=lambda row: row["repulsion_gain"])}
+
+
+def _write(path: Path, record: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
+    """Write the record, one line an entry and one line a trial."""
+    entries = [f" {json.dumps(name)}: {json.dumps(value)}" for name, value in record.items()]
+    rows = ",\n".join(f"  {json.dumps(row)}" for row in done)
+    text = ",\n".join([*entries, f' "trials": [\n{rows}\n ]'])
+    write_text(path, f"{{\n{text}\n}}\n")
