@@ -96,3 +96,33 @@ def closest_approach(arm, axis, obstacle):
     """Least distance between an obstacle and the circle of a turning dock."""
     angles = np.linspace(0.0, 2.0 * np.pi, FINE)
     return np.linalg.norm(turned(arm, axis, angles) - obstacle, axis=1).min()
+
+
+def swarm_step(
+    position,
+    arm,
+    contacts,
+    structure,
+    height,
+    *,
+    attraction_gain,
+    repulsion_gain,
+    height_gain,
+    spacing,
+    ramp,
+    max_step,
+):
+    """One step of all robots under Eqs. (1)-(3), dock pair by dock pair."""
+    rows = {tuple(row) for row in contacts} | {(j, m, i, k) for i, k, j, m in contacts}
+    docks = range(arm.shape[1])
+    force = np.zeros_like(position)
+    for i, j in zip(*np.nonzero(structure[:, None] == structure), strict=True):
+        for k, m in ((k, m) for k in docks for m in docks if i != j):
+            offset = position[j] + arm[j, m] - position[i] - arm[i, k]
+            if np.linalg.norm(offset) < spacing or (i, k, j, m) in rows:
+                force[i] += dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp)
+    known = ~np.isnan(height)
+    force[known, 2] += height_gain * (height - position[:, 2])[known]
+    length = np.linalg.norm(force, axis=1)
+    too_long = np.inf if max_step is None else max_step
+    return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]

@@ -6,7 +6,7 @@ design files, or 2 / sqrt(3) R if a robot's own docks are taken to touch.
 """
 
 import math
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,18 @@ FIREANT_RHO = 1.506
 TANGENT_RHO = 2.0 / math.sqrt(3.0)
 DOCK_RADIUS_MM = 32.9
 """Radius of a FireAntV3 dock sphere [mm]; for display only."""
+
+
+class Robot(Protocol):
+    """Anything with spherical docks of one size at fixed places, in a unit of its own."""
+
+    @property
+    def spacing(self) -> float:
+        """D: distance between the centres of two docks that touch."""
+
+    @property
+    def dock_offset_body(self) -> NDArray[np.float64]:
+        """Centre to dock in the body frame, shape (docks, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.choices import ARCHS, Arch, Precision
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.dialect import DeviceArray, ti
 from tiswarm.compute.kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
@@ -48,6 +49,21 @@ class Backend:
     def dtype(self) -> type[np.floating[Any]]:
         """NumPy type of the precision."""
         return DTYPES[self.precision]
+
+    def reals(self, *shape: int) -> DeviceArray:
+        """Reserve an array of real numbers on the device."""
+        return ti.ndarray(ti.f64 if self.precision == "f64" else ti.f32, shape)
+
+    def ints(self, *shape: int) -> DeviceArray:
+        """Reserve an array of integers on the device."""
+        return ti.ndarray(ti.i32, shape)
+
+    def upload(self, values: NDArray[Any]) -> DeviceArray:
+        """Copy an array to the device, in the precision of its real numbers."""
+        whole = np.issubdtype(values.dtype, np.integer)
+        array = self.ints(*values.shape) if whole else self.reals(*values.shape)
+        array.from_numpy(np.ascontiguousarray(values, np.int32 if whole else self.dtype))
+        return array
 
 
 _started: Backend | None = None

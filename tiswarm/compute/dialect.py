@@ -45,6 +45,9 @@ else:
     Ints3 = ti.types.ndarray(dtype=ti.i32, ndim=3)
     Ints4 = ti.types.ndarray(dtype=ti.i32, ndim=4)
 
+DeviceArray = Any
+"""Array on the device that a kernel takes; `to_numpy` copies it back."""
+
 GRAIN = 512
 """Iterations of a parallel loop that one thread takes at a time, whatever is asked for.
 
@@ -56,6 +59,7 @@ __all__ = [
     "F64",
     "GRAIN",
     "I32",
+    "DeviceArray",
     "Float",
     "Ints1",
     "Ints2",

@@ -1,0 +1,242 @@
+"""The neighbor list: for each robot, the docks of others near its own.
+
+Docks are sorted into cells by a counting sort, with a linear hash for a table, so that no box
+has to be small; each robot's neighbors then stand in a row of fixed length (a Verlet list),
+which holds until a robot has moved by half the skin. A row that is too short is counted, made
+longer and written again: no neighbor is ever dropped.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.compute.backend import Backend
+from tiswarm.compute.dialect import DeviceArray
+from tiswarm.compute.neighbor_kernels import (
+    CELL_LENGTH,
+    CELL_WIDTH,
+    LONGEST_RUN,
+    SCAN_BLOCK,
+    fill_rows,
+    sort_docks,
+)
+from tiswarm.errors import InputError
+
+MOST_ITEMS = 2**31 - 1
+"""Largest number that the kernels' integers can hold."""
+FEWEST_BUCKETS = 64
+"""Smallest table in which no two cells around a dock share a bucket."""
+BUCKETS_PER_DOCK = 4
+ROOM = 1.25
+"""How much longer than the longest row rows are made."""
+
+
+def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Order points along a Morton curve, structure by structure.
+
+    Points near each other in space come near each other in memory.
+
+    Args:
+        point: Shape (N, 3).
+        structure: Number of each point's structure, 0 to S - 1, none empty, shape (N,).
+
+    Returns:
+        Which point comes first, second and so on, shape (N,).
+    """
+    by_structure = np.argsort(structure, kind="stable")
+    first = np.searchsorted(structure[by_structure], np.arange(structure.max() + 1))
+    low = np.minimum.reduceat(point[by_structure], first)
+    extent = (np.maximum.reduceat(point[by_structure], first) - low).max(axis=1)
+    scale = (2**20 - 1) / np.where(extent > 0.0, extent, 1.0)
+    place = ((point - low[structure]) * scale[structure][:, None]).astype(np.uint64)
+    x, y, z = (_spread(place[:, axis]) << np.uint64(axis) for axis in range(3))
+    return np.lexsort((x | y | z, structure))
+
+
+def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Put two zeros after each of the 21 low bits."""
+    for shift, mask in (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value
+
+
+def hash_strides(extent: NDArray[np.float64], cutoff: float, buckets: int) -> tuple[int, int]:
+    """Choose the strides of the linear hash, so that the table is the box where that fits.
+
+    A larger box is folded into the table: cells far apart may share a bucket, cells around a
+    dock never do.
+
+    Args:
+        extent: Sides of the box around all docks [R], shape (3,).
+        cutoff: Reach of a dock [R].
+        buckets: Size of the table, a power of two.
+
+    Returns:
+        Buckets from one cell to the next along y, and along z.
+    """
+    edge = cutoff * np.array([CELL_LENGTH, CELL_WIDTH, CELL_WIDTH])
+    # What a run, or a neighbor on either side, sticks out of the box.
+    padding = np.array([LONGEST_RUN + 1, 3, 3])
+    cells = np.ceil(extent / edge) + padding
+    while (excess := cells.prod() / buckets) > 1.0 and (cells > padding).any():
+        widest = np.argmax(np.where(cells > padding, cells * edge, 0.0))
+        cells[widest] = max(padding[widest], np.floor(cells[widest] / min(excess, 2.0)))
+    stride_y = int(cells[0]) | 1
+    return stride_y, (stride_y * int(cells[1])) | 1
+
+
+def _layout(
+    place: NDArray[np.float64], bounds: NDArray[np.int64], cutoff: float
+) -> NDArray[np.int64]:
+    """Where each table starts, its buckets and its strides, shape (S, 4)."""
+    rows, at = [], 0
+    for first, last in pairwise(bounds):
+        docks = int(last - first)
+        buckets = max(FEWEST_BUCKETS, 1 << (BUCKETS_PER_DOCK * docks - 1).bit_length())
+        extent = np.ptp(place[first:last], axis=0)
+        rows.append((at, buckets, *hash_strides(extent, cutoff, buckets)))
+        at += buckets + 2
+    return np.array(rows, np.int64)
+
+
+def own_bits_for(docks: int) -> int:
+    """Bits that number a robot's own dock."""
+    return max(1, (docks - 1).bit_length())
+
+
+def pack_contacts(
+    contacts: NDArray[np.int64], *, robots: int, docks: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Write contacts as row entries of both robots, in an order that is the contacts' own.
+
+    Args:
+        contacts: Rows of (robot i, dock, robot j, dock), shape (C, 4).
+        robots: N.
+        docks: Docks of a robot.
+
+    Returns:
+        First entry of each robot, shape (N + 1,), and entries, shape (2 C,).
+    """
+    robot, own, other, dock = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]]).T
+    bits = own_bits_for(docks)
+    entry = ((other * docks + dock) << (bits + 1)) | (1 << bits) | own
+    start = np.zeros(robots + 1, np.int32)
+    start[1:] = np.bincount(robot, minlength=robots).cumsum()
+    return start, entry[np.lexsort((entry, robot))].astype(np.int32)
+
+
+class NeighborList:
+    """Rows of neighbors on the device, for one swarm or for many small structures.
+
+    Robots of one structure stand together; those of different ones are never neighbors.
+    """
+
+    def __init__(
+        self,
+        running: Backend,
+        place: NDArray[np.float64],
+        contacts: NDArray[np.int64],
+        *,
+        cutoff: float,
+        start: NDArray[np.int64] | None = None,
+    ) -> None:
+        """Reserve memory.
+
+        Args:
+            running: What runs the kernels.
+            place: Docks as they are at first, by which tables are laid out, shape (N, docks, 3).
+            contacts: Rows of (robot i, dock, robot j, dock), shape (C, 4).
+            cutoff: Docks nearer than this are neighbors.
+            start: First robot of each structure, shape (S + 1,), for a table each; None for
+                one table.
+
+        Raises:
+            InputError: where there are more docks than an entry can number.
+        """
+        self.running = running
+        self.robots, self.docks = place.shape[:2]
+        self.own_bits = own_bits_for(self.docks)
+        self.cutoff = cutoff
+        self.capacity = 16 * self.docks
+        bounds = np.array([0, self.robots]) if start is None else start
+        tables = _layout(place.reshape(-1, 3), bounds * self.docks, cutoff)
+        self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
+        self._check_size()
+        self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
+        self.table = running.upload(tables)
+        first, entry = pack_contacts(contacts, robots=self.robots, docks=self.docks)
+        self.contact_start = running.upload(first)
+        self.contact = running.upload(entry if len(entry) else np.zeros(1, np.int32))
+        self.begin = running.ints(self.table_size)
+        self.block_total = running.ints(-(-self.table_size // SCAN_BLOCK))
+        self.sorted_dock = running.ints(self.robots * self.docks)
+        self.sorted_at = running.reals(self.robots * self.docks, 4)
+        self.row_count = running.ints(self.robots)
+        self.longest = running.ints(len(tables))
+        self.row = running.ints(self.robots * (self.capacity + 1))
+        self.builds = 0
+
+    @property
+    def strides(self) -> tuple[int, int]:
+        """From one robot's row to the next, and from one entry to the next.
+
+        A core reads along a row, a graphics card reads the same entry of many rows at once.
+        """
+        return (self.capacity + 1, 1) if self.running.arch == "cpu" else (1, self.robots)
+
+    def build(self, dock: DeviceArray, half: int) -> None:
+        """Write all rows anew, as long as they need to be.
+
+        Args:
+            dock: Places of docks and, last, their structure, shape (2, N * docks, 4).
+            half: Which half of them is current.
+        """
+        sort_docks(
+            self.docks, self.cutoff, self.stride_y, self.stride_z, half, dock,
+            self.begin, self.block_total, self.sorted_dock, self.sorted_at,
+        )  # fmt: skip
+        while True:
+            fill_rows(
+                self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
+                *self.strides, self.capacity, half, dock, self.begin, self.sorted_dock,
+                self.sorted_at, self.contact_start, self.contact, self.row, self.row_count,
+                self.longest,
+            )  # fmt: skip
+            longest = int(self.longest[0])
+            if longest <= self.capacity:
+                break
+            self.lengthen(longest)
+        self.builds += 1
+
+    def lengthen(self, longest: int) -> None:
+        """Make rows that hold `longest` entries, and some more.
+
+        Raises:
+            InputError: where that is more than can be numbered.
+        """
+        self.capacity = int(ROOM * longest) + 1
+        self._check_size()
+        self.row = self.running.ints(self.robots * (self.capacity + 1))
+
+    def _check_size(self) -> None:
+        """Refuse what the kernels' integers cannot count."""
+        largest = max(
+            self.robots * self.docks << (self.own_bits + 1),
+            self.robots * (self.capacity + 1),
+            self.table_size,
+            8 * self.robots * self.docks,
+        )
+        if largest > MOST_ITEMS:
+            msg = (
+                f"{self.robots} robots with {self.docks} docks and up to {self.capacity} neighbors "
+                f"need {largest} numbers in one table, more than {MOST_ITEMS}; "
+                "split the swarm into parts that do not touch"
+            )
+            raise InputError(msg)

@@ -1,0 +1,1 @@
+"""The swarm engine: virtual forces on every robot at once."""

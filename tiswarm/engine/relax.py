@@ -1,0 +1,318 @@
+"""The swarm step: every robot at once, moved by what its docks feel.
+
+    F_i = sum over connected docks of Eq. (1)
+        + sum over other docks of other robots nearer than D of Eq. (2)
+        + k_z (h_i - z_i) along z, Eq. (3)
+    p_i <- p_i + F_i, no farther than the largest step
+
+Equations as in `tiswarm.engine.force_kernels`. Lengths in the unit of the robot's spacing D.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import psutil
+from numpy.typing import ArrayLike, NDArray
+
+from tiswarm.compute import backend
+from tiswarm.compute.backend import Backend
+from tiswarm.compute.choices import Arch, Precision
+from tiswarm.compute.neighbors import NeighborList, morton_order
+from tiswarm.compute.rotations import dock_offsets
+from tiswarm.engine.relax_kernels import STALE, TAKEN, relax_structures, start_interval, take_step
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.robot import Robot
+
+SKIN = 0.25
+"""How much farther than D rows of neighbors reach [D]."""
+SMALL = 2_000
+"""Structures of at most so many robots are relaxed by one thread each, without a pause."""
+LAUNCHES = 8
+"""Steps that are sent to the device before it is asked whether rows are stale."""
+NORM_SLACK = 1e-6
+"""A quaternion whose norm is this near to 1 is a rotation."""
+FINEST = 0.01
+"""A coordinate must be resolved this finely [D]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxResult:
+    """Where the robots came to rest, or are on the way."""
+
+    position: NDArray[np.float64]
+    """Centers, in the caller's order, shape (N, 3)."""
+
+    largest_move: NDArray[np.float64]
+    """Largest step of any robot, by step, shape (steps,)."""
+
+    list_builds: int
+    """How often rows of neighbors were made, of the structure that needed it most."""
+
+
+def relax(
+    position: ArrayLike,
+    orientation_wxyz: ArrayLike,
+    contacts: ArrayLike,
+    *,
+    robot: Robot,
+    attraction_gain: float,
+    repulsion_gain: float,
+    ramp: float | Sequence[float] | NDArray[np.float64],
+    steps: int,
+    height: ArrayLike | None = None,
+    height_gain: float = 0.0,
+    max_step: float | None = None,
+    structure: ArrayLike | None = None,
+    precision: Precision = "f64",
+    arch: Arch = "cpu",
+    threads: int | None = None,
+) -> RelaxResult:
+    """Take steps of the whole swarm under Eqs. (1)-(3), all robots at once.
+
+    The bytes of the result depend on the arguments alone, not on threads.
+
+    Args:
+        position: Centers, shape (N, 3).
+        orientation_wxyz: Body to world, unit quaternions, kept throughout, shape (N, 4).
+        contacts: Connected docks, rows of (robot i, dock, robot j, dock), shape (C, 4).
+        robot: Where docks are on a robot, and D; its unit of length is that of all lengths here.
+        attraction_gain: A of Eq. (1) [1].
+        repulsion_gain: B of Eqs. (1) and (2) [length^-3].
+        ramp: alpha, the share of attraction, 0 to 1: one number, or one a step.
+        steps: T.
+        height: Height that each robot is pulled toward, NaN for none, shape (N,).
+        height_gain: k_z of Eq. (3) [1].
+        max_step: A robot moves no farther than this in a step; None for no limit.
+        structure: Number of each robot's structure, shape (N,); robots of different structures
+            never feel each other. None for one structure.
+        precision: f32 halves the memory and loses what is far from the origin.
+        arch: Device; it computes there or an error is raised.
+        threads: CPU threads; all that this process may use if None.
+
+    Raises:
+        InputError: where an argument makes no sense, or forces diverge.
+        EnvironmentTroubleError: where the machine lacks the device or the memory.
+    """
+    swarm = _Swarm.checked(
+        position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure
+    )
+    ramps = np.asarray(ramp, np.float64)
+    if steps < 0 or ramps.shape not in {(), (steps,)}:
+        msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
+        raise InputError(msg)
+    limit = np.inf if max_step is None else max_step
+    law = (attraction_gain, repulsion_gain, height_gain, robot.spacing, limit)
+    if not all(value >= 0.0 for value in law):
+        msg = f"gains and the largest step must be 0 or more, not {law}"
+        raise InputError(msg)
+    running = backend.start(arch, threads=threads, precision=precision)
+    swarm.check_resolution(running)
+    if steps == 0 or len(swarm.position) == 0:
+        return RelaxResult(position=swarm.position, largest_move=np.zeros(steps), list_builds=0)
+    return _Run(running, swarm, law, np.broadcast_to(ramps, steps)).take_steps()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Swarm:
+    """Checked arguments, in the caller's order."""
+
+    position: NDArray[np.float64]
+    arm: NDArray[np.float64]
+    contacts: NDArray[np.int64]
+    height: NDArray[np.float64] | None
+    structure: NDArray[np.int64]
+    spacing: float
+
+    @classmethod
+    def checked(
+        cls,
+        position: ArrayLike,
+        orientation_wxyz: ArrayLike,
+        contacts: ArrayLike,
+        *,
+        robot: Robot,
+        height: ArrayLike | None,
+        structure: ArrayLike | None,
+    ) -> "_Swarm":
+        """Refuse what has the wrong shape, is not finite, or contradicts itself."""
+        robots = len(np.asarray(position))
+        center = _shaped("position", position, (robots, 3))
+        orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
+        norm = np.linalg.norm(orientation, axis=1)
+        if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
+            msg = "positions must be finite and orientations unit quaternions (w, x, y, z)"
+            raise InputError(msg)
+        ids: NDArray[np.int64] = np.zeros(robots, np.int64)
+        if structure is not None:
+            named = _shaped("structure", structure, (robots,))
+            ids = np.unique(named, return_inverse=True)[1].astype(np.int64)
+        docks = robot.dock_offset_body
+        return cls(
+            position=center,
+            arm=dock_offsets(orientation, docks) if robots else np.zeros((0, len(docks), 3)),
+            contacts=_checked_contacts(contacts, len(docks), ids),
+            height=None if height is None else _shaped("height", height, (robots,)),
+            structure=ids,
+            spacing=robot.spacing,
+        )
+
+    def check_resolution(self, running: Backend) -> None:
+        """Refuse places so far from the origin that forces would be noise."""
+        farthest = np.abs(self.position).max(initial=0.0)
+        if farthest * np.finfo(running.dtype).eps > FINEST * self.spacing:
+            msg = (
+                f"a robot {farthest:.3g} from the origin is beyond what {running.precision} "
+                "resolves; move the swarm to the origin"
+            )
+            raise InputError(msg + (" or use precision f64" if running.precision == "f32" else ""))
+
+
+def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = np.array(values, np.float64)
+    if array.size == 0:
+        array = array.reshape(0, *shape[1:])
+    if array.shape != shape:
+        msg = f"{name} has shape {array.shape}; expected {shape}"
+        raise InputError(msg)
+    return array
+
+
+def _checked_contacts(
+    contacts: ArrayLike, docks: int, structure: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Contacts between docks that exist, of different robots of one structure, each once."""
+    rows = np.asarray(contacts, np.int64).reshape(-1, 4)
+    first, second = rows[:, [0, 2]].T
+    beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
+    wrong = beyond.any(axis=1) | (first == second)
+    if not wrong.any():
+        wrong = structure[first] != structure[second]
+    if wrong.any():
+        msg = (
+            f"contact {tuple(rows[wrong][0].tolist())} is not between docks 0 to {docks - 1} of "
+            f"two of the {len(structure)} robots in one structure"
+        )
+        raise InputError(msg)
+    ordered: NDArray[np.int64] = np.where((first < second)[:, None], rows, rows[:, [2, 3, 0, 1]])
+    return np.asarray(np.unique(ordered, axis=0))
+
+
+class _Run:
+    """A swarm on the device, renumbered so that neighbors are near in memory."""
+
+    def __init__(
+        self,
+        running: Backend,
+        swarm: _Swarm,
+        law: tuple[float, ...],
+        ramp: NDArray[np.float64],
+    ) -> None:
+        """Renumber the robots and copy them to the device."""
+        robots, docks = swarm.arm.shape[:2]
+        size = np.bincount(swarm.structure)
+        self.running = running
+        self.by_structure = running.arch == "cpu" and size.max() <= SMALL
+        self.law = law
+        self.spacing = swarm.spacing
+        self.order = morton_order(swarm.position, swarm.structure)
+        self.start = np.concatenate([[0], size.cumsum()])
+        _check_memory(running, robots, docks)
+        place = (swarm.position[:, None] + swarm.arm)[self.order]
+        self.neighbors = NeighborList(
+            running,
+            place,
+            self._renumbered(swarm.contacts),
+            cutoff=(1.0 + SKIN) * swarm.spacing,
+            start=self.start if self.by_structure else None,
+        )
+        self.ramp = running.upload(ramp)
+        self.steps = len(ramp)
+        self.dock = running.upload(self._places(place, swarm.structure[self.order]))
+        self.position = running.upload(swarm.position[self.order])
+        self.arm = running.upload(swarm.arm[self.order].reshape(-1, 3))
+        height = np.zeros(1) if swarm.height is None else swarm.height[self.order]
+        self.height = running.upload(height)
+        self.reference = running.reals(robots, 3)
+
+    def take_steps(self) -> RelaxResult:
+        """Take all steps and hand the robots back in the caller's order."""
+        moves, builds = self._by_structure() if self.by_structure else self._all_at_once()
+        position = np.empty((len(self.order), 3))
+        position[self.order] = self.position.to_numpy()
+        if not np.isfinite(position).all():
+            msg = "the forces diverged; lower the gains or give max_step"
+            raise InputError(msg)
+        return RelaxResult(position=position, largest_move=moves, list_builds=builds)
+
+    def _all_at_once(self) -> tuple[NDArray[np.float64], int]:
+        """Step by step, each with all threads, rows made anew where they have gone stale."""
+        rows = self.neighbors
+        control, moves = self.running.ints(2), self.running.reals(self.steps)
+        control.fill(0)
+        taken = 0
+        while taken < self.steps:
+            rows.build(self.dock, taken % 2)
+            start_interval(self.position, self.reference, control)
+            while taken < self.steps and not control[STALE]:
+                for t in range(taken, min(taken + LAUNCHES, self.steps)):
+                    take_step(
+                        rows.docks, rows.own_bits, *rows.strides, *self.law,
+                        0.5 * SKIN * self.spacing, t, self.ramp, self.dock, rows.row,
+                        rows.row_count, self.arm, self.height, self.reference, self.position,
+                        control, moves,
+                    )  # fmt: skip
+                taken = int(control[TAKEN])
+        return moves.to_numpy().astype(np.float64), rows.builds
+
+    def _by_structure(self) -> tuple[NDArray[np.float64], int]:
+        """All steps of a structure on one thread; again from the start if a row was too short."""
+        rows, structures = self.neighbors, len(self.start) - 1
+        start = self.running.upload(self.start)
+        moves = self.running.reals(structures, self.steps)
+        builds = self.running.ints(structures)
+        at_first = self.position.to_numpy(), self.dock.to_numpy()
+        while True:
+            relax_structures(
+                rows.docks, rows.own_bits, rows.cutoff, rows.capacity, *self.law, start,
+                self.ramp, self.dock, rows.table, rows.begin, rows.sorted_dock, rows.sorted_at,
+                rows.contact_start, rows.contact, rows.row, rows.row_count, self.arm, self.height,
+                self.reference, self.position, builds, rows.longest, moves,
+            )  # fmt: skip
+            longest = int(rows.longest.to_numpy().max())
+            if longest <= rows.capacity:
+                break
+            rows.lengthen(longest)
+            self.position.from_numpy(at_first[0])
+            self.dock.from_numpy(at_first[1])
+        return moves.to_numpy().max(axis=0).astype(np.float64), int(builds.to_numpy().max())
+
+    def _renumbered(self, contacts: NDArray[np.int64]) -> NDArray[np.int64]:
+        new = np.empty(len(self.order), np.int64)
+        new[self.order] = np.arange(len(self.order))
+        rows = contacts.copy()
+        rows[:, [0, 2]] = new[contacts[:, [0, 2]]]
+        return rows
+
+    def _places(
+        self, place: NDArray[np.float64], structure: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Both halves of the kernels' `dock`, shape (2, N * docks, 4)."""
+        dock = np.empty((2, *place.shape[:2], 4))
+        dock[..., :3] = place
+        dock[..., 3] = structure[:, None]
+        return dock.reshape(2, -1, 4)
+
+
+def _check_memory(running: Backend, robots: int, docks: int) -> None:
+    """Refuse a swarm that does not fit into the machine's memory, before any of it is reserved."""
+    numbers = 3 * 3 + docks * (3 + 2 * 4 + 4)
+    integers = docks * (1 + 16 + 16) + 12
+    needed = robots * (numbers * np.dtype(running.dtype).itemsize + 4 * integers)
+    free = psutil.virtual_memory().available
+    if running.arch == "cpu" and needed > free:
+        msg = (
+            f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB "
+            "are free; use precision f32, fewer robots or a larger machine"
+        )
+        raise EnvironmentTroubleError(msg)
