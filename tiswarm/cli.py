@@ -96,22 +96,20 @@ def localize(
 ) -> None:
     """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
     from tiswarm.compute import backend
+    from tiswarm.inspection import doubts
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
-    from tiswarm.records.tables import write_positions
+    from tiswarm.records.tables import write_estimate
     from tiswarm.scenario import localization_params
 
     params = localization_params(method, overrides)
     sensed = read_sensing_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
-    write_positions(
-        out, estimate.robot_id, estimate.position, estimate.sd, length_unit=sensed.length_unit
-    )
+    write_estimate(out, estimate, length_unit=sensed.length_unit)
     if not quiet:
-        lost = int((~estimate.located).sum())
-        if lost:
-            typer.echo(f"{lost} robots are tied to the anchor by no chain of contacts")
+        for line in doubts(sensed, log, filter(None, [estimate.certainty])):
+            typer.echo(line)
         typer.echo(
             f"{estimate.robot_count} robots, last step {estimate.residual[-1]:.2g} "
             f"{sensed.length_unit} rms -> {out}"

@@ -1,13 +1,22 @@
-"""Looks for mistakes in what a user hands in, without running anything."""
+"""Looks for mistakes in what a user hands in, and for what a log cannot tell."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tiswarm.errors import InputError
-from tiswarm.records.contact_graph import located
+from tiswarm.records.certainty import Certainty, by_cue
+from tiswarm.records.contact_graph import contact_count, located
+from tiswarm.records.contradictions import contradictions
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import find_mistakes, load_scenario
 from tiswarm.study.cases import plan
+
+MOST_SHOWN = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,19 +35,50 @@ def inspect(path: Path) -> Inspection:
     return _inspect_log(path) if path.suffix == ".jsonl" else _inspect_scenario(path)
 
 
+def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[str]:
+    """Say line by line what a log cannot tell.
+
+    Args:
+        log: What was sensed.
+        path: File that it came from.
+        found: What some cues leave unknown.
+    """
+    if (lost := np.flatnonzero(~located(log))).size:
+        yield f"tied to the anchor by no chain of contacts: {_robots(log, lost)}"
+    if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
+        yield f"in one contact only: {_robots(log, single)}"
+    for known in found:
+        cues = ", ".join(known.cues).replace("_", " ")
+        loose = np.count_nonzero(known.loose)
+        yield (
+            f"{cues}: {known.floppy_modes} floppy modes of {3 * log.robot_count - 3}, "
+            f"which leave {loose} robots loose"
+        )
+    impossible = contradictions(log)
+    for line, problem in impossible[:MOST_SHOWN]:
+        yield f"{path}:{line}: contacts: {problem}"
+    if len(impossible) > MOST_SHOWN:
+        yield f"{path}: contacts: {len(impossible) - MOST_SHOWN} more such contradictions"
+
+
+def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:
+    """Count robots, and name the first."""
+    names = ", ".join(map(str, log.robot_id[rows[:MOST_SHOWN]].tolist()))
+    more = ", ..." if len(rows) > MOST_SHOWN else ""
+    return f"{len(rows)} robots ({names}{more})"
+
+
 def _inspect_log(path: Path) -> Inspection:
     try:
         log = read_sensing_log(path)
     except InputError as mistake:
         return Inspection(mistakes=(mistake,))
-    lost = int((~located(log)).sum())
     stances = 0 if log.stances is None else len(log.stances.pivot_dock)
-    return Inspection(
-        summary=(
-            f"{log.robot_count} robots, {len(log.contacts)} contacts, {stances} stances, "
-            f"{lost} robots not tied to the anchor"
-        )
-    )
+    told = [
+        f"{log.robot_count} robots, {len(log.contacts)} contacts, {stances} stances",
+        *doubts(log, path, by_cue(log)),
+    ]
+    return Inspection(summary="\n".join(told))
 
 
 def _inspect_scenario(path: Path) -> Inspection:

@@ -92,16 +92,44 @@ def test_check_finds_every_mistake(tiswarm, tmp_path):
 
 
 def test_check_reads_logs_too(tiswarm, small_run, tmp_path):
-    """A sound log is summed up; a damaged one is refused at its line."""
+    """Of a sound log is said what it cannot tell; a damaged one is refused at its line."""
     log = small_run / "cases" / "0-baseline" / "sensing.jsonl"
     lines = log.read_text().splitlines()
     damaged = tmp_path / "damaged.jsonl"
     damaged.write_text("\n".join([*lines[:5], lines[5].replace("[", "(", 1), *lines[6:]]))
 
-    assert "12 robots" in tiswarm("check", log).stdout
+    told = tiswarm("check", log).stdout
+    assert "12 robots" in told
+    assert "contacts: " in told
+    assert "contacts, walk contacts, ground, height: " in told
+    assert "floppy modes of 33" in told
     done = tiswarm("check", damaged)
     assert done.returncode == 2
     assert f"{damaged}:6" in _only_line(done)
+
+
+def test_what_cannot_be_known_is_said_and_marked(tiswarm, small_run, tmp_path):
+    """A robot without contacts and a contact that cannot be are named with file and line."""
+    log = small_run / "cases" / "0-baseline" / "sensing.jsonl"
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    last = lines[-1]
+    lines[-2]["flip_height"] += 50.0
+    broken = tmp_path / "broken.jsonl"
+    broken.write_text(
+        "\n".join(json.dumps(line) for line in [*lines[:-1], last | {"contacts": []}])
+    )
+
+    checked = tiswarm("check", broken)
+    localized = tiswarm("localize", broken, "--out", tmp_path / "estimate.csv")
+
+    for done in (checked, localized):
+        assert done.returncode == 0
+        assert "tied to the anchor by no chain of contacts: 1 robots (11)" in done.stdout
+        assert f"{broken}:{len(lines) - 1}: contacts: robot 10's contact" in done.stdout
+    marks = [row.split(",")[-1] for row in (tmp_path / "estimate.csv").read_text().split()]
+    assert marks[0] == "known"
+    assert marks[-1] == "apart"
+    assert marks[1] == "yes"
 
 
 def test_schema_accepts_what_is_shipped_and_refuses_what_is_not(tiswarm):

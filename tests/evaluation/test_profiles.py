@@ -119,7 +119,7 @@ def test_tiny_structures_are_scored(towers, robots):
     )
     truth, log, estimate = _scored(small, np.full(3, 0.5))
 
-    scores = score(truth, log, estimate, RobotGeometry(), height_known=True)
+    scores = score(truth, log, estimate, RobotGeometry(), cues=("contacts", "height"))
     table = by_robot(truth, log, estimate, np.zeros(robots)).assign(join=np.arange(robots))
 
     unknown = {name for name, value in scores.items() if np.isnan(value)}

@@ -37,7 +37,7 @@ def test_positions_come_back_bit_for_bit(scratch, position, first):
 
 
 def test_the_table_looks_as_documented(tmp_path):
-    """Units are in the column names; an unknown deviation is an empty cell."""
+    """Units are in the column names; an unknown deviation is an empty cell, words come last."""
     path = tmp_path / "estimate.csv"
     position = np.array([[0.0, 1.0, -2.5], [1e-9, 1 / 3, 1e22]])
 
@@ -45,6 +45,13 @@ def test_the_table_looks_as_documented(tmp_path):
 
     assert path.read_text() == (
         "robot,x_R,y_R,z_R,sd_R\n7,0.0,1.0,-2.5,0.25\n3,1e-09,0.3333333333333333,1e+22,\n"
+    )
+    assert read_positions(path)[0].tolist() == [7, 3]
+
+    write_positions(path, np.array([7, 3]), position, known=["yes", "loose"])
+
+    assert path.read_text() == (
+        "robot,x_R,y_R,z_R,known\n7,0.0,1.0,-2.5,yes\n3,1e-09,0.3333333333333333,1e+22,loose\n"
     )
     assert read_positions(path)[0].tolist() == [7, 3]
 
@@ -57,7 +64,9 @@ def test_another_unit_is_not_taken_for_ours(tmp_path):
     names, _ = read_positions(path, length_unit="mm")
 
     assert names.tolist() == [0]
-    with pytest.raises(InputError, match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]; rename"):
+    with pytest.raises(
+        InputError, match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]\[,known\]; rename"
+    ):
         read_positions(path)
 
 
@@ -70,8 +79,11 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R]; rename them"),
-        ("robot,x,y,z\n", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R]; rename them"),
+        ("", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known]; rename them"),
+        (
+            "robot,x,y,z\n",
+            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known]; rename them",
+        ),
         ("robot,x_R,y_R,z_R\n", "{path}:2: there are no robots; add a row for each"),
         ("robot,x_R,y_R,z_R\n1,0,0\n", "{path}:2: has 3 cells; 4 are needed"),
         ("robot,x_R,y_R,z_R\n1,0,0,0\n\n", "{path}:3: has 0 cells; 4 are needed"),

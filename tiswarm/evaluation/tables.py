@@ -1,5 +1,7 @@
 """An estimate held against the truth: by robot, by iteration, and in one row."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -15,7 +17,12 @@ from tiswarm.robot import RobotGeometry
 
 
 def score(
-    truth: Truth, log: SensingLog, estimate: Estimate, robot: RobotGeometry, *, height_known: bool
+    truth: Truth,
+    log: SensingLog,
+    estimate: Estimate,
+    robot: RobotGeometry,
+    *,
+    cues: Collection[str],
 ) -> dict[str, float | int]:
     """Score one estimate, beside what decides how good it can be.
 
@@ -24,7 +31,7 @@ def score(
         log: What they sensed.
         estimate: Where they are thought to be.
         robot: Their shape; an RMSE is also given in units of its rho.
-        height_known: Whether the localizer used the heights, which leaves fewer floppy modes.
+        cues: What the localizer used; the more, the fewer floppy modes.
     """
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
@@ -32,7 +39,7 @@ def score(
         "robots": log.robot_count,
         "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
-        "floppy_modes": floppy_modes(true, log, height_known=height_known),
+        "floppy_modes": floppy_modes(true, log, cues),
         "unlocated": int((~estimate.located).sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,

@@ -72,6 +72,16 @@ class VirtualForceParams:
     trace_every: Annotated[int, Field(ge=1)] = 5
     """The trace keeps every so many iterations, and the last."""
 
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used."""
+        chosen = {
+            "contacts": True,
+            "non_overlap": self.undocked_repulsion,
+            "height": self.z_correction,
+        }
+        return tuple(cue for cue, is_used in chosen.items() if is_used)
+
 
 LocalizationParams = Annotated[
     VirtualForceParams,  # | the settings of each further method

@@ -1,10 +1,11 @@
 """Every localization method, by name."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import LocalizationParams
+from tiswarm.records.certainty import certainty
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -60,6 +61,8 @@ def localize_many(
     for members in batches.values():
         method = METHODS[params[members[0]].method]
         batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
-        estimates |= dict(zip(members, batch, strict=True))
+        for n, estimate in zip(members, batch, strict=True):
+            known = certainty(logs[n], params[n].cues, estimate.position)
+            estimates[n] = replace(estimate, certainty=known)
         tell(len(members))
     return [estimates[n] for n in range(len(logs))]

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.records.certainty import Certainty
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -21,6 +23,9 @@ class Estimate:
 
     sd: NDArray[np.float64] | None = None
     """Standard deviation of each position where the method knows it, shape (N,)."""
+
+    certainty: Certainty | None = None
+    """What the cues in use cannot tell; filled in after the method has run."""
 
     iteration: NDArray[np.int64]
     """Iterations at which the trace was recorded, ascending, shape (K,)."""

@@ -1,9 +1,9 @@
-"""Positions as a table: `robot,x_R,y_R,z_R` and, where it is known, `sd_R`."""
+"""Positions as a table: `robot,x_R,y_R,z_R` and, of an estimate, `sd_R` and `known`."""
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from tiswarm.errors import InputError
 from tiswarm.records.atomic import write_text
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.lines import numbered_lines, placed
 
+KNOWN = "known"
 _ID_LIMIT = 2**63
 
 
@@ -21,6 +23,7 @@ def write_positions(
     robot_id: NDArray[np.int64],
     position: NDArray[np.float64],
     sd: NDArray[np.float64] | None = None,
+    known: Sequence[str] | None = None,
     *,
     length_unit: str = "R",
 ) -> None:
@@ -31,6 +34,7 @@ def write_positions(
         robot_id: Name of each robot, shape (N,).
         position: Centres, finite, shape (N, 3).
         sd: Standard deviation of each position, NaN where unknown, shape (N,).
+        known: Whether each position can be known, in a word, shape (N,).
         length_unit: Unit of all lengths; part of the column names.
 
     Raises:
@@ -39,14 +43,25 @@ def write_positions(
     if not np.isfinite(position).all():
         message = f"{path.name}: positions must be finite"
         raise ValueError(message)
-    columns = [robot_id.tolist(), *position.T.tolist()]
+    header = _header(length_unit)
+    columns = dict(zip(header, [robot_id.tolist(), *position.T.tolist()], strict=False))
     if sd is not None:
-        columns.append(["" if math.isnan(value) else value for value in sd.tolist()])
+        columns[header[4]] = ["" if math.isnan(value) else value for value in sd.tolist()]
+    if known is not None:
+        columns[header[5]] = list(known)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_header(length_unit)[: len(columns)])
-    writer.writerows(zip(*columns, strict=True))
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
     write_text(path, text.getvalue())
+
+
+def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") -> None:
+    """Write an estimate with all that is known of its certainty."""
+    known = None if estimate.certainty is None else estimate.certainty.known
+    write_positions(
+        path, estimate.robot_id, estimate.position, estimate.sd, known, length_unit=length_unit
+    )
 
 
 def read_positions(
@@ -62,8 +77,9 @@ def read_positions(
     columns = _header(length_unit)
     with placed(path, number):
         header = _cells(text)
-        if header not in (columns[:4], columns):
-            problem = f"the columns are not {','.join(columns[:4])}[,{columns[4]}]; rename them"
+        if header != [name for name in columns if name in {*columns[:4], *header}]:
+            must, may = ",".join(columns[:4]), "".join(f"[,{name}]" for name in columns[4:])
+            problem = f"the columns are not {must}{may}; rename them"
             raise InputError(problem)
     rows = dict(_rows(lines, header, path))
     if not rows:
@@ -73,7 +89,7 @@ def read_positions(
 
 
 def _header(length_unit: str) -> list[str]:
-    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd"))]
+    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN]
 
 
 def _cells(line: str) -> list[str]:
@@ -100,7 +116,7 @@ def _rows(
                 raise InputError(problem, key="robot")
             seen.add(robot)
             position = [_length(cells[k], header[k]) for k in (1, 2, 3)]
-            if cells[4:] not in ([], [""]):
+            if header[4:] and header[4] != KNOWN and cells[4]:
                 _length(cells[4], header[4])
         yield robot, position
 

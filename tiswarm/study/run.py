@@ -222,7 +222,7 @@ class _Bench:
             log,
             estimate,
             history.robot,
-            height_known=case.settings.localization.z_correction,
+            cues=case.settings.localization.cues,
         )
         return self.folder.store(
             _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),

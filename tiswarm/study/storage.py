@@ -15,7 +15,7 @@ from tiswarm.records.atomic import write_text
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.tables import write_positions
+from tiswarm.records.tables import write_estimate, write_positions
 from tiswarm.records.truth import Truth
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
 
@@ -119,7 +119,7 @@ class RunFolder:
         work = self._workplace(record.case)
         write_sensing_log(log, work / "sensing.jsonl")
         write_positions(work / "truth.csv", truth.robot_id, truth.position)
-        write_positions(work / "estimate.csv", estimate.robot_id, estimate.position, estimate.sd)
+        write_estimate(work / "estimate.csv", estimate)
         for name in TABLES:
             write_table(tables[name], work / f"{name}.csv")
         files = {path.name: _digest(path) for path in sorted(work.iterdir())}

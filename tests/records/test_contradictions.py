@@ -1,0 +1,89 @@
+"""Contacts that cannot be are found and told with their line; those that can are let be."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tiswarm.records.contradictions import contradictions
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
+from tiswarm.sensing import SensingParams, observe
+
+UPRIGHT = [1.0, 0.0, 0.0, 0.0]
+DOCKS = 1.506 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.75**0.5, 0.0], [-0.5, -(0.75**0.5), 0.0]])
+
+
+def _log(contacts, heights=(0.0, 0.0, 0.0), noise=0.0):
+    """Three robots, named 10, 11 and 12, turned alike."""
+    return SensingLog(
+        robot_id=np.array([10, 11, 12]),
+        dock_radius=1.0,
+        dock_offset_body=DOCKS,
+        anchor_position=np.zeros(3),
+        orientation_wxyz=np.tile(UPRIGHT, (3, 1)),
+        contacts=np.array(contacts, np.int32).reshape(-1, 4),
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=np.array(heights),
+        spawn_position=np.full((3, 3), np.nan),
+        noise=SensingNoise(tilt_deg=noise, yaw_deg=noise),
+    )
+
+
+@pytest.mark.parametrize(
+    "params",
+    [SensingParams(), SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0, yaw_bias_deg=5.0)],
+)
+def test_what_was_truly_felt_is_no_contradiction(towers, params):
+    """Neither grown structures nor the noise that a log states give a false alarm."""
+    for history in towers:
+        log = observe(history, params)
+
+        assert contradictions(log) == []
+        assert contradictions(dataclasses.replace(log, stances=None)) == []
+
+
+@pytest.mark.parametrize(
+    ("log", "line", "problem"),
+    [
+        # Docks 0 and 1 lie 2.6 R apart: on another's docks 1 and 0 they would need 5.2 R of 4 R.
+        (
+            _log([[0, 1, 1, 0], [0, 0, 1, 1]]),
+            3,
+            "robot 11's contact [0, 10, 1] and robot 11's contact [1, 10, 0] cannot all be",
+        ),
+        # From 10 by 11 to 12 and back are 7.8 R, and three contacts make up for 6 R.
+        (
+            _log([[0, 0, 1, 1], [0, 1, 2, 0], [1, 0, 2, 1]]),
+            4,
+            "robot 12's contact [0, 10, 1] and robot 12's contact [1, 11, 0] and robot 11's",
+        ),
+        (
+            _log([[0, 0, 1, 1]], heights=(0.0, 2.5, 0.0)),
+            3,
+            "robot 11's contact [1, 10, 0] cannot be: by their flips the docks are 2.5 R apart",
+        ),
+    ],
+)
+def test_what_cannot_be_is_told_with_its_line(log, line, problem):
+    """Two contacts of a pair, three around a triangle, one against the heights."""
+    found = contradictions(log)
+
+    assert [entry.line for entry in found] == [line]
+    assert found[0].problem.startswith(problem)
+
+
+def test_noise_may_excuse_a_contradiction():
+    """What is impossible for perfect senses is not for poor ones."""
+    contacts = [[0, 1, 1, 0], [0, 0, 1, 1]]
+
+    assert contradictions(_log(contacts, noise=0.1))
+    assert not contradictions(_log(contacts, noise=15.0))
+
+
+def test_most_false_contacts_of_a_noiseless_log_are_found(towers):
+    """A contact with anybody at all seldom agrees with the heights and the neighbours."""
+    for history in towers:
+        log = observe(history, SensingParams(false_contacts=0.05))
+        false = {tuple(row) for row in log.contacts} - {tuple(row) for row in history.contacts}
+
+        assert len(contradictions(log)) >= len(false) // 2

@@ -1,0 +1,91 @@
+"""What a log cannot tell, whatever the method: said before and after localizing."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from tiswarm.compute import random
+from tiswarm.records.rigidity import Equations, equations, freedom
+from tiswarm.records.sensing_log import SensingLog
+
+TYING = ("contacts", "walk_contacts", "odometry")
+"""Cues that tie a robot to another, or to the world, in every direction they need."""
+
+LEVEL = ("ground", "height")
+"""Cues that tell a height only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certainty:
+    """What some cues can tell of N robots."""
+
+    cues: tuple[str, ...]
+    """The cues that count."""
+
+    floppy_modes: int
+    """Independent motions of the swarm that nothing sensed would notice."""
+
+    loose: NDArray[np.bool_]
+    """Whether such motions shift each robot, shape (N,)."""
+
+    apart: NDArray[np.bool_]
+    """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
+
+    @property
+    def known(self) -> list[str]:
+        """Say of each robot whether its place can be known: "yes", "loose" or "apart"."""
+        words = np.where(self.apart, "apart", np.where(self.loose, "loose", "yes"))
+        return [str(word) for word in words]
+
+
+def certainty(
+    log: SensingLog, cues: Collection[str], position: NDArray[np.float64] | None = None
+) -> Certainty:
+    """Find what some cues leave unknown.
+
+    Args:
+        log: What was sensed.
+        cues: Cues in use; those that add no equation are passed over.
+        position: Where the robots are thought to be, shape (N, 3). Without it they are put
+            anywhere at random, for what can be known hardly depends on where they are.
+    """
+    counting = tuple(cue for cue in (*TYING, *LEVEL) if cue in cues)
+    if position is None:
+        robot = np.arange(log.robot_count)[:, None]
+        spread = 10.0 * log.dock_radius
+        position = spread * random.normal(0, "anywhere", robot, np.arange(3))
+    known = equations(position, log, counting)
+    left = freedom(known, log.robot_count)
+    tied = equations(position, log, [cue for cue in counting if cue in TYING])
+    return Certainty(
+        cues=counting,
+        floppy_modes=left.floppy_modes,
+        loose=left.loose,
+        apart=_apart(tied, log.robot_count),
+    )
+
+
+def by_cue(log: SensingLog) -> Iterator[Certainty]:
+    """Find what is left unknown by a log's contacts, and then with each further cue it has."""
+    stances = log.stances
+    has = {
+        "contacts": True,
+        "ground": len(log.ground_docks) > 0,
+        "height": bool(np.isfinite(log.flip_height).any()),
+        "walk_contacts": stances is not None and len(stances.contacts) > 0,
+        "odometry": stances is not None and bool(np.isfinite(log.spawn_position).any()),
+    }
+    cues = [cue for cue, there in has.items() if there]
+    for count in range(1, len(cues) + 1):
+        yield certainty(log, cues[:count])
+
+
+def _apart(tied: Equations, robot_count: int) -> NDArray[np.bool_]:
+    shape = (robot_count, robot_count)
+    graph = coo_array((np.ones(len(tied.first)), (tied.first, tied.second)), shape=shape)
+    _, part = connected_components(graph, directed=False)
+    return np.asarray(part != part[0])
