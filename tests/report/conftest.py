@@ -50,7 +50,16 @@ def write_case(folder, *, seed, last_iteration=40):
         "ground_z": 0.0,
         "length_unit": "R",
     }
-    (folder / "sensing.jsonl").write_text(json.dumps(header) + "\n")
+    robots = [
+        {
+            "robot": name,
+            "orientation_wxyz": turn.tolist(),
+            "contacts": [[0, name - 1, 1]] if name else [],
+        }
+        for name, turn in enumerate(quaternion)
+    ]
+    lines = [json.dumps(line) for line in (header, *robots)]
+    (folder / "sensing.jsonl").write_text("\n".join(lines) + "\n")
     return rmse
 
 

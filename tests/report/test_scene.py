@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tiswarm.report.folder import read_cases
-from tiswarm.report.render.build import build_pictures
 from tiswarm.report.render.camera import frame
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import Scene
+from tiswarm.report.render.subjects import build_pictures
 from tiswarm.report.render.tiles import tile_tracer
 
 

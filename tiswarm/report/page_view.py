@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tiswarm.report.folder import Case, read_columns
-from tiswarm.report.render.build import ESTIMATED_POSE, POSE, read_header
+from tiswarm.report.folder import Case
+from tiswarm.report.render.subjects import Subject, read_subject
 
 MOST_CASES = 12
 MOST_ROBOTS = 10_000
@@ -35,38 +35,39 @@ def build_view(cases: Sequence[Case]) -> View | None:
     """
     first = {case.series: case for case in reversed(cases) if case.done}
     chosen = [case for case in cases if case.done and first[case.series] is case]
-    shown: list[dict[str, Any]] = []
-    robots = 0
+    subjects: list[Subject] = []
     for case in chosen[:MOST_CASES]:
-        data = _data(case)
-        robots += len(data["robot"])
-        if robots > MOST_ROBOTS:
+        subjects.append(read_subject(case))
+        if sum(len(subject.pose) for subject in subjects) > MOST_ROBOTS:
+            subjects.pop()
             break
-        shown.append(data)
-    if not shown:
+    if not subjects:
         return None
-    header = read_header(chosen[0])
-    offsets = np.array(header.dock_offsets) / header.dock_radius
     done = sum(case.done for case in cases)
-    left_out = f"{len(shown)} of {done} cases are here." if len(shown) < done else ""
+    log = subjects[0].log
     return View(
-        data={"offsets": offsets.round(DIGITS).tolist(), "cases": shown},
-        note=left_out,
+        data={
+            "offsets": (log.dock_offset_body / log.dock_radius).round(DIGITS).tolist(),
+            "cases": [_data(subject) for subject in subjects],
+        },
+        note=f"{len(subjects)} of {done} cases are here." if len(subjects) < done else "",
     )
 
 
-def _data(case: Case) -> dict[str, Any]:
+def _data(subject: Subject) -> dict[str, Any]:
     """Poses and errors of the robots that have an estimate."""
-    names = ["robot", "error_R", *POSE, *ESTIMATED_POSE]
-    table = read_columns(case.folder / "robots.csv", names)
-    table = table[np.isfinite(table).all(axis=1)].round(DIGITS)
+    table = np.column_stack([subject.error, subject.pose, subject.estimated_pose])
+    known = np.isfinite(table).all(axis=1)
+    error, true, turn, estimate, sensed = np.split(
+        table[known].round(DIGITS), [1, 4, 8, 11], axis=1
+    )
     return {
-        "name": case.name,
-        "robot": table[:, 0].astype(int).tolist(),
-        "error": table[:, 1].tolist(),
-        "worst": max(float(table[:, 1].max(initial=0.0)), 1e-3),
-        "true": table[:, 2:5].tolist(),
-        "turn": table[:, 5:9].tolist(),
-        "estimate": table[:, 9:12].tolist(),
-        "sensed": table[:, 12:16].tolist(),
+        "name": subject.case.name,
+        "robot": subject.robot[known].tolist(),
+        "error": error[:, 0].tolist(),
+        "worst": max(float(error.max(initial=0.0)), 1e-3),
+        "true": true.tolist(),
+        "turn": turn.tolist(),
+        "estimate": estimate.tolist(),
+        "sensed": sensed.tolist(),
     }

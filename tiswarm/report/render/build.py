@@ -1,27 +1,12 @@
-"""Builds the scenes of a case from its tables."""
+"""Builds scenes: spheres and arms of robots, lit, on their ground, before a camera."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
-from tiswarm.records.lines import numbered_lines, placed
-from tiswarm.records.sensing_line import HeaderLine, parse_header
-from tiswarm.report.folder import Case, read_columns
 from tiswarm.report.render.camera import frame
-from tiswarm.report.render.legend import (
-    ESTIMATE_ORANGE,
-    FORCE_COLORS,
-    JOIN_COLORS,
-    TRUE_BLUE,
-    Keys,
-    Legend,
-    Scale,
-    colors_along,
-)
 from tiswarm.report.render.scene import Ground, Scene
 
 GIRTH = 1.45
@@ -42,10 +27,6 @@ GROUND_FADE = (2.0, 9.0)
 """Distances from the nearest standing dock where the ground starts and ends to fade [R]."""
 
 GROUND_GRAY = 0.92
-POSITION = ["x_R", "y_R", "z_R"]
-POSE = [*POSITION, "qw", "qx", "qy", "qz"]
-ESTIMATE = [name.replace("_R", "_est_R") for name in POSITION]
-ESTIMATED_POSE = [*ESTIMATE, *(f"{name}_sensed" for name in POSE[3:])]
 
 
 @dataclass(frozen=True)
@@ -55,12 +36,6 @@ class Look:
     hub: float
     arm: float
     dock: float
-
-
-TRUE_SIZE = Look(0.45, 0.3, 1.0)
-TRUTH_LOOK = Look(0.3, 0.18, 0.72)
-ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)
-"""Beside TRUTH_LOOK: where both coincide, blue docks on orange arms are seen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,91 +55,56 @@ class Robots:
     """How stout they are."""
 
 
-class Picture(NamedTuple):
-    """What a picture shows, and what its colors mean."""
+@dataclass(frozen=True, kw_only=True)
+class Rods:
+    """Straight rods of one thickness and color."""
 
-    scene: Scene
-    legend: Legend
+    start: NDArray[np.float64]
+    """One end of each [R], shape (n, 3)."""
+
+    end: NDArray[np.float64]
+    """Other end of each [R], shape (n, 3)."""
+
+    radius: float
+    """Radius of all [R]."""
+
+    color: tuple[float, float, float]
+    """Red, green, blue, 0 to 1."""
 
 
-def build_pictures(case: Case) -> dict[str, Picture]:
-    """Build every picture of a case, by its name.
+def build_scene(
+    groups: list[Robots],
+    ground_z: float | None,
+    *,
+    rods: Rods | None = None,
+    around: NDArray[np.float64] | None = None,
+) -> Scene:
+    """Make spheres and arms of robots, light them and put a camera before them.
 
-    Raises:
-        InputError: where a file of the case is missing or damaged.
+    Args:
+        groups: What is to be seen.
+        ground_z: Height of the ground [R]; None for no ground.
+        rods: What is to be seen besides; it casts no shade.
+        around: Docks that camera and ground must have room for [R], shape (n, 3); those of the
+            groups if None.
     """
-    header = read_header(case)
-    offsets = np.array(header.dock_offsets) / header.dock_radius
-    ground_z = None if header.ground_z is None else header.ground_z / header.dock_radius
-    table = read_columns(case.folder / "robots.csv", POSE + ESTIMATED_POSE)
-    order = colors_along(np.linspace(0.0, 1.0, len(table)), JOIN_COLORS)
-    structure = _robots(table[:, :7], offsets, order, TRUE_SIZE)
-    force = read_columns(case.folder / "robots.csv", ["sensed_force"])[:, 0]
-    greatest = max(np.nanmax(force, initial=0.0), 1e-9)
-    loaded = _robots(
-        table[:, :7],
-        offsets,
-        colors_along(np.nan_to_num(force) / greatest, FORCE_COLORS),
-        TRUE_SIZE,
-    )
-    truth = _robots(table[:, :7], offsets, np.tile(TRUE_BLUE, (len(table), 1)), TRUTH_LOOK)
-    estimate = _robots(
-        table[:, 7:], offsets, np.tile(ESTIMATE_ORANGE, (len(table), 1)), ESTIMATE_LOOK
-    )
-    return {
-        "structure": Picture(
-            build_scene([structure], ground_z), Scale(JOIN_COLORS, "joined first", "last")
-        ),
-        "sensed-force": Picture(
-            build_scene([loaded], ground_z),
-            Scale(FORCE_COLORS, "senses 0", f"{greatest:.3g} dock weights"),
-        ),
-        "truth-and-estimate": Picture(
-            build_scene([truth, estimate], ground_z),
-            Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))),
-        ),
-    }
-
-
-def read_header(case: Case) -> HeaderLine:
-    """Read the first line of the sensing log, which knows the robots' geometry."""
-    path = case.folder / "sensing.jsonl"
-    number, text = next(numbered_lines(path), (1, ""))
-    with placed(path, number):
-        return parse_header(text)
-
-
-def _robots(
-    pose: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    color: NDArray[np.float64],
-    look: Look,
-) -> Robots:
-    """Place the docks of robots of known pose (centre, quaternion), leaving out the others."""
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    pose = pose[known]
-    turn = Rotation.from_quat(pose[:, 3:], scalar_first=True).as_matrix()
-    center = pose[:, :3]
-    dock = center[:, None] + np.einsum("nij,kj->nki", turn, offsets)
-    return Robots(center=center, dock=dock, color=color[known], look=look)
-
-
-def build_scene(groups: list[Robots], ground_z: float | None) -> Scene:
-    """Make spheres and arms of robots, light them and put a camera before them."""
     parts = [part for robots in groups for part in _capsules(robots)]
+    if rods is not None:
+        parts.append(_rods(rods))
     start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
     center = np.concatenate([robots.center for robots in groups])
     girth = np.concatenate([np.full(len(r.center), GIRTH * r.look.dock) for r in groups])
     blockers = np.column_stack([center, girth])
-    dock = np.concatenate([robots.dock.reshape(-1, 3) for robots in groups])
+    if around is None:
+        around = np.concatenate([robots.dock.reshape(-1, 3) for robots in groups])
     return Scene(
         start=start.astype(np.float32),
         end=end.astype(np.float32),
         radius=radius.astype(np.float32),
         color=color.astype(np.float32),
         shade=_shade((start + end) / 2.0, blockers),
-        camera=frame(dock, max(robots.look.dock for robots in groups)),
-        ground=None if ground_z is None else _ground(dock, blockers, ground_z),
+        camera=frame(around, max(robots.look.dock for robots in groups)),
+        ground=None if ground_z is None else _ground(around, blockers, ground_z),
     )
 
 
@@ -178,6 +118,12 @@ def _capsules(robots: Robots) -> list[tuple[NDArray[np.float64], ...]]:
         (hub.repeat(docks, axis=0), dock, np.full(len(dock), look.arm), 0.7 * color),
         (dock, dock, np.full(len(dock), look.dock), color),
     ]
+
+
+def _rods(rods: Rods) -> tuple[NDArray[np.float64], ...]:
+    """Make start, end, radius and color of rods."""
+    count = len(rods.start)
+    return rods.start, rods.end, np.full(count, rods.radius), np.tile(rods.color, (count, 1))
 
 
 def _shade(points: NDArray[np.float64], blockers: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -44,6 +44,11 @@ FORCE_COLORS = np.array(
 )
 """From idle to heavily loaded: pale gray-blue over orange to dark red."""
 
+ERROR_COLORS = np.array(
+    [[0.988, 0.941, 0.765], [0.976, 0.714, 0.298], [0.894, 0.341, 0.180], [0.549, 0.051, 0.184]]
+)
+"""From none to large: cream over orange to dark red."""
+
 
 @dataclass(frozen=True)
 class Keys:

@@ -56,7 +56,7 @@ class RendererError(Exception):
 def render_run(
     folder: Path, *, tell: Tell, renderer: str | None = None, case: str | None = None
 ) -> list[Rendered]:
-    """Draw the structure, and truth and estimate, of one case of a run into `renders/`.
+    """Draw every picture of one case of a run into `renders/`.
 
     Args:
         folder: The run.
@@ -71,7 +71,7 @@ def render_run(
     if renderer is not None and renderer not in RENDERERS:
         msg = f"unknown renderer {renderer!r}; choose one of {', '.join(RENDERERS)}"
         raise InputError(msg, key="--renderer")
-    from tiswarm.report.render.build import build_pictures  # noqa: PLC0415 - slow to import
+    from tiswarm.report.render.subjects import build_pictures  # noqa: PLC0415 - slow to import
 
     planned = build_pictures(_choose(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"

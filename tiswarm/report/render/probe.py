@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiswarm.report.render.build import TRUE_SIZE, Robots, build_scene
+from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import TRUE_BLUE
 from tiswarm.report.render.packages import installation_advice, missing_packages
 from tiswarm.report.render.pictures import RENDERERS, RendererError, draw_in_child
 from tiswarm.report.render.scene import Scene
+from tiswarm.report.render.subjects import TRUE_SIZE
 from tiswarm.robot import RobotGeometry
 
 __all__ = ["RendererStatus", "missing_packages", "probe_renderers"]
