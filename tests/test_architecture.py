@@ -27,7 +27,7 @@ def _room_files() -> set[str]:
 
 def _distributions() -> set[str]:
     project = PROJECT["project"]
-    requirements = project["dependencies"] + project["optional-dependencies"]["dev"]
+    requirements = sum(project["optional-dependencies"].values(), project["dependencies"])
     return {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
 
 

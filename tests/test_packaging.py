@@ -82,9 +82,9 @@ def test_constraints_are_pins():
 
 
 def test_every_dependency_is_pinned():
-    """Runtime, developers' tools and build: none is left to the day of the installation."""
+    """Runtime, extras and build: none is left to the day of the installation."""
     pyproject = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())
-    wanted = PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]
+    wanted = sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"])
     wanted += pyproject["build-system"]["requires"]
 
     assert _names(wanted) <= _names(PINS)
@@ -93,7 +93,7 @@ def test_every_dependency_is_pinned():
 def test_every_import_is_a_dependency():
     """What the package imports is what it or an extra asks for, no more and no less."""
     needed = {_normal(IMPORTED_AS.get(module, module)) for module in _imported()}
-    extras = {**PROJECT["optional-dependencies"], "dev": []}.values()
+    extras = {**PROJECT["optional-dependencies"], "bench": [], "dev": []}.values()
 
     assert needed == _names(sum(extras, PROJECT["dependencies"])) - SAME_MODULE
 

@@ -1,0 +1,167 @@
+"""Times the swarm step against its peers, and checks the forces of every one of them.
+
+    python -m benchmarks.swarm_step                    # one scene, 1,000 and 10,000 robots
+    python -m benchmarks.swarm_step --full             # all scenes, 100 to 1,000,000 robots
+    python -m benchmarks.swarm_step --engines tiswarm-f64 numba-f64 --sizes 1e5
+
+Engines take turns, each in a process of its own, and go through the whole run: from the start
+of the scene, lists and all. Needs `pip install '.[bench]'`; what is missing is named.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks.swarm_step import reference
+from benchmarks.swarm_step.child import Child
+from benchmarks.swarm_step.engines.registry import ENGINES
+from benchmarks.swarm_step.figure import draw
+from benchmarks.swarm_step.machine import describe
+from benchmarks.swarm_step.scenes import SCENES, Law, make
+
+QUICK_SIZES = (1_000, 10_000)
+FULL_SIZES = (100, 1_000, 10_000, 100_000, 1_000_000)
+STEPS, FEW_STEPS = 50, 25
+"""Steps of a run, and of one of a million robots: lists are built every 13 in both."""
+STILL = 1e-6
+"""A largest step at which lists never go stale: what a step costs without them [R]."""
+MOST_CHECKED = 10_000
+"""Robots of the largest scene that is also checked at the end of the run."""
+ROUNDINGS = 16
+"""Errors may be so many roundings of the largest coordinate, in every step."""
+
+
+def main() -> None:
+    """Measure, print and store a table, and draw it."""
+    options = _options()
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "machine.json").write_text(json.dumps(describe(), indent=1) + "\n")
+    rows: list[dict[str, Any]] = []
+    for scene in options.scenes:
+        for robots in options.sizes:
+            rows += measure(scene, robots, options, rows)
+            table = pd.DataFrame(rows)
+            table.to_csv(options.out / "swarm_step.csv", index=False, float_format="%.4g")
+            here = table[(table["scene"] == scene) & (table["robots"] == robots)]
+            print(here.to_string(index=False, float_format="{:.3g}".format), "\n", flush=True)
+    draw(pd.DataFrame(rows), options.out / "swarm_step.png")
+    sys.exit(any(row.get("note") == "WRONG" for row in rows))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    size = {"type": lambda text: int(float(text)), "nargs": "+", "metavar": "N"}
+    parser.add_argument("--full", action="store_true", help="all scenes and sizes")
+    parser.add_argument("--sizes", **size, help="numbers of robots")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES)
+    parser.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES))
+    parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are told")
+    parser.add_argument(
+        "--limit-s", type=float, default=120.0, help="leave out runs expected to take longer"
+    )
+    parser.add_argument("--out", type=Path, default=Path("reports/swarm-step"))
+    options = parser.parse_args()
+    options.sizes = options.sizes or (FULL_SIZES if options.full else QUICK_SIZES)
+    options.scenes = options.scenes or (list(SCENES) if options.full else ["block"])
+    return options
+
+
+def measure(
+    name: str, robots: int, options: argparse.Namespace, earlier: list[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Run every engine on one scene of one size, in turns."""
+    law, scene = Law(), make(name, robots, seed=0)
+    steps = FEW_STEPS if robots >= FULL_SIZES[-1] else STEPS
+    wanted = {"force": reference.force(scene, law, scene.position), "steps": steps}
+    if robots <= MOST_CHECKED:
+        wanted["end"] = reference.run(scene, law, steps)
+    extent = np.ptp(scene.position + scene.separation, axis=0).max()
+    rows = {
+        engine: {"scene": name, "robots": robots, "engine": engine} for engine in options.engines
+    }
+    children = {}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.npz"
+        np.savez(file, **vars(scene), **wanted)
+        for engine, row in rows.items():
+            row["note"] = _too_slow(engine, name, robots * steps, options.limit_s, earlier)
+            if not row["note"]:
+                children[engine] = Child(engine, file)
+                row["note"] = children[engine].missing
+        children = {engine: child for engine, child in children.items() if not child.missing}
+        for engine, child in children.items():
+            child.ask(do="run", steps=steps, max_step=law.max_step)  # warms up
+            rows[engine] |= child.ask(do="check")
+            if _is_wrong(rows[engine], extent, steps, ENGINES[engine].precision):
+                rows[engine]["note"] = "WRONG"
+    times = _take_turns(children, steps, options.repeats)
+    for engine, taken in times.items():
+        rows[engine] |= _summary(taken, times[next(iter(times))], robots, steps)
+    for child in children.values():
+        child.stop()
+    return list(rows.values())
+
+
+def _take_turns(
+    children: dict[str, Child], steps: int, repeats: int
+) -> dict[str, list[dict[str, Any]]]:
+    """Whole runs, and runs of 1 and 1 + T steps on lists that hold, each engine once a round."""
+    times: dict[str, list[dict[str, Any]]] = {engine: [] for engine in children}
+    for _ in range(repeats):
+        for engine, child in children.items():
+            taken = child.ask(do="run", steps=steps, max_step=Law().max_step)
+            short = child.ask(do="run", steps=1, max_step=STILL)
+            long = child.ask(do="run", steps=1 + steps, max_step=STILL)
+            taken["step_s"] = long["cpu_s"] - short["cpu_s"]
+            times[engine].append(taken)
+    return times
+
+
+def _summary(
+    taken: list[dict[str, Any]], first: list[dict[str, Any]], robots: int, steps: int
+) -> dict[str, Any]:
+    """Medians by robot and step, and of the ratios to the first engine in the same round."""
+    per = 1e9 / (robots * steps)
+    table, base = pd.DataFrame(taken), pd.DataFrame(first)
+    return {
+        "steps": steps,
+        "builds": taken[-1]["builds"],
+        "cpu_ns": per * table["cpu_s"].median(),
+        "wall_ns": per * table["wall_s"].median(),
+        "step_cpu_ns": per * table["step_s"].median(),
+        "cpu_ratio": (table["cpu_s"] / base["cpu_s"]).median(),
+        "wall_ratio": (table["wall_s"] / base["wall_s"]).median(),
+        "memory_B": table["memory_B"].iloc[0],
+        "load": os.getloadavg()[0],
+    }
+
+
+def _too_slow(
+    engine: str, scene: str, robot_steps: int, limit_s: float, earlier: list[dict[str, Any]]
+) -> str:
+    """Say so where a run would take longer than wanted, judging by the last smaller one."""
+    known = [row for row in earlier if row["scene"] == scene and row["engine"] == engine]
+    expected = 1e-9 * robot_steps * known[-1].get("wall_ns", 0.0) if known else 0.0
+    if known and "wall_ns" not in known[-1]:
+        return known[-1]["note"]
+    return f"left out: a run would take about {expected:.0f} s" if expected > limit_s else ""
+
+
+def _is_wrong(row: dict[str, Any], extent: float, steps: int, precision: str) -> bool:
+    """Whether errors are larger than rounding explains."""
+    allowed = ROUNDINGS * np.finfo(precision).eps * (extent + 1.0)
+    errors = row["force_error"] or 0.0, (row["end_error_R"] or 0.0) / steps
+    return not max(errors) <= allowed
+
+
+if __name__ == "__main__":
+    main()

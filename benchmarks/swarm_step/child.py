@@ -1,0 +1,45 @@
+"""A process that runs one engine."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.swarm_step.engines.registry import ENGINES
+
+
+class Child:
+    """An engine that is ready, or says in `missing` why it never will be."""
+
+    def __init__(self, engine: str, scene: Path) -> None:
+        entry = ENGINES[engine]
+        threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": str(entry.threads)}
+        self.process = subprocess.Popen(  # noqa: S603 - this very program
+            [sys.executable, "-m", f"{__package__}.worker", engine, str(scene)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=os.environ | threads | dict(entry.environment),
+        )
+        self.missing: str = self._answer().get("missing", "")
+        if self.missing:
+            self.stop()
+
+    def ask(self, **request: Any) -> dict[str, Any]:  # noqa: ANN401 - what the worker knows
+        """Have something done and wait for it."""
+        print(json.dumps(request), file=self.process.stdin, flush=True)
+        return self._answer()
+
+    def stop(self) -> None:
+        """Let the process end."""
+        self.process.communicate()
+
+    def _answer(self) -> dict[str, Any]:
+        line = self.process.stdout.readline()
+        if line:
+            return dict(json.loads(line))
+        msg = f"{self.process.args} ended with status {self.process.wait()}"
+        raise RuntimeError(msg)

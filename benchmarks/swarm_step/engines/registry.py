@@ -1,0 +1,95 @@
+"""The engines by name: what runs them, in which precision, on how many threads."""
+
+import importlib
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.swarm_step.scenes import Law, Scene
+
+ALL = os.cpu_count() or 1
+
+
+class Engine(Protocol):
+    """A scene that is ready to be run, again and again."""
+
+    builds: int
+    """How often the last run made its neighbour lists."""
+
+    def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
+        """Take steps from the scene's start; where robots are then, shape (N, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """How an engine is started, in a process of its own."""
+
+    engine: str
+    """Module of this package and class."""
+
+    precision: str = "float64"
+    threads: int = 1
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Further arguments of the class."""
+
+    environment: Mapping[str, str] = field(default_factory=dict)
+    """Variables that the process gets."""
+
+    in_order: bool = True
+    """Whether it is handed the robots renumbered along a curve, which it would not do itself."""
+
+    def load(self) -> Callable[[Scene, Law], Engine]:
+        """Import what the engine needs; what comes back prepares a scene."""
+        module, name = self.engine.split(":")
+        factory = getattr(importlib.import_module(f"{__package__}.{module}"), name)
+        return partial(factory, precision=self.precision, threads=self.threads, **self.options)
+
+
+def _ours(precision: str = "float64", threads: int = 1, arch: str = "cpu", **env: str) -> Entry:
+    return Entry(
+        engine="tiswarm_relax:TiswarmRelax",
+        precision=precision,
+        threads=threads,
+        options={"arch": arch},
+        environment=env,
+        in_order=False,
+    )
+
+
+def _warp(precision: str, device: str = "cpu") -> Entry:
+    return Entry(engine="warp_grid:WarpGrid", precision=precision, options={"device": device})
+
+
+def _jax(precision: str) -> Entry:
+    one = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    return Entry(engine="jax_dense:JaxDense", precision=precision, environment={"XLA_FLAGS": one})
+
+
+ENGINES = {
+    "tiswarm-f64": _ours(),
+    "tiswarm-f32": _ours("float32"),
+    "quadrants-f64": _ours(TISWARM_BACKEND="quadrants"),
+    "quadrants-f32": _ours("float32", TISWARM_BACKEND="quadrants"),
+    "numba-f64": Entry(engine="numba_lists:NumbaLists"),
+    "numba-f32": Entry(engine="numba_lists:NumbaLists", precision="float32"),
+    "c-f64": Entry(engine="c_lists:CLists"),
+    "c-f32": Entry(engine="c_lists:CLists", precision="float32"),
+    "lammps-f64": Entry(engine="lammps_docks:LammpsDocks"),
+    "warp-f64": _warp("float64"),
+    "warp-f32": _warp("float32"),
+    "kdtree-f64": Entry(engine="kdtree:KdTree"),
+    "jax-md-f64": _jax("float64"),
+    "jax-md-f32": _jax("float32"),
+    "stream-f64": Entry(engine="c_lists:Streaming"),
+    "stream-f32": Entry(engine="c_lists:Streaming", precision="float32"),
+    "tiswarm-f64-all": _ours(threads=ALL),
+    "numba-f64-all": Entry(engine="numba_lists:NumbaLists", threads=ALL),
+    "tiswarm-cuda-f32": _ours("float32", arch="cuda"),
+    "warp-cuda-f32": _warp("float32", "cuda"),
+}
+"""One thread, unless the name ends in `all`."""

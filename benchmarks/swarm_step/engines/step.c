@@ -1,0 +1,79 @@
+/* The step of kernels.py by hand: rows are first spread out, so that no vector is gathered. */
+#include <stdint.h>
+#include <tgmath.h>
+
+enum { ROW = 256, WIDTH = 8 };
+
+/* Returns the largest square of a distance from `origin`. */
+REAL take_step(int64_t robots, const int64_t *restrict first, const int64_t *restrict end,
+               const int32_t *restrict entry, const REAL *restrict dock,
+               const REAL *restrict dock_offset, const REAL *restrict position,
+               const REAL *restrict origin, REAL attraction, REAL repulsion, REAL spacing,
+               REAL max_step, REAL *restrict moved_position, REAL *restrict moved_dock)
+{
+    REAL farthest = 0;
+    REAL dx[ROW], dy[ROW], dz[ROW], gain[ROW];
+    for (int64_t i = 0; i < robots; i++) {
+        const REAL *own = dock + 12 * i;
+        const int32_t *row = entry + first[i];
+        const int count = end[i] - first[i];
+        for (int e = 0; e < count; e++) {
+            const REAL *o = own + 4 * (row[e] >> 1 & 3);
+            const REAL *p = dock + 4 * (row[e] >> 3);
+            dx[e] = p[0] - o[0];
+            dy[e] = p[1] - o[1];
+            dz[e] = p[2] - o[2];
+            gain[e] = row[e] & 1 ? attraction : 0;
+        }
+        int padded = count;
+        for (; padded % WIDTH; padded++) {
+            dx[padded] = spacing;
+            dy[padded] = dz[padded] = gain[padded] = 0;
+        }
+        REAL fx = 0, fy = 0, fz = 0;
+#pragma omp simd reduction(+ : fx, fy, fz)
+        for (int e = 0; e < padded; e++) {
+            REAL distance = sqrt(dx[e] * dx[e] + dy[e] * dy[e] + dz[e] * dz[e]);
+            REAL gap = distance - spacing;
+            REAL below = gap < 0 ? gap : 0, above = gap > 0 ? gap : 0;
+            below *= below;
+            REAL pull = (gain[e] * above - repulsion * below * below) / distance;
+            fx += pull * dx[e];
+            fy += pull * dy[e];
+            fz += pull * dz[e];
+        }
+        REAL squared = fx * fx + fy * fy + fz * fz;
+        REAL scale = squared > max_step * max_step ? max_step / sqrt(squared) : 1;
+        REAL here[3] = {position[3 * i] + scale * fx, position[3 * i + 1] + scale * fy,
+                        position[3 * i + 2] + scale * fz};
+        squared = 0;
+        for (int axis = 0; axis < 3; axis++) {
+            moved_position[3 * i + axis] = here[axis];
+            REAL way = here[axis] - origin[3 * i + axis];
+            squared += way * way;
+            for (int k = 0; k < 3; k++)
+                moved_dock[12 * i + 4 * k + axis] = here[axis] + dock_offset[12 * i + 4 * k + axis];
+        }
+        farthest = squared > farthest ? squared : farthest;
+    }
+    return farthest;
+}
+
+/* Reads and writes what a step does, in order and computing nothing: the streaming bound. */
+REAL stream(int64_t robots, const int64_t *restrict first, const int64_t *restrict end,
+            const int32_t *restrict entry, const REAL *restrict dock,
+            const REAL *restrict dock_offset, const REAL *restrict position,
+            const REAL *restrict origin, REAL attraction, REAL repulsion, REAL spacing,
+            REAL max_step, REAL *restrict moved_position, REAL *restrict moved_dock)
+{
+    int32_t words = 0;
+    for (int64_t i = 0; i < robots; i++) {
+        for (int64_t e = first[i]; e < end[i]; e++)
+            words ^= entry[e];
+        for (int axis = 0; axis < 3; axis++)
+            moved_position[3 * i + axis] = position[3 * i + axis] + origin[3 * i + axis];
+        for (int k = 0; k < 12; k++)
+            moved_dock[12 * i + k] = dock[12 * i + k] + dock_offset[12 * i + k];
+    }
+    return words == 1 ? spacing : 0;
+}

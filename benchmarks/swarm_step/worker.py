@@ -1,0 +1,92 @@
+"""One engine in a process of its own: prepared once, run whenever the parent asks.
+
+    python -m benchmarks.swarm_step.worker ENGINE SCENE.npz
+
+Requests and answers are lines of JSON; what libraries print goes to standard error.
+"""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+
+from benchmarks.swarm_step import reference
+from benchmarks.swarm_step.engines.registry import ENGINES, Engine
+from benchmarks.swarm_step.scenes import Law, Scene
+from tiswarm.study.manifest import peak_memory_mb
+
+UNLIMITED = 1e6
+"""A largest step that no force reaches [R]."""
+
+
+def main() -> None:
+    """Answer requests until there are no more."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    entry = ENGINES[sys.argv[1]]
+    files = np.load(sys.argv[2])
+    scene = Scene(**{name: files[name] for name in Scene.__annotations__})
+    law, order = Law(), np.arange(len(scene.position))
+    if entry.in_order:
+        scene, order = scene.along_curve(law.spacing + law.skin)
+    answer: dict[str, Any] = {}
+    try:
+        prepare = entry.load()
+        before = psutil.Process().memory_info().rss
+        engine = prepare(scene, law)
+    except Exception as error:  # noqa: BLE001 - whatever it lacks, the table says so
+        answer = {"missing": f"{type(error).__name__}: {error}".partition("\n")[0]}
+    print(json.dumps(answer), file=answers, flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        if request["do"] == "run":
+            answer = measure(engine, request["steps"], request["max_step"])
+            answer["memory_B"] = max(2**20 * peak_memory_mb() - before, 0) / len(order)
+        else:
+            answer = check(engine, scene, law, files, order)
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def measure(engine: Engine, steps: int, max_step: float) -> dict[str, Any]:
+    """Time one run; an engine that keeps its own books is believed."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    engine.run(steps, max_step)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return {
+        "wall_s": getattr(engine, "own_wall_s", wall),
+        "cpu_s": getattr(engine, "own_cpu_s", cpu),
+        "builds": engine.builds,
+    }
+
+
+def check(
+    engine: Engine,
+    scene: Scene,
+    law: Law,
+    files: Mapping[str, NDArray[np.float64]],
+    order: NDArray[np.int64],
+) -> dict[str, float | None]:
+    """Largest deviation of forces at the start, by the largest force, and of places at the end."""
+    if hasattr(engine, "pair_energy"):
+        expected = reference.pair_energy(scene, law)
+        return {"force_error": abs(engine.pair_energy() / expected - 1.0), "end_error_R": None}
+    if not getattr(engine, "computes", True):
+        return {"force_error": None, "end_error_R": None}
+    force = engine.run(1, UNLIMITED) - scene.position
+    expected = files["force"][order]
+    answer = {"force_error": float(np.abs(force - expected).max() / np.abs(expected).max())}
+    answer["end_error_R"] = None
+    if "end" in files:
+        end = engine.run(int(files["steps"]), law.max_step)
+        answer["end_error_R"] = float(np.abs(end - files["end"][order]).max())
+    return answer
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""What the swarm step is measured on, and held against, is what it claims to be."""
+
+import numpy as np
+import pytest
+
+from benchmarks.swarm_step import reference, scenes
+from benchmarks.swarm_step.engines.registry import ENGINES
+from benchmarks.swarm_step.scenes import Law
+from benchmarks.swarm_step.worker import check
+from tests import oracle
+
+LAW = Law()
+
+
+def _forces_one_by_one(scene):
+    """Every dock of every robot against every dock of every other robot of its structure."""
+    robots = len(scene.position)
+    connected = {tuple(row) for row in scene.contacts.tolist()}
+    force = np.zeros((robots, 3))
+    for i in range(robots):
+        for j in set(np.flatnonzero(scene.structure == scene.structure[i])) - {i}:
+            for a in range(3):
+                for b in range(3):
+                    other = scene.position[j] + scene.dock_offset[j, b]
+                    offset = other - scene.position[i] - scene.dock_offset[i, a]
+                    touches = (i, a, j, b) in connected or (j, b, i, a) in connected
+                    if touches or np.linalg.norm(offset) < LAW.spacing:
+                        gains = LAW.attraction_gain, LAW.repulsion_gain
+                        force[i] += oracle.dock_pair_force(offset, *gains, LAW.spacing, LAW.ramp)
+    return force
+
+
+@pytest.mark.parametrize("name", scenes.SCENES)
+def test_the_reference_is_the_law_written_out(name, monkeypatch):
+    """What every engine is checked against has been checked itself, structures apart."""
+    monkeypatch.setattr(scenes, "BATCH", 8)
+    scene = scenes.make(name, 20, seed=1)
+
+    force = reference.force(scene, LAW, scene.position)
+
+    assert len(scene.contacts) > 5
+    np.testing.assert_allclose(force, _forces_one_by_one(scene), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["block", "batch"])
+@pytest.mark.parametrize("engine", ["tiswarm-f64", "kdtree-f64"])
+def test_engines_pass_the_check(engine, name):
+    """Forces at the start, and places after lists have been built anew, by tree and by cells."""
+    scene, steps = scenes.make(name, 150, seed=2), 30
+    files = {
+        "force": reference.force(scene, LAW, scene.position),
+        "steps": steps,
+        "end": reference.run(scene, LAW, steps),
+    }
+
+    running = ENGINES[engine].load()(scene, LAW)
+    found = check(running, scene, LAW, files, np.arange(150))
+
+    assert found["force_error"] < 1e-12
+    assert found["end_error_R"] < 1e-12
+    assert running.builds > 1
