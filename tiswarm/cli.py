@@ -6,7 +6,7 @@ What a command needs is imported when it runs, so that `tiswarm --help` stays qu
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.exceptions import TyperException
@@ -34,6 +34,7 @@ Threads = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 INTERRUPTED = 130
 
 
@@ -195,6 +196,60 @@ def compare(
     draw_comparison(out, ConsoleWatcher(quiet=True).say)
     if not quiet:
         typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")
+
+
+@app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
+def import_(
+    poses: Annotated[
+        Path, typer.Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for sensing.jsonl and truth.csv.")],
+    dock_radius: Annotated[float, typer.Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
+    dock_offset: Annotated[
+        float | None,
+        typer.Option(help="Centre to each of three docks, 120 degrees apart; not for spheres."),
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(min=0.0, help="Gap or overlap that still is a contact.")
+    ] = None,
+    anchor: Annotated[int | None, typer.Option(help="Robot of known place; the first one.")] = None,
+    ground_z: Annotated[float | None, typer.Option(help="Height of flat ground.")] = None,
+    length_unit: Annotated[
+        str, typer.Option(help="Unit where no column names it, as x_mm does.")
+    ] = "unit",
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Turn poses from any simulator into a sensing log and a truth, deriving who touches whom."""
+    from tiswarm.interop.importing import Assumptions, import_poses
+    from tiswarm.robot import FIREANT_RHO, docks_in_plane
+
+    assumed = Assumptions(
+        dock_radius=dock_radius,
+        tolerance=0.02 * dock_radius if tolerance is None else tolerance,
+        anchor=anchor,
+        ground_z=ground_z,
+        length_unit=length_unit,
+    )
+    offset = FIREANT_RHO * dock_radius if dock_offset is None else dock_offset
+    tell = ConsoleWatcher(quiet=quiet).say
+    import_poses(poses, out, docks_in_plane(offset), assumed, tell)
+
+
+@app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
+def export(
+    run: RunFolderPath,
+    form: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write to; RUN/export.")] = None,
+    case: Annotated[str | None, typer.Option(help="Case to export; the first one.")] = None,
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Write structure, contacts and estimate of a case for other programs."""
+    from tiswarm.interop.exporting import export_case
+
+    tell = ConsoleWatcher(quiet=quiet).say
+    export_case(run, form, run / "export" if out is None else out, case, tell)
 
 
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")

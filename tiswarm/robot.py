@@ -54,5 +54,10 @@ class RobotGeometry:
     @property
     def dock_offset_body(self) -> NDArray[np.float64]:
         """Centre to dock in the body frame [R], shape (3, 3)."""
-        angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
-        return self.rho * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])
+        return docks_in_plane(self.rho)
+
+
+def docks_in_plane(distance: float) -> NDArray[np.float64]:
+    """Centre to dock of three docks in the x-y plane so far from the centre, shape (3, 3)."""
+    angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
+    return distance * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])

@@ -11,7 +11,8 @@ import yaml
 from tests.cli.conftest import REPOSITORY
 
 COMMANDS = (
-    "run", "localize", "tune", "report", "render", "compare", "check", "schema", "doctor",
+    "run", "localize", "tune", "report", "render", "compare", "import", "export", "check",
+    "schema", "doctor",
 )  # fmt: skip
 
 

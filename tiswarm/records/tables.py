@@ -76,7 +76,7 @@ def read_positions(
     number, text = next(lines, (1, ""))
     columns = _header(length_unit)
     with placed(path, number):
-        header = _cells(text)
+        header = read_cells(text)
         if header != [name for name in columns if name in {*columns[:4], *header}]:
             must, may = ",".join(columns[:4]), "".join(f"[,{name}]" for name in columns[4:])
             problem = f"the columns are not {must}{may}; rename them"
@@ -92,7 +92,12 @@ def _header(length_unit: str) -> list[str]:
     return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN]
 
 
-def _cells(line: str) -> list[str]:
+def read_cells(line: str) -> list[str]:
+    """Split a row of a table.
+
+    Raises:
+        InputError: quotes do not match; without file and line.
+    """
     try:
         return next(csv.reader([line], strict=True), [])
     except csv.Error as error:
@@ -106,32 +111,42 @@ def _rows(
     seen: set[int] = set()
     for number, text in lines:
         with placed(path, number):
-            cells = _cells(text)
+            cells = read_cells(text)
             if len(cells) != len(header):
                 problem = f"has {len(cells)} cells; {len(header)} are needed"
                 raise InputError(problem)
-            robot = _robot(cells[0])
+            robot = read_whole(cells[0], "robot")
             if robot in seen:
                 problem = f"robot {robot} has a row already; keep one"
                 raise InputError(problem, key="robot")
             seen.add(robot)
-            position = [_length(cells[k], header[k]) for k in (1, 2, 3)]
+            position = [read_number(cells[k], header[k]) for k in (1, 2, 3)]
             if header[4:] and header[4] != KNOWN and cells[4]:
-                _length(cells[4], header[4])
+                read_number(cells[4], header[4])
         yield robot, position
 
 
-def _robot(cell: str) -> int:
+def read_whole(cell: str, key: str) -> int:
+    """Read a whole number, such as the name of a robot.
+
+    Raises:
+        InputError: it is none; without file and line.
+    """
     try:
-        if "_" not in cell and -_ID_LIMIT <= (robot := int(cell)) < _ID_LIMIT:
-            return robot
+        if "_" not in cell and -_ID_LIMIT <= (whole := int(cell)) < _ID_LIMIT:
+            return whole
     except ValueError:
         pass
-    problem = f"{cell[:40]!r} is not a robot; write a whole number"
-    raise InputError(problem, key="robot")
+    problem = f"{cell[:40]!r} is not a {key}; write a whole number"
+    raise InputError(problem, key=key)
 
 
-def _length(cell: str, key: str) -> float:
+def read_number(cell: str, key: str) -> float:
+    """Read a finite number.
+
+    Raises:
+        InputError: it is none; without file and line.
+    """
     try:
         if "_" not in cell and math.isfinite(length := float(cell)):
             return length

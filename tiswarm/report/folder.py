@@ -55,6 +55,23 @@ def read_cases(folder: Path) -> list[Case]:
         raise InputError(problem, path=folder) from error
 
 
+def choose_case(cases: list[Case], name: str | None, folder: Path) -> Case:
+    """Find a case that is done by its name; the first of them if None.
+
+    Raises:
+        InputError: there is none.
+    """
+    done = [case for case in cases if case.done]
+    found = done if name is None else [case for case in done if case.name == name]
+    if found:
+        return found[0]
+    if not done:
+        msg = "no case of this run is done; there is nothing to show"
+        raise InputError(msg, path=folder)
+    msg = f"no case {name!r} is done; choose one of {', '.join(case.name for case in done[:9])}"
+    raise InputError(msg, path=folder, key="--case")
+
+
 def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
     """Read named columns of a table, shape (rows, names); what is empty is NaN.
 

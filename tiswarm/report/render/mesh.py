@@ -31,15 +31,15 @@ class Mesh:
     """Capsule of each triangle, shape (T,)."""
 
 
-def mesh_capsules(scene: Scene) -> Mesh:
-    """Mesh capsules as bent grids, finer the larger they are seen."""
+def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
+    """Mesh capsules as bent grids, of so many sides, or finer the larger they are seen."""
     depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
     points, triangles, order, counts = [], [], [], []
     first = 0
     for radius in np.unique(scene.radius):
         which = np.flatnonzero(scene.radius == radius)
-        sides = _side_count(float(radius) * scene.camera.pixels_per_slope / depth)
-        point, triangle = _unit_sphere(sides)
+        seen = float(radius) * scene.camera.pixels_per_slope / depth
+        point, triangle = _unit_sphere(sides or _side_count(seen))
         points.append(_stretch(scene.start[which], scene.end[which], radius * point))
         firsts = first + np.arange(len(which)) * len(point)
         triangles.append((firsts[:, None, None] + triangle).reshape(-1, 3))

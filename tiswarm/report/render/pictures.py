@@ -14,7 +14,7 @@ from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.atomic import write_bytes
-from tiswarm.report.folder import Case, Tell, read_cases, subfolder
+from tiswarm.report.folder import Tell, choose_case, read_cases, subfolder
 from tiswarm.report.render.legend import add_legend
 from tiswarm.report.render.packages import installation_advice
 from tiswarm.report.render.raycast import draw
@@ -73,7 +73,7 @@ def render_run(
         raise InputError(msg, key="--renderer")
     from tiswarm.report.render.subjects import build_pictures  # noqa: PLC0415 - slow to import
 
-    planned = build_pictures(_choose(read_cases(folder), case, folder))
+    planned = build_pictures(choose_case(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"
     pictures, used, reason = _draw([plan.scene for plan in planned.values()], renderer)
     tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
@@ -87,18 +87,6 @@ def render_run(
         tell(f"renders/{path.name}")
         drawn.append(Rendered(path=path, renderer=used, reason=reason))
     return drawn
-
-
-def _choose(cases: list[Case], name: str | None, folder: Path) -> Case:
-    done = [case for case in cases if case.done]
-    found = done if name is None else [case for case in done if case.name == name]
-    if found:
-        return found[0]
-    if not done:
-        msg = "no case of this run is done; there is nothing to draw"
-        raise InputError(msg, path=folder)
-    msg = f"no case {name!r} is done; choose one of {', '.join(case.name for case in done[:9])}"
-    raise InputError(msg, path=folder, key="--case")
 
 
 def _draw(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.uint8]], str, str]:

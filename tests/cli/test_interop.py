@@ -1,0 +1,126 @@
+"""Structures come in from other programs and go out to them."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+
+from tests.cli.conftest import REPOSITORY
+from tiswarm.interop.exporting import export_case
+from tiswarm.records.sensing_file import read_sensing_log
+
+EXAMPLE = REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv"
+
+
+def ignore(_line):
+    """Hear nothing."""
+
+
+@pytest.fixture(scope="module")
+def exported(small_run, tmp_path_factory):
+    """Folder with the first case of the small run in every format."""
+    out = tmp_path_factory.mktemp("exported")
+    for form in ("csv", "gltf", "parquet", "ply"):
+        export_case(small_run, form, out, None, ignore)
+    return out
+
+
+@pytest.fixture(scope="module")
+def robots(small_run):
+    """What the run says of the robots of that case."""
+    return pd.read_csv(small_run / "cases" / "0-baseline" / "robots.csv")
+
+
+def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
+    """Docks of half a centimetre, another offset, no order: in, located, and out in cm."""
+    imported = tiswarm(
+        "import", EXAMPLE, "--dock-radius", 0.5, "--dock-offset", 1, "--out", tmp_path
+    )
+    done = tiswarm("localize", tmp_path / "sensing.jsonl", "--out", tmp_path / "estimate.csv")
+
+    assert imported.returncode == 0, imported.stderr
+    assert "no column join" in imported.stderr
+    assert "36 robots, 64 contacts" in imported.stderr
+    assert done.returncode == 0, done.stderr
+    truth = pd.read_csv(tmp_path / "truth.csv")
+    estimate = pd.read_csv(tmp_path / "estimate.csv")
+    assert truth.columns.tolist() == ["robot", "x_cm", "y_cm", "z_cm"]
+    assert sorted(truth["robot"]) == sorted(pd.read_csv(EXAMPLE)["robot"])
+    assert estimate["robot"].tolist() == truth["robot"].tolist()
+
+
+def test_what_is_exported_can_be_imported(tiswarm, small_run, exported, tmp_path):
+    """The log made of exported poses has the contacts that the robots felt, in their order."""
+    done = tiswarm("import", exported / "structure.csv", "--out", tmp_path, "--quiet")
+
+    assert done.returncode == 0, done.stderr
+    felt = read_sensing_log(small_run / "cases" / "0-baseline" / "sensing.jsonl")
+    log = read_sensing_log(tmp_path / "sensing.jsonl")
+    np.testing.assert_array_equal(log.contacts, felt.contacts)
+    assert log.length_unit == "R"
+
+
+@pytest.mark.parametrize("name", ["structure", "estimate", "contacts"])
+def test_parquet_holds_the_same_as_csv(exported, name):
+    """Names, types and every bit."""
+    csv = pd.read_csv(exported / f"{name}.csv", float_precision="round_trip")
+
+    parquet = pd.read_parquet(exported / f"{name}.parquet")
+
+    assert parquet.columns.tolist() == csv.columns.tolist()
+    np.testing.assert_array_equal(parquet.to_numpy(), csv.to_numpy())
+
+
+def _docks_and_hubs(robots, columns):
+    """How far the spheres of robots reach [R]: lowest and highest corner."""
+    places = robots[columns].to_numpy()
+    reach = 1.506 + 1.0
+    return places.min(axis=0) - reach, places.max(axis=0) + reach
+
+
+@pytest.mark.parametrize(
+    ("name", "columns"),
+    [("structure", ["x_R", "y_R", "z_R"]), ("estimate", ["x_est_R", "y_est_R", "z_est_R"])],
+)
+def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
+    """Another library reads the same solid from both formats, closed and in its place."""
+    ply = trimesh.load(exported / f"{name}.ply")
+    scene = trimesh.load(exported / "case.glb")
+    turn, _ = scene.graph.get(name)
+    solid = scene.geometry[name]
+
+    low, high = _docks_and_hubs(robots, columns)
+    assert (ply.bounds[0] >= low).all()
+    assert (ply.bounds[1] <= high).all()
+    assert ply.is_watertight
+    # Spheres of ten sides hold nearly nine tenths of their volume; arms and hubs add to it.
+    assert ply.volume == pytest.approx(len(robots) * 3 * 4.19, rel=0.25)
+    np.testing.assert_allclose(solid.bounds, ply.bounds, atol=1e-5)
+    up = turn[:3, :3] @ [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(up, [0.0, 1.0, 0.0], atol=1e-6)
+    assert len(np.unique(ply.visual.vertex_colors, axis=0)) > 5
+
+
+def test_contacts_are_lines_between_centres(exported, robots):
+    """One each, from one robot's true centre to the other's."""
+    contacts = pd.read_csv(exported / "contacts.csv")
+    center = robots.set_index("robot")[["x_R", "y_R", "z_R"]]
+    data = (exported / "case.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    document, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+
+    lines = next(mesh for mesh in document["meshes"] if mesh["name"] == "contacts")["primitives"][0]
+    place, index = [
+        np.frombuffer(binary, kind, accessor["count"] * width, view["byteOffset"]).reshape(-1, cut)
+        for name, kind, width, cut in (("POSITION", "<f4", 3, 3), ("indices", "<u4", 1, 2))
+        for accessor in [document["accessors"][(lines | lines["attributes"])[name]]]
+        for view in [document["bufferViews"][accessor["bufferView"]]]
+    ]
+
+    ends = contacts[["other_robot", "robot"]].to_numpy()
+    np.testing.assert_allclose(place[index], center.to_numpy()[ends], atol=1e-5)
+    assert lines["mode"] == 1
+    assert document["asset"]["extras"] == {"length_unit": "R"}
+    assert int.from_bytes(data[8:12], "little") == len(data)

@@ -1,0 +1,1 @@
+"""From other programs and to them: poses in, structures and estimates out."""
