@@ -87,6 +87,10 @@ def run(
 def localize(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log, sensing.jsonl.")],
     method: Annotated[str, typer.Option(help="Localization method.")] = "virtual-force",
+    cues: Annotated[
+        str | None, typer.Option(metavar="CUE,...", help="What of the log to use; as --set cues=.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the method; as --set seed=.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, typer.Option(help="Where to write.")] = Path("estimate.csv"),
     arch: OneArch = "cpu",
@@ -103,7 +107,9 @@ def localize(
     from tiswarm.records.tables import write_estimate
     from tiswarm.scenario import localization_params
 
-    params = localization_params(method, overrides)
+    chosen = [f"cues=[{cues}]"] if cues is not None else []
+    chosen += [f"seed={seed}"] if seed is not None else []
+    params = localization_params(method, [*chosen, *overrides])
     sensed = read_sensing_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
@@ -112,7 +118,7 @@ def localize(
         for line in doubts(sensed, log, filter(None, [estimate.certainty])):
             typer.echo(line)
         typer.echo(
-            f"{estimate.robot_count} robots, last step {estimate.residual[-1]:.2g} "
+            f"{estimate.robot_count} robots, residual {estimate.residual[-1]:.2g} "
             f"{sensed.length_unit} rms -> {out}"
         )
 

@@ -49,6 +49,15 @@ def test_version_is_told(tiswarm):
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
         (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),
+        (("localize", "log.jsonl", "--seed", "3"), "--set seed=3: unknown key"),
+        (
+            ("localize", "log.jsonl", "--method", "least-squares", "--cues", "contacts,smell"),
+            "\"smell\" is not a choice here; use 'contacts', 'non_overlap'",
+        ),
+        (
+            ("localize", "log.jsonl", "--method", "least-squares", "--set", "start.iterations=x"),
+            '--set start.iterations=x: "x" is not a whole number',
+        ),
         (("report", "scenarios"), "run folder"),
         (("render", "scenarios"), "scenarios"),
     ],

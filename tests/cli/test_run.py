@@ -143,6 +143,27 @@ def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
         assert out.read_bytes() == (case / "estimate.csv").read_bytes()
 
 
+def test_any_method_is_run_and_called_alike(tiswarm, tmp_path):
+    """A scenario and a command line that ask least squares for the same give the same bytes."""
+    scenario = tmp_path / "squares.yaml"
+    scenario.write_text(
+        "name: squares\nrobots: 10\nstructure: {kind: tower}\n"
+        "localization: {method: least-squares, cues: [contacts, height], rounds: 2}\n"
+    )
+    ran = tiswarm("run", scenario, "--no-pictures", "--out", tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    case = next(tmp_path.glob("*/cases/0-baseline"))
+
+    done = tiswarm(
+        "localize", case / "sensing.jsonl", "--method", "least-squares",
+        "--cues", "contacts,height", "--set", "rounds=2", "--out", tmp_path / "estimate.csv",
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    assert "contacts, height: " in done.stdout
+    assert (tmp_path / "estimate.csv").read_bytes() == (case / "estimate.csv").read_bytes()
+
+
 def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
     """With the truth overwritten by noise, the estimate keeps its every byte."""
     run = tmp_path / "run"

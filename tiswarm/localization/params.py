@@ -7,6 +7,13 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.params import STRICT
 
+Cue = Literal["contacts", "non_overlap", "ground", "height", "walk_contacts", "odometry"]
+"""What a localizer may use of a log: contacts; that docks do not overlap; which docks are on flat
+ground; heights from flips; contacts of earlier stances, carried to the last one by the flips; and,
+where the spawn is known, the place that the flips lead to."""
+
+Width = Annotated[float, Field(gt=0.0)]
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class BackPropagation:
@@ -83,8 +90,51 @@ class VirtualForceParams:
         return tuple(cue for cue, is_used in chosen.items() if is_used)
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class LeastSquaresParams:
+    """Weights of the residuals that `scipy.optimize.least_squares` makes small together.
+
+    A residual counts in units of its width. The widths are plausible, not fitted.
+    """
+
+    method: Literal["least-squares"] = "least-squares"
+    """Name of the method."""
+
+    cues: Annotated[tuple[Cue, ...], Field(min_length=1)] = (
+        "contacts",
+        "non_overlap",
+        "ground",
+        "height",
+    )
+    """What of the log is used."""
+
+    start: VirtualForceParams = VirtualForceParams()
+    """How the positions to start from are found."""
+
+    contact_width: Width = 0.05
+    """Width of the residual of a contact: the distance of its docks less D [R]."""
+
+    overlap_width: Width = 0.05
+    """Width of the overlap of two docks that are not in contact [R]."""
+
+    height_width: Width = 0.05
+    """Width of the residual of a height, from flips or the ground [R]."""
+
+    odometry_width: Width = 0.5
+    """Width of the residual of each coordinate that flips give from a known spawn [R]."""
+
+    loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear"
+    """How residuals beyond their width count, as scipy names it."""
+
+    rounds: Annotated[int, Field(ge=1, le=1000)] = 10
+    """Solves at most; before each, pairs of docks that may overlap are looked up anew."""
+
+    evaluations: Annotated[int, Field(ge=1, le=100_000)] = 50
+    """Evaluations of the residuals at most in each solve."""
+
+
 LocalizationParams = Annotated[
-    VirtualForceParams,  # | the settings of each further method
+    VirtualForceParams | LeastSquaresParams,  # | the settings of each further method
     Field(discriminator="method"),
 ]
 """Settings of any method."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from tiswarm.localization import virtual_force
+from tiswarm.localization import least_squares, virtual_force
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.certainty import certainty
 from tiswarm.records.estimate import Estimate
@@ -24,6 +24,9 @@ class Method:
 METHODS = {
     "virtual-force": Method(
         localize_batch=virtual_force.localize_batch, batch_key=virtual_force.batch_key
+    ),
+    "least-squares": Method(
+        localize_batch=least_squares.localize_batch, batch_key=least_squares.batch_key
     ),
 }
 

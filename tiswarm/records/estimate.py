@@ -36,7 +36,8 @@ class Estimate:
     residual: NDArray[np.float64]
     """What the method drives to zero, at those iterations, shape (K,).
 
-    For virtual-force: root mean square step of the robots [log unit per iteration].
+    For virtual-force: root mean square step of the robots [log unit per iteration]. For
+    least-squares: root mean square by which docks in contact are not D apart [log unit].
     """
 
     @property

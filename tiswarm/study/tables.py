@@ -171,10 +171,12 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
 
 
 def _paper(setting: Scenario) -> dict[str, object]:
-    """The paper's numbers for the same kind of structure and the same cues."""
+    """The paper's numbers for its method, the same kind of structure and the same cues."""
     method = setting.localization
-    key = (setting.structure.kind, method.z_correction, method.undocked_repulsion)
-    rmse, disparity = PAPER.get(key, (None, None))
+    rmse = disparity = None
+    if method.method == "virtual-force":
+        key = (setting.structure.kind, method.z_correction, method.undocked_repulsion)
+        rmse, disparity = PAPER.get(key, (None, None))
     return {"paper_rmse_radii": rmse, "paper_procrustes_disparity": disparity}
 
 
