@@ -34,6 +34,9 @@ Threads = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
+Pdf = Annotated[bool, typer.Option("--pdf", help="Draw figures as vector PDF too.")]
+Animate = Annotated[bool, typer.Option("--animate", help="Draw how the first structure grew.")]
+Movie = Annotated[Literal["gif", "mp4"], typer.Option(help="What --animate writes.")]
 ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 INTERRUPTED = 130
 
@@ -59,6 +62,9 @@ def run(
     threads: Threads = None,
     *,
     pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
+    pdf: Pdf = False,
+    animate: Animate = False,
+    movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
     """Grow, sense, localize, score and draw every case of a scenario.
@@ -71,9 +77,16 @@ def run(
     watcher = ConsoleWatcher(quiet=quiet)
     plan = load_scenario(scenario, overrides)
     result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads)
-    if pictures and (result.computed or not (result.folder / "renders").exists()):
-        _draw_figures(result.folder, watcher)
-        _draw_renders(result.folder, watcher)
+    some_done = len(result.failed) < result.computed + result.found
+    there = (result.folder / "report.html").exists()
+    drawn = pictures and (pdf or result.computed > 0 or not there)
+    if drawn:
+        _draw_figures(result.folder, watcher, pdf=pdf)
+        if some_done:
+            _draw_renders(result.folder, watcher)
+    if animate and some_done:
+        _animate(result.folder, watcher, movie)
+    if drawn or animate:
         _write_page(result.folder, watcher)
     if not quiet:
         typer.echo(study.headline(result.folder))
@@ -159,13 +172,13 @@ def tune(
 
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
-def report(run: RunFolderPath, *, quiet: Quiet = False) -> None:
+def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
     """Redraw every table, every figure and report.html of a run from its stored data."""
     from tiswarm import study
 
     watcher = ConsoleWatcher(quiet=quiet)
     study.tabulate(run)
-    _draw_figures(run, watcher)
+    _draw_figures(run, watcher, pdf=pdf)
     _write_page(run, watcher)
     if not quiet:
         typer.echo(study.headline(run))
@@ -179,11 +192,15 @@ def render(
     ] = None,
     case: Annotated[str | None, typer.Option(help="Case to draw; the first one.")] = None,
     *,
+    animate: Animate = False,
+    movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
     """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
     watcher = ConsoleWatcher(quiet=quiet)
     _draw_renders(run, watcher, renderer=renderer, case=case)
+    if animate:
+        _animate(run, watcher, movie, renderer=renderer, case=case)
     _write_page(run, watcher)
 
 
@@ -306,10 +323,10 @@ def doctor(
         typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")
 
 
-def _draw_figures(folder: Path, watcher: ConsoleWatcher) -> None:
+def _draw_figures(folder: Path, watcher: ConsoleWatcher, *, pdf: bool) -> None:
     from tiswarm.report.figures import draw_figures
 
-    draw_figures(folder, watcher.say)
+    draw_figures(folder, watcher.say, vector=pdf)
 
 
 def _write_page(folder: Path, watcher: ConsoleWatcher) -> None:
@@ -334,6 +351,19 @@ def _draw_renders(
             }
         },
     )
+
+
+def _animate(
+    folder: Path,
+    watcher: ConsoleWatcher,
+    movie: Literal["gif", "mp4"],
+    *,
+    renderer: str | None = None,
+    case: str | None = None,
+) -> None:
+    from tiswarm.report.render.animation import animate_run
+
+    animate_run(folder, movie, tell=watcher.say, renderer=renderer, case=case)
 
 
 def main() -> None:

@@ -148,3 +148,16 @@ def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
     again = next((run / "again").iterdir())
     assert again.name == small_run.name
     assert (again / "table.csv").read_bytes() == (small_run / "table.csv").read_bytes()
+
+
+def test_an_animation_becomes_part_of_the_page(tiswarm, tmp_path):
+    """Asked for with the run; the page shows it even where no other picture is drawn."""
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--set", "robots=4", "--set", "seeds=1",
+        "--set", "conditions={baseline: {}}", "--no-pictures", "--animate", "--out", tmp_path,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    run = next(tmp_path.iterdir())
+    movie = base64.b64encode((run / "renders" / "growth.gif").read_bytes()).decode()
+    assert f"data:image/gif;base64,{movie}" in (run / "report.html").read_text()

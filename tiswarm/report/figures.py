@@ -18,6 +18,7 @@ from tiswarm.report.canvas import (
     TRUE_BLUE,
     add_note,
     new_figure,
+    pdf,
     png,
 )
 from tiswarm.report.folder import Case, Tell, read_cases, read_columns, subfolder
@@ -37,8 +38,8 @@ MAX_POINTS = 20_000
 Series = dict[str, list[Case]]
 
 
-def draw_figures(folder: Path, tell: Tell) -> list[Path]:
-    """Draw every figure of a run into `figures/`.
+def draw_figures(folder: Path, tell: Tell, *, vector: bool = False) -> list[Path]:
+    """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
 
     Cases that failed are left out, and a note on each figure says how many. A run that is held
     against laws has figures of these; of its many settings, errors would tell little.
@@ -64,11 +65,13 @@ def draw_figures(folder: Path, tell: Tell) -> list[Path]:
     place = subfolder(folder, "figures")
     written = []
     for name, draw in _painters(folder, series, note).items():
-        path = place / f"{name}.png"
         with style.context(["default", STYLE]):
-            write_bytes(path, png(draw()))
-        tell(f"figures/{path.name}")
-        written.append(path)
+            figure = draw()
+            for suffix, encode in (("png", png), ("pdf", pdf))[: 1 + vector]:
+                path = place / f"{name}.{suffix}"
+                write_bytes(path, encode(figure))
+                tell(f"figures/{path.name}")
+                written.append(path)
     return written
 
 

@@ -30,6 +30,9 @@ PHOTO_QUALITY = 85
 ON_PAGE = {"figures": 0.42, "renders": 0.36}
 """Pixels on the page for each of a picture's own, which are many for print."""
 
+SMALL_ON_PAGE = 0.72
+"""The same for animations, which are small to begin with."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
@@ -139,14 +142,17 @@ def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
 
 def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
     """Embed the pictures of a folder, as far as there is room for them [bytes]."""
-    for path in sorted(folder.glob("*.png")):
-        stream = io.BytesIO()
+    for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
         with Image.open(path) as image:
-            image.convert("RGB").save(
-                stream, "WEBP", lossless=lossless, quality=PHOTO_QUALITY, method=4
-            )
             width, height = image.size
-        source = f"data:image/webp;base64,{base64.b64encode(stream.getvalue()).decode()}"
+            kind, data = "gif", path.read_bytes()
+            if path.suffix == ".png":
+                stream = io.BytesIO()
+                image.convert("RGB").save(
+                    stream, "WEBP", lossless=lossless, quality=PHOTO_QUALITY, method=4
+                )
+                kind, data = "webp", stream.getvalue()
+        source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
         room -= len(source)
         fits = room > 0
         where = f"{folder.name}/{path.name}"
@@ -156,7 +162,7 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
             caption=said if fits else f"{said} (beside this page, for want of room in it)",
             width=width,
             height=height,
-            wide=round(ON_PAGE[folder.name] * width),
+            wide=round(width * (ON_PAGE[folder.name] if kind == "webp" else SMALL_ON_PAGE)),
         )
 
 

@@ -68,14 +68,11 @@ def render_run(
         InputError: for an unknown renderer or case, or a damaged run.
         EnvironmentTroubleError: where the renderer asked for does not work here.
     """
-    if renderer is not None and renderer not in RENDERERS:
-        msg = f"unknown renderer {renderer!r}; choose one of {', '.join(RENDERERS)}"
-        raise InputError(msg, key="--renderer")
     from tiswarm.report.render.subjects import build_pictures  # noqa: PLC0415 - slow to import
 
     planned = build_pictures(choose_case(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"
-    pictures, used, reason = _draw([plan.scene for plan in planned.values()], renderer)
+    pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
     tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     place = subfolder(folder, "renders")
     drawn = []
@@ -89,12 +86,19 @@ def render_run(
     return drawn
 
 
-def _draw(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.uint8]], str, str]:
-    """Try the renderers in turn.
+def draw_scenes(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.uint8]], str, str]:
+    """Try the renderers in turn, or the only one that is wanted.
 
     Returns:
         The pictures, who drew them, and why no better renderer did.
+
+    Raises:
+        InputError: for an unknown renderer.
+        EnvironmentTroubleError: where the renderer asked for does not work here.
     """
+    if only is not None and only not in RENDERERS:
+        msg = f"unknown renderer {only!r}; choose one of {', '.join(RENDERERS)}"
+        raise InputError(msg, key="--renderer")
     failures: list[str] = []
     for name in RENDERERS if only is None else (only,):
         try:

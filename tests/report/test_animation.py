@@ -1,0 +1,71 @@
+"""A structure is shown as it grew, whole at the end, and figures come as vectors too."""
+
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.report.figures import FIGURES, draw_figures
+from tiswarm.report.render.animation import LAST_MS, animate_run
+
+
+def ignore(_line):
+    """Hear nothing."""
+
+
+def coloured(frame):
+    """How many pixels show a robot: the ground and the paper are gray."""
+    pixels = np.asarray(frame.convert("RGB")).astype(int)
+    below_legend = pixels[40:]
+    return int((np.ptp(below_legend, axis=2) > 40).sum())
+
+
+def test_robots_appear_one_after_the_other_and_stay(run_folder):
+    """Twelve frames of twelve robots, under one camera; the last is shown for longest."""
+    drawn = animate_run(run_folder, "gif", tell=ignore, renderer="taichi")
+
+    with Image.open(drawn.path) as movie:
+        seen, shown = [], []
+        for frame in range(movie.n_frames):
+            movie.seek(frame)
+            seen.append(coloured(movie))
+            shown.append(movie.info["duration"])
+    assert drawn.path.name == "growth.gif"
+    assert len(seen) == 12
+    assert (np.diff(seen) > 0).all()
+    assert seen[0] == pytest.approx(seen[-1] / 12, rel=0.5)
+    assert max(shown) == shown[-1] == LAST_MS
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its reader leaks
+def test_a_movie_for_slides_holds_the_same(run_folder):
+    """MP4 is read back frame by frame by the library that wrote it."""
+    iio = pytest.importorskip("imageio.v3")
+
+    drawn = animate_run(run_folder, "mp4", tell=ignore, renderer="taichi", case="0-no-z")
+
+    frames = iio.imread(drawn.path)
+    assert drawn.path.name == "growth-0-no-z.mp4"
+    assert len(frames) == 12 + LAST_MS // 90
+    assert coloured(Image.fromarray(frames[11])) > 5 * coloured(Image.fromarray(frames[0]))
+
+
+def test_a_movie_without_its_library_is_refused(run_folder, monkeypatch):
+    """The message says what to install."""
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+
+    with pytest.raises(EnvironmentTroubleError, match=r"tiswarm\[video\]"):
+        animate_run(run_folder, "mp4", tell=ignore, renderer="taichi")
+
+
+def test_vector_figures_hold_the_same_bytes_each_time(run_folder):
+    """One PDF beside each PNG, without the time of its making, its text as text."""
+    first = [path.read_bytes() for path in draw_figures(run_folder, ignore, vector=True)]
+
+    pdfs = sorted(run_folder.glob("figures/*.pdf"))
+    assert [path.stem for path in pdfs] == sorted(FIGURES)
+    assert all(path.read_bytes().startswith(b"%PDF") for path in pdfs)
+    assert all(b"CreationDate" not in path.read_bytes() for path in pdfs)
+    assert [p.read_bytes() for p in draw_figures(run_folder, ignore, vector=True)] == first
