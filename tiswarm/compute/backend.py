@@ -10,16 +10,16 @@ import io
 import os
 import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.choices import ARCHS, Arch, Precision
-from tiswarm.compute.dialect import DeviceArray, ti
+from tiswarm.compute.dialect import LIBRARY, ti
 from tiswarm.compute.kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
@@ -49,21 +49,6 @@ class Backend:
     def dtype(self) -> type[np.floating[Any]]:
         """NumPy type of the precision."""
         return DTYPES[self.precision]
-
-    def reals(self, *shape: int) -> DeviceArray:
-        """Reserve an array of real numbers on the device."""
-        return ti.ndarray(ti.f64 if self.precision == "f64" else ti.f32, shape)
-
-    def ints(self, *shape: int) -> DeviceArray:
-        """Reserve an array of integers on the device."""
-        return ti.ndarray(ti.i32, shape)
-
-    def upload(self, values: NDArray[Any]) -> DeviceArray:
-        """Copy an array to the device, in the precision of its real numbers."""
-        whole = np.issubdtype(values.dtype, np.integer)
-        array = self.ints(*values.shape) if whole else self.reals(*values.shape)
-        array.from_numpy(np.ascontiguousarray(values, np.int32 if whole else self.dtype))
-        return array
 
 
 _started: Backend | None = None
@@ -113,7 +98,7 @@ def start(
         arch=arch,
         threads=count,
         precision=precision,
-        library=f"taichi {'.'.join(map(str, ti.__version__))}",
+        library=f"{LIBRARY} {'.'.join(map(str, ti.__version__))}",
         cache=str(cache),
     )
     _check_arithmetic(started)
@@ -124,6 +109,21 @@ def start(
 def current() -> Backend:
     """Return the running backend, starting the default one where none runs."""
     return _started or start()
+
+
+@contextlib.contextmanager
+def loose_arithmetic() -> Iterator[None]:
+    """Let kernels that are compiled within reorder sums and take no heed of NaN.
+
+    Sums over neighbors are then vectorized. Their bits are still the same for any number of
+    threads, but may differ between kinds of processors.
+    """
+    config = ti.lang.impl.current_cfg()
+    config.fast_math = True
+    try:
+        yield
+    finally:
+        config.fast_math = False
 
 
 def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:

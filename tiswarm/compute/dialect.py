@@ -1,17 +1,39 @@
 """The one place that imports the kernel language.
 
-Every kernel file says `from tiswarm.compute.dialect import ti`, so moving to another
-implementation of the language is a change here alone.
+Every kernel file says `from tiswarm.compute.dialect import ti`. The language has two
+implementations: taichi, and its maintained fork quadrants, which also runs where taichi has no
+wheel. The variable TISWARM_BACKEND names one; without it, the first that is installed is taken.
 """
 
 import os
+from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
+from tiswarm.errors import EnvironmentTroubleError
+
+LIBRARIES = ("taichi", "quadrants")
+
+
+def _library() -> str:
+    """Name the implementation that was asked for, or the first that is there."""
+    asked = os.environ.get("TISWARM_BACKEND")
+    if asked is not None and asked not in LIBRARIES:
+        msg = f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
+        raise EnvironmentTroubleError(msg)
+    for name in LIBRARIES if asked is None else (asked,):
+        if find_spec(name):
+            return name
+    msg = f"{asked or ' and '.join(LIBRARIES)} not installed; say: pip install {asked or 'taichi'}"
+    raise EnvironmentTroubleError(msg)
+
+
+LIBRARY = _library()
+os.environ.setdefault(f"ENABLE_{LIBRARY.upper()}_HEADER_PRINT", "0")
 if "HOME" not in os.environ:  # the library aborts the process at import without one
     os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
 
-import taichi as ti
+ti: Any = import_module(LIBRARY)
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct
@@ -59,6 +81,7 @@ __all__ = [
     "F64",
     "GRAIN",
     "I32",
+    "LIBRARY",
     "DeviceArray",
     "Float",
     "Ints1",

@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.backend import Backend
 from tiswarm.compute.dialect import DeviceArray
+from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbor_kernels import (
     CELL_LENGTH,
     CELL_WIDTH,
@@ -28,6 +28,8 @@ MOST_ITEMS = 2**31 - 1
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
 BUCKETS_PER_DOCK = 4
+FIRST_CAPACITY = 24
+"""Entries of a row to begin with, for each of the robot's docks."""
 ROOM = 1.25
 """How much longer than the longest row rows are made."""
 
@@ -93,14 +95,19 @@ def hash_strides(extent: NDArray[np.float64], cutoff: float, buckets: int) -> tu
 
 
 def _layout(
-    place: NDArray[np.float64], bounds: NDArray[np.int64], cutoff: float
+    position: NDArray[np.float64],
+    bounds: NDArray[np.int64],
+    *,
+    docks: int,
+    reach: float,
+    cutoff: float,
 ) -> NDArray[np.int64]:
     """Where each table starts, its buckets and its strides, shape (S, 4)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
-        docks = int(last - first)
-        buckets = max(FEWEST_BUCKETS, 1 << (BUCKETS_PER_DOCK * docks - 1).bit_length())
-        extent = np.ptp(place[first:last], axis=0)
+        wanted = BUCKETS_PER_DOCK * docks * int(last - first)
+        buckets = max(FEWEST_BUCKETS, 1 << (wanted - 1).bit_length())
+        extent = np.ptp(position[first:last], axis=0) + 2.0 * reach
         rows.append((at, buckets, *hash_strides(extent, cutoff, buckets)))
         at += buckets + 2
     return np.array(rows, np.int64)
@@ -127,9 +134,10 @@ def pack_contacts(
     robot, own, other, dock = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]]).T
     bits = own_bits_for(docks)
     entry = ((other * docks + dock) << (bits + 1)) | (1 << bits) | own
+    by_robot = np.sort((robot << 32) | entry)
     start = np.zeros(robots + 1, np.int32)
     start[1:] = np.bincount(robot, minlength=robots).cumsum()
-    return start, entry[np.lexsort((entry, robot))].astype(np.int32)
+    return start, (by_robot & MOST_ITEMS).astype(np.int32)
 
 
 class NeighborList:
@@ -140,19 +148,23 @@ class NeighborList:
 
     def __init__(
         self,
-        running: Backend,
-        place: NDArray[np.float64],
+        memory: Memory,
+        position: NDArray[np.float64],
         contacts: NDArray[np.int64],
         *,
+        docks: int,
+        reach: float,
         cutoff: float,
         start: NDArray[np.int64] | None = None,
     ) -> None:
         """Reserve memory.
 
         Args:
-            running: What runs the kernels.
-            place: Docks as they are at first, by which tables are laid out, shape (N, docks, 3).
+            memory: Where rows and tables go.
+            position: Centers at first, by which tables are laid out, shape (N, 3).
             contacts: Rows of (robot i, dock, robot j, dock), shape (C, 4).
+            docks: Docks of a robot.
+            reach: How far docks are from the center.
             cutoff: Docks nearer than this are neighbors.
             start: First robot of each structure, shape (S + 1,), for a table each; None for
                 one table.
@@ -160,27 +172,27 @@ class NeighborList:
         Raises:
             InputError: where there are more docks than an entry can number.
         """
-        self.running = running
-        self.robots, self.docks = place.shape[:2]
+        self.memory = memory
+        self.robots, self.docks = len(position), docks
         self.own_bits = own_bits_for(self.docks)
         self.cutoff = cutoff
-        self.capacity = 16 * self.docks
+        self.capacity = FIRST_CAPACITY * self.docks
         bounds = np.array([0, self.robots]) if start is None else start
-        tables = _layout(place.reshape(-1, 3), bounds * self.docks, cutoff)
+        tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
         self._check_size()
         self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
-        self.table = running.upload(tables)
+        self.table = memory.upload(tables)
         first, entry = pack_contacts(contacts, robots=self.robots, docks=self.docks)
-        self.contact_start = running.upload(first)
-        self.contact = running.upload(entry if len(entry) else np.zeros(1, np.int32))
-        self.begin = running.ints(self.table_size)
-        self.block_total = running.ints(-(-self.table_size // SCAN_BLOCK))
-        self.sorted_dock = running.ints(self.robots * self.docks)
-        self.sorted_at = running.reals(self.robots * self.docks, 4)
-        self.row_count = running.ints(self.robots)
-        self.longest = running.ints(len(tables))
-        self.row = running.ints(self.robots * (self.capacity + 1))
+        self.contact_start = memory.upload(first)
+        self.contact = memory.upload(entry if len(entry) else np.zeros(1, np.int32))
+        self.begin = memory.ints(self.table_size)
+        self.block_total = memory.ints(-(-self.table_size // SCAN_BLOCK))
+        self.sorted_dock = memory.ints(self.robots * self.docks)
+        self.sorted_at = memory.reals(self.robots * self.docks, 4)
+        self.row_count = memory.ints(self.robots)
+        self.longest = memory.ints(len(tables))
+        self.row = memory.ints(self.robots * (self.capacity + 1))
         self.builds = 0
 
     @property
@@ -189,7 +201,7 @@ class NeighborList:
 
         A core reads along a row, a graphics card reads the same entry of many rows at once.
         """
-        return (self.capacity + 1, 1) if self.running.arch == "cpu" else (1, self.robots)
+        return (self.capacity + 1, 1) if self.memory.running.arch == "cpu" else (1, self.robots)
 
     def build(self, dock: DeviceArray, half: int) -> None:
         """Write all rows anew, as long as they need to be.
@@ -223,7 +235,7 @@ class NeighborList:
         """
         self.capacity = int(ROOM * longest) + 1
         self._check_size()
-        self.row = self.running.ints(self.robots * (self.capacity + 1))
+        self.row = self.memory.ints(self.robots * (self.capacity + 1))
 
     def _check_size(self) -> None:
         """Refuse what the kernels' integers cannot count."""

@@ -20,7 +20,8 @@ def dock_offsets(
         Centre to dock, world frame, shape (N, docks, 3).
     """
     matrix = Rotation.from_quat(orientation_wxyz, scalar_first=True).as_matrix()
-    return np.einsum("nij,kj->nki", matrix, dock_offset_body)
+    turned: NDArray[np.float64] = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
+    return turned
 
 
 @ti.func

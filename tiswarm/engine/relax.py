@@ -16,11 +16,19 @@ import psutil
 from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.backend import Backend
+from tiswarm.compute.backend import Backend, loose_arithmetic
 from tiswarm.compute.choices import Arch, Precision
+from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList, morton_order
-from tiswarm.compute.rotations import dock_offsets
-from tiswarm.engine.relax_kernels import STALE, TAKEN, relax_structures, start_interval, take_step
+from tiswarm.engine.relax_kernels import (
+    STALE,
+    TAKEN,
+    UNKNOWN,
+    place_docks,
+    relax_structures,
+    start_interval,
+    take_step,
+)
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import Robot
 
@@ -32,6 +40,8 @@ LAUNCHES = 8
 """Steps that are sent to the device before it is asked whether rows are stale."""
 NORM_SLACK = 1e-6
 """A quaternion whose norm is this near to 1 is a rotation."""
+NO_LIMIT = 1e30
+LARGEST_GAIN = 1e12
 FINEST = 0.01
 """A coordinate must be resolved this finely [D]."""
 
@@ -101,10 +111,10 @@ def relax(
     if steps < 0 or ramps.shape not in {(), (steps,)}:
         msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
         raise InputError(msg)
-    limit = np.inf if max_step is None else max_step
+    limit = NO_LIMIT if max_step is None else max_step
     law = (attraction_gain, repulsion_gain, height_gain, robot.spacing, limit)
-    if not all(value >= 0.0 for value in law):
-        msg = f"gains and the largest step must be 0 or more, not {law}"
+    if not (all(0.0 <= gain <= LARGEST_GAIN for gain in law[:3]) and limit >= 0.0):
+        msg = f"gains must be 0 to {LARGEST_GAIN:g}, and the largest step 0 or more, not {law}"
         raise InputError(msg)
     running = backend.start(arch, threads=threads, precision=precision)
     swarm.check_resolution(running)
@@ -118,10 +128,11 @@ class _Swarm:
     """Checked arguments, in the caller's order."""
 
     position: NDArray[np.float64]
-    arm: NDArray[np.float64]
+    orientation_wxyz: NDArray[np.float64]
     contacts: NDArray[np.int64]
     height: NDArray[np.float64] | None
     structure: NDArray[np.int64]
+    dock_offset_body: NDArray[np.float64]
     spacing: float
 
     @classmethod
@@ -150,22 +161,28 @@ class _Swarm:
         docks = robot.dock_offset_body
         return cls(
             position=center,
-            arm=dock_offsets(orientation, docks) if robots else np.zeros((0, len(docks), 3)),
+            orientation_wxyz=orientation,
             contacts=_checked_contacts(contacts, len(docks), ids),
             height=None if height is None else _shaped("height", height, (robots,)),
             structure=ids,
+            dock_offset_body=docks,
             spacing=robot.spacing,
         )
 
     def check_resolution(self, running: Backend) -> None:
         """Refuse places so far from the origin that forces would be noise."""
-        farthest = np.abs(self.position).max(initial=0.0)
-        if farthest * np.finfo(running.dtype).eps > FINEST * self.spacing:
+        if not _resolved(self.position, running, self.spacing):
             msg = (
-                f"a robot {farthest:.3g} from the origin is beyond what {running.precision} "
-                "resolves; move the swarm to the origin"
+                f"a robot {np.abs(self.position).max():.3g} from the origin is beyond what "
+                f"{running.precision} resolves; move the swarm to the origin"
             )
             raise InputError(msg + (" or use precision f64" if running.precision == "f32" else ""))
+
+
+def _resolved(position: NDArray[np.float64], running: Backend, spacing: float) -> bool:
+    """Whether every coordinate is a number that the precision resolves finely enough."""
+    farthest = np.abs(position).max(initial=0.0)
+    return bool(farthest * np.finfo(running.dtype).eps <= FINEST * spacing)
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -194,8 +211,12 @@ def _checked_contacts(
             f"two of the {len(structure)} robots in one structure"
         )
         raise InputError(msg)
-    ordered: NDArray[np.int64] = np.where((first < second)[:, None], rows, rows[:, [2, 3, 0, 1]])
-    return np.asarray(np.unique(ordered, axis=0))
+    # One number a pair sorts far faster than rows of four do.
+    one, other = first * docks + rows[:, 1], second * docks + rows[:, 3]
+    most = len(structure) * docks
+    pair = np.unique(np.minimum(one, other) * most + np.maximum(one, other))
+    one, other = np.divmod(pair, most)
+    return np.column_stack([one // docks, one % docks, other // docks, other % docks])
 
 
 class _Run:
@@ -209,7 +230,7 @@ class _Run:
         ramp: NDArray[np.float64],
     ) -> None:
         """Renumber the robots and copy them to the device."""
-        robots, docks = swarm.arm.shape[:2]
+        robots, docks = len(swarm.position), len(swarm.dock_offset_body)
         size = np.bincount(swarm.structure)
         self.running = running
         self.by_structure = running.arch == "cpu" and size.max() <= SMALL
@@ -218,29 +239,38 @@ class _Run:
         self.order = morton_order(swarm.position, swarm.structure)
         self.start = np.concatenate([[0], size.cumsum()])
         _check_memory(running, robots, docks)
-        place = (swarm.position[:, None] + swarm.arm)[self.order]
+        position = swarm.position[self.order]
+        self.memory = memory = Memory(running, on_host=self.by_structure)
         self.neighbors = NeighborList(
-            running,
-            place,
+            memory,
+            position,
             self._renumbered(swarm.contacts),
+            docks=docks,
+            reach=float(np.linalg.norm(swarm.dock_offset_body, axis=1).max()),
             cutoff=(1.0 + SKIN) * swarm.spacing,
             start=self.start if self.by_structure else None,
         )
-        self.ramp = running.upload(ramp)
+        self.ramp = memory.upload(ramp)
         self.steps = len(ramp)
-        self.dock = running.upload(self._places(place, swarm.structure[self.order]))
-        self.position = running.upload(swarm.position[self.order])
-        self.arm = running.upload(swarm.arm[self.order].reshape(-1, 3))
+        self.position = memory.upload(position)
+        self.arm = memory.reals(robots * docks, 3)
+        self.dock = memory.reals(2, robots * docks, 4)
+        place_docks(
+            memory.upload(swarm.orientation_wxyz[self.order]),
+            memory.upload(swarm.dock_offset_body),
+            memory.upload(swarm.structure[self.order]),
+            self.position, self.arm, self.dock,
+        )  # fmt: skip
         height = np.zeros(1) if swarm.height is None else swarm.height[self.order]
-        self.height = running.upload(height)
-        self.reference = running.reals(robots, 3)
+        self.height = memory.upload(np.nan_to_num(height, nan=UNKNOWN))
+        self.reference = memory.reals(robots, 3)
 
     def take_steps(self) -> RelaxResult:
         """Take all steps and hand the robots back in the caller's order."""
         moves, builds = self._by_structure() if self.by_structure else self._all_at_once()
         position = np.empty((len(self.order), 3))
-        position[self.order] = self.position.to_numpy()
-        if not np.isfinite(position).all():
+        position[self.order] = self.memory.download(self.position)
+        if not _resolved(position, self.running, self.spacing):
             msg = "the forces diverged; lower the gains or give max_step"
             raise InputError(msg)
         return RelaxResult(position=position, largest_move=moves, list_builds=builds)
@@ -248,44 +278,45 @@ class _Run:
     def _all_at_once(self) -> tuple[NDArray[np.float64], int]:
         """Step by step, each with all threads, rows made anew where they have gone stale."""
         rows = self.neighbors
-        control, moves = self.running.ints(2), self.running.reals(self.steps)
-        control.fill(0)
+        control, moves = self.memory.ints(2), self.memory.reals(self.steps)
         taken = 0
         while taken < self.steps:
             rows.build(self.dock, taken % 2)
             start_interval(self.position, self.reference, control)
             while taken < self.steps and not control[STALE]:
-                for t in range(taken, min(taken + LAUNCHES, self.steps)):
-                    take_step(
-                        rows.docks, rows.own_bits, *rows.strides, *self.law,
-                        0.5 * SKIN * self.spacing, t, self.ramp, self.dock, rows.row,
-                        rows.row_count, self.arm, self.height, self.reference, self.position,
-                        control, moves,
-                    )  # fmt: skip
+                with loose_arithmetic():
+                    for t in range(taken, min(taken + LAUNCHES, self.steps)):
+                        take_step(
+                            rows.docks, rows.own_bits, *rows.strides, *self.law,
+                            0.5 * SKIN * self.spacing, t, self.ramp, self.dock, rows.row,
+                            rows.row_count, self.arm, self.height, self.reference, self.position,
+                            control, moves,
+                        )  # fmt: skip
                 taken = int(control[TAKEN])
-        return moves.to_numpy().astype(np.float64), rows.builds
+        return self.memory.download(moves).astype(np.float64), rows.builds
 
     def _by_structure(self) -> tuple[NDArray[np.float64], int]:
         """All steps of a structure on one thread; again from the start if a row was too short."""
         rows, structures = self.neighbors, len(self.start) - 1
-        start = self.running.upload(self.start)
-        moves = self.running.reals(structures, self.steps)
-        builds = self.running.ints(structures)
-        at_first = self.position.to_numpy(), self.dock.to_numpy()
+        start = self.memory.upload(self.start)
+        moves = self.memory.reals(structures, self.steps)
+        builds = self.memory.ints(structures)
+        at_first = self.position.copy(), self.dock.copy()
         while True:
-            relax_structures(
-                rows.docks, rows.own_bits, rows.cutoff, rows.capacity, *self.law, start,
-                self.ramp, self.dock, rows.table, rows.begin, rows.sorted_dock, rows.sorted_at,
-                rows.contact_start, rows.contact, rows.row, rows.row_count, self.arm, self.height,
-                self.reference, self.position, builds, rows.longest, moves,
-            )  # fmt: skip
-            longest = int(rows.longest.to_numpy().max())
+            with loose_arithmetic():
+                relax_structures(
+                    rows.docks, rows.own_bits, rows.cutoff, rows.capacity, *self.law, start,
+                    self.ramp, self.dock, rows.table, rows.begin, rows.sorted_dock,
+                    rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_count,
+                    self.arm, self.height, self.reference, self.position, builds, rows.longest,
+                    moves,
+                )  # fmt: skip
+            longest = int(rows.longest.max())
             if longest <= rows.capacity:
                 break
             rows.lengthen(longest)
-            self.position.from_numpy(at_first[0])
-            self.dock.from_numpy(at_first[1])
-        return moves.to_numpy().max(axis=0).astype(np.float64), int(builds.to_numpy().max())
+            self.position[:], self.dock[:] = at_first
+        return moves.max(axis=0).astype(np.float64), int(builds.max())
 
     def _renumbered(self, contacts: NDArray[np.int64]) -> NDArray[np.int64]:
         new = np.empty(len(self.order), np.int64)
@@ -293,15 +324,6 @@ class _Run:
         rows = contacts.copy()
         rows[:, [0, 2]] = new[contacts[:, [0, 2]]]
         return rows
-
-    def _places(
-        self, place: NDArray[np.float64], structure: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """Both halves of the kernels' `dock`, shape (2, N * docks, 4)."""
-        dock = np.empty((2, *place.shape[:2], 4))
-        dock[..., :3] = place
-        dock[..., 3] = structure[:, None]
-        return dock.reshape(2, -1, 4)
 
 
 def _check_memory(running: Backend, robots: int, docks: int) -> None:

@@ -18,10 +18,12 @@ from tiswarm.compute.dialect import (
     ti,
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import list_structure
+from tiswarm.compute.rotations import rotate
 from tiswarm.engine.force_kernels import TINY, capped, pull_of
 
 TAKEN = 0
 STALE = 1
+UNKNOWN = -1e30
 
 
 @ti.func
@@ -77,7 +79,7 @@ def step_robot(
     here = ti.Vector([position[robot, 0], position[robot, 1], position[robot, 2]])
     force = virtual_force(grid, law, ramp, half, robot, entries, dock, row)
     if law.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
-        if not ti.math.isnan(height[robot]):
+        if height[robot] != UNKNOWN:
             force[2] += law.height_gain * (height[robot] - here[2])
     step = capped(force, law.max_step)
     here += step
@@ -126,7 +128,7 @@ def take_step(
         row: Rows of the neighbor list.
         row_count: Length of each, shape (N,).
         arm: Center to dock, world frame [R], shape (M, 3).
-        height: Height that is pulled toward, NaN for none [R], shape (N,) or (1,) if unused.
+        height: Height that is pulled toward, or UNKNOWN [R], shape (N,) or (1,) if unused.
         reference: Positions for which the rows were made, shape (N, 3).
         position: Read and written, shape (N, 3).
         control: Steps taken, and whether rows are stale; read and written.
@@ -153,6 +155,38 @@ def take_step(
         control[TAKEN] = t + 1
         control[STALE] = ti.cast(strayed > stray_limit * stray_limit, ti.i32)
         largest_move[t] = ti.sqrt(moved)
+
+
+@ti.kernel
+def place_docks(
+    orientation_wxyz: Reals2,
+    dock_offset_body: Reals2,
+    structure: Ints1,
+    position: Reals2,
+    arm: Reals2,
+    dock: Reals3,
+):
+    """Turn every robot's docks into the world.
+
+    Args:
+        orientation_wxyz: Body to world, shape (N, 4).
+        dock_offset_body: Center to dock, body frame [R], shape (docks, 3).
+        structure: Number of each robot's structure, shape (N,).
+        position: Centers [R], shape (N, 3).
+        arm: Written: center to dock, world frame [R], shape (N * docks, 3).
+        dock: Written: places of docks and, last, their structure, twice, shape (2, N * docks, 4).
+    """
+    docks = dock_offset_body.shape[0]
+    for m in range(arm.shape[0]):
+        robot = m // docks
+        k = m % docks
+        turn = ti.Vector([orientation_wxyz[robot, c] for c in range(4)])
+        offset = rotate(turn, ti.Vector([dock_offset_body[k, c] for c in range(3)]))
+        for c in ti.static(range(3)):
+            arm[m, c] = offset[c]
+            for half in ti.static(range(2)):
+                dock[half, m, c] = position[robot, c] + offset[c]
+                dock[half, m, 3] = structure[robot]
 
 
 @ti.kernel

@@ -21,7 +21,17 @@ import tiswarm
 from tiswarm.compute.backend import Backend
 from tiswarm.records.atomic import write_text
 
-LIBRARIES = ("matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "scipy", "taichi")
+LIBRARIES = (
+    "matplotlib",
+    "numpy",
+    "open3d",
+    "open3d-cpu",
+    "pandas",
+    "pydantic",
+    "quadrants",
+    "scipy",
+    "taichi",
+)
 
 
 class Stopwatch:

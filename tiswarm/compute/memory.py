@@ -1,0 +1,52 @@
+"""Arrays that kernels work on: on the device, or on the host where that is the device too."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.compute.backend import Backend
+from tiswarm.compute.dialect import DeviceArray, ti
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Where arrays are reserved, and in which precision.
+
+    A kernel starts sooner with arrays on the device, but these take longer to make: few starts
+    are quicker with arrays on the host.
+    """
+
+    running: Backend
+    """What runs the kernels."""
+
+    on_host: bool
+    """Whether arrays are NumPy's; the device is a CPU then."""
+
+    def reals(self, *shape: int) -> DeviceArray:
+        """Reserve an array of real numbers."""
+        return self._reserve(self.running.dtype, shape)
+
+    def ints(self, *shape: int) -> DeviceArray:
+        """Reserve an array of integers."""
+        return self._reserve(np.int32, shape)
+
+    def upload(self, values: NDArray[Any]) -> DeviceArray:
+        """Copy an array, in the precision of the backend if its numbers are real."""
+        dtype = np.int32 if np.issubdtype(values.dtype, np.integer) else self.running.dtype
+        copy = np.array(values, dtype, order="C")
+        if self.on_host:
+            return copy
+        array = self._reserve(dtype, copy.shape)
+        array.from_numpy(copy)
+        return array
+
+    def download(self, array: DeviceArray) -> NDArray[Any]:
+        """Copy an array back to the host."""
+        return array.copy() if self.on_host else array.to_numpy()
+
+    def _reserve(self, dtype: type, shape: tuple[int, ...]) -> DeviceArray:
+        if self.on_host:
+            return np.empty(shape, dtype)
+        return ti.ndarray({np.float64: ti.f64, np.float32: ti.f32, np.int32: ti.i32}[dtype], shape)
