@@ -5,7 +5,8 @@ Structures are independent and run in parallel; within one, robots follow each o
 
 from tiswarm.compute.cells import cube_of, link, relink
 from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, ti
-from tiswarm.localization.kernels import capped, dock_at, law_of, vector_at, virtual_force
+from tiswarm.engine.force_kernels import capped
+from tiswarm.localization.kernels import dock_at, law_of, vector_at, virtual_force
 
 
 @ti.func
@@ -107,7 +108,7 @@ def localize_in_join_order(
         sweeps: Steps of every robot in a round, 0 without back-propagation.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains: One row a structure, columns as in `VirtualForceLaw`, shape (S, 8).
+        gains: One row a structure, columns as `law_of` reads them, shape (S, 8).
         start: First robot of each structure, shape (S + 1,).
         contact_start: First contact row of each robot, shape (N + 1,).
         contact: Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3).

@@ -1,42 +1,11 @@
-"""Virtual forces between docks, Eqs. (1) to (3).
+"""Virtual forces on one robot of a structure that grows, Eqs. (1) to (3).
 
-A force is the step of a robot's centre in one iteration [R]; it is gathered, never
-scattered, so runs repeat bit for bit. Offsets point from the robot's own dock to the other
-one: a positive magnitude pulls toward it. Lengths in R.
+Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 """
 
 from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
-from tiswarm.compute.dialect import I32, Float, kernel_struct, ti
-
-
-@ti.func
-def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
-    """Force on a dock whose connected partner lies at `offset`, Eq. (1).
-
-    With d = |offset|, u = offset / d, spacing D and ramp a:
-
-        F =  A a (d - D) u            if d > D
-        F = -B (1 - a) (d - D)^4 u    otherwise
-
-    Docks that coincide have no direction to part in, and feel no force.
-    """
-    distance = offset.norm()
-    gap = distance - spacing
-    pull = attraction_gain * ramp * gap
-    if gap <= 0.0:
-        pull = -repulsion_gain * (1.0 - ramp) * gap * gap * gap * gap
-    force = 0.0 * offset
-    if distance > 0.0:
-        force = pull / distance * offset
-    return force
-
-
-@ti.func
-def capped(step, max_step):
-    """The same step, or one of length `max_step` in its direction where it is longer."""
-    length = step.norm()
-    scale = ti.select(length > max_step, max_step / length, 1.0)
-    return step * scale
+from tiswarm.compute.dialect import ti
+from tiswarm.engine.force_kernels import dock_pair_force
 
 
 @ti.func
@@ -60,24 +29,10 @@ ALL_DOCKS = 2
 """Which docks part that overlap without being connected."""
 
 
-@kernel_struct
-class VirtualForceLaw:
-    """Gains of one structure; see `VirtualForceParams`."""
-
-    attraction_gain: Float
-    repulsion_gain: Float
-    height_gain: Float
-    initial_offset: Float
-    max_step: Float
-    sweep_repulsion: Float
-    spacing: Float
-    undocked: I32
-
-
 @ti.func
 def law_of(gains: ti.template(), structure):
-    """Read the gains of a structure; columns as `VirtualForceLaw` lists them."""
-    return VirtualForceLaw(
+    """Read the gains of a structure; see `VirtualForceParams`."""
+    return ti.Struct(
         attraction_gain=gains[structure, 0],
         repulsion_gain=gains[structure, 1],
         height_gain=gains[structure, 2],
