@@ -259,6 +259,19 @@ def import_(
     import_poses(poses, out, docks_in_plane(offset), assumed, tell)
 
 
+@app.command(epilog="Example: tiswarm score truth.csv estimate.csv")
+def score(
+    truth: Annotated[Path, typer.Argument(help="Where the robots are, as truth.csv.")],
+    estimate: Annotated[Path, typer.Argument(help="Where they are thought to be.")],
+) -> None:
+    """Say how far an estimate is from a truth, as it is and after alignment."""
+    from tiswarm.evaluation.scoring import score_files
+
+    unit, scores = score_files(truth, estimate)
+    for name, value in scores.items():
+        typer.echo(f"{name:<28} {value:.4g}{'' if 'disparity' in name else f' {unit}'}")
+
+
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
     run: RunFolderPath,

@@ -11,8 +11,8 @@ import yaml
 from tests.cli.conftest import REPOSITORY
 
 COMMANDS = (
-    "run", "localize", "tune", "report", "render", "compare", "import", "export", "check",
-    "schema", "doctor",
+    "run", "localize", "tune", "report", "render", "compare", "import", "export", "score",
+    "check", "schema", "doctor",
 )  # fmt: skip
 
 

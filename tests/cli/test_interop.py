@@ -49,6 +49,10 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     assert truth.columns.tolist() == ["robot", "x_cm", "y_cm", "z_cm"]
     assert sorted(truth["robot"]) == sorted(pd.read_csv(EXAMPLE)["robot"])
     assert estimate["robot"].tolist() == truth["robot"].tolist()
+    scored = tiswarm("score", tmp_path / "truth.csv", tmp_path / "estimate.csv")
+    places = ["x_cm", "y_cm", "z_cm"]
+    rmse = np.sqrt(((truth[places] - estimate[places]) ** 2).sum(axis=1).mean())
+    assert f"{rmse:.4g} cm" in scored.stdout.splitlines()[0]
 
 
 def test_what_is_exported_can_be_imported(tiswarm, small_run, exported, tmp_path):

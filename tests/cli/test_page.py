@@ -84,9 +84,10 @@ def test_the_page_draws_without_a_complaint(seen):
 
 
 def test_the_slider_takes_the_structure_apart(seen):
-    """Four of twelve robots have a third of the corners."""
+    """At first all twelve robots are there; four have a third of their corners."""
     whole, part = seen["corners"]
 
+    assert whole == 12 * 3 * 42  # three docks each, of an icosahedron's faces cut in four
     assert 3 * part == whole
 
 

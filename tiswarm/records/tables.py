@@ -88,6 +88,21 @@ def read_positions(
     return np.array(list(rows), dtype=np.int64), np.array(list(rows.values()), dtype=np.float64)
 
 
+def read_length_unit(path: Path) -> str:
+    """Read the unit of such a table from the names of its columns.
+
+    Raises:
+        InputError: the table cannot be read or names none.
+    """
+    number, text = next(numbered_lines(path), (1, ""))
+    with placed(path, number):
+        place, _, unit = (read_cells(text)[1:2] or [""])[0].partition("_")
+        if place != "x" or not unit:
+            problem = "the columns name no unit of length; write them like robot,x_R,y_R,z_R"
+            raise InputError(problem)
+    return unit
+
+
 def _header(length_unit: str) -> list[str]:
     return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN]
 

@@ -137,7 +137,8 @@ def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
     spent = sum(stage["wall_s"] for stage in manifest.get("stages", {}).values())
     time = f", computed in {spent:.1f} s" if spent else ""
     one = [text.removesuffix("s") if text.startswith("1 ") else text for text in counts]
-    return f"{', '.join(one)} each{time}."
+    each = " each" if len(summary) > 1 else ""
+    return f"{', '.join(one)}{each}{time}."
 
 
 def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:

@@ -1,6 +1,7 @@
 """The tables of a run as the page shows them: chosen columns, rounded, with units."""
 
 import math
+import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -82,11 +83,10 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame)
         paired: `paired.csv`, or nothing.
         laws: `laws.csv`, or nothing.
     """
-    tables = [_headline(table), _parts(table)]
+    tables = [_scorecard(laws)] if len(laws) else []
+    tables += [_headline(table), _parts(table)]
     if "wilcoxon_p" in paired:
         tables.append(_differences(paired))
-    if len(laws):
-        tables.append(_scorecard(laws))
     return tables
 
 
@@ -166,10 +166,11 @@ def _floppiness(done: pd.DataFrame) -> list[str]:
     modes = done["floppy_modes"]
     if not (modes > 0).any():
         return []
+    least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"
+    count = least if least == most else f"{least} to {most}"
     told = (
-        f"What the method uses of the log leaves {modes.min():.0f} to {modes.max():.0f} floppy "
-        "modes a case: motions that nothing of it would notice. No method can do away with errors "
-        "along them."
+        f"What the method uses of the log leaves {count} floppy modes a case: motions that nothing "
+        "of it would notice. No method can do away with errors along them."
     )
     return [told]
 
@@ -193,10 +194,11 @@ def _headline(table: pd.DataFrame) -> Table:
             'published "robot radius" is not defined, so both stand beside it.'
         )
     return Table(
+        title="Localization",
         header=[*_swept(table), "structures", *(label for label, _ in columns)],
         rows=[
             [
-                *(Cell(str(row[name])) for name in _swept(table)),
+                *(_point(row[name]) for name in _swept(table)),
                 _number(row["cases"], 0),
                 *(cell(row) for _, cell in columns),
             ]
@@ -214,7 +216,7 @@ def _parts(table: pd.DataFrame) -> Table:
         header=[*_swept(table), *(label for label, _ in columns)],
         rows=[
             [
-                *(Cell(str(row[name])) for name in _swept(table)),
+                *(_point(row[name]) for name in _swept(table)),
                 *(cell(row) for _, cell in columns),
             ]
             for row in table.to_dict("records")
@@ -238,7 +240,7 @@ def _differences(paired: pd.DataFrame) -> Table:
             [
                 Cell(str(row["condition"])),
                 Cell(str(row["against"])),
-                *(Cell(str(row[name])) for name in swept),
+                *(_point(row[name]) for name in swept),
                 Cell(labels[row["measure"]]),
                 _mean(row, "difference", 3, sign="+"),
                 Cell(f"{row['smaller']} of {row['structures']}", float(row["smaller"])),
@@ -268,6 +270,11 @@ def _scorecard(laws: pd.DataFrame) -> Table:
 def _swept(table: pd.DataFrame) -> list[str]:
     """Columns that tell rows of `table.csv` apart: the condition and what is swept."""
     return list(table.columns[: table.columns.get_loc("cases")])
+
+
+def _point(value: object) -> Cell:
+    """A value of the sweep, be it a number, a word or a section of a scenario."""
+    return Cell(re.sub(r"[{}']", "", str(value)))
 
 
 def _mean_columns(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Any]:

@@ -181,7 +181,8 @@ function showSpace() {
   let due = 0;
   const soon = () => { clearTimeout(due); due = setTimeout(draw, 0); };
   const choose = () => {
-    slider.max = slider.value = data.cases[picker.value].robot.length;
+    slider.max = data.cases[picker.value].robot.length; // before the value, which it bounds
+    slider.value = slider.max;
     draw();
   };
   picker.addEventListener("change", choose);
