@@ -4,13 +4,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tiswarm.api import localize, read_log
     from tiswarm.engine.relax import RelaxResult, relax
+    from tiswarm.localization.joining import Localizer
 
 __version__ = "0.1.0"
 
-__all__ = ["RelaxResult", "__version__", "relax"]
+__all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax"]
 
-_HOME = {"RelaxResult": "tiswarm.engine.relax", "relax": "tiswarm.engine.relax"}
+_HOME = {
+    "Localizer": "tiswarm.localization.joining",
+    "RelaxResult": "tiswarm.engine.relax",
+    "localize": "tiswarm.api",
+    "read_log": "tiswarm.api",
+    "relax": "tiswarm.engine.relax",
+}
 
 
 def __getattr__(name: str) -> object:

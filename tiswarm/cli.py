@@ -101,9 +101,9 @@ def localize(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log, sensing.jsonl.")],
     method: Annotated[str, typer.Option(help="Localization method.")] = "virtual-force",
     cues: Annotated[
-        str | None, typer.Option(metavar="CUE,...", help="What of the log to use; as --set cues=.")
+        str | None, typer.Option(metavar="CUE,...", help="What of the log to use, and no more.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the method; as --set seed=.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the method, where it has one.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, typer.Option(help="Where to write.")] = Path("estimate.csv"),
     arch: OneArch = "cpu",
@@ -120,9 +120,10 @@ def localize(
     from tiswarm.records.tables import write_estimate
     from tiswarm.scenario import localization_params
 
-    chosen = [f"cues=[{cues}]"] if cues is not None else []
-    chosen += [f"seed={seed}"] if seed is not None else []
-    params = localization_params(method, [*chosen, *overrides])
+    chosen = [] if seed is None else [f"seed={seed}"]
+    params = localization_params(
+        method, [*chosen, *overrides], cues=None if cues is None else cues.split(",")
+    )
     sensed = read_sensing_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)

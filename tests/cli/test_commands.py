@@ -50,9 +50,10 @@ def test_version_is_told(tiswarm):
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
         (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),
         (("localize", "log.jsonl", "--seed", "3"), "--set seed=3: unknown key"),
+        (("localize", "log.jsonl", "--cues", "contacts"), "--cues: unknown key; the keys here are"),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--cues", "contacts,smell"),
-            "\"smell\" is not a choice here; use 'contacts', 'non_overlap'",
+            "--cues: smell is not a choice here; use contacts, non_overlap",
         ),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--set", "start.iterations=x"),

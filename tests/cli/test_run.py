@@ -148,7 +148,8 @@ def test_any_method_is_run_and_called_alike(tiswarm, tmp_path):
     scenario = tmp_path / "squares.yaml"
     scenario.write_text(
         "name: squares\nrobots: 10\nstructure: {kind: tower}\n"
-        "localization: {method: least-squares, cues: [contacts, height], rounds: 2}\n"
+        "localization: {method: least-squares, rounds: 2, non_overlap: false,\n"
+        "  ground: false, walk_contacts: false, odometry: false}\n"
     )
     ran = tiswarm("run", scenario, "--no-pictures", "--out", tmp_path)
     assert ran.returncode == 0, ran.stderr

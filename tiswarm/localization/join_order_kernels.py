@@ -84,6 +84,7 @@ def localize_in_join_order(
     gains: Reals2,
     # logs, end to end
     start: Ints1,
+    placed_before: Ints1,
     contact_start: Ints1,
     contact: Ints2,
     dock_offset: Reals3,
@@ -110,14 +111,16 @@ def localize_in_join_order(
             the last round.
         gains: One row a structure, columns as `law_of` reads them, shape (S, 8).
         start: First robot of each structure, shape (S + 1,).
+        placed_before: Robots of each structure that have been placed already, shape (S,).
         contact_start: First contact row of each robot, shape (N + 1,).
         contact: Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3).
         dock_offset: Centre to dock, world frame [R], shape (N, docks, 3).
         initial_direction: Unit vector of the initial offset, shape (N, 3).
         flip_height: Height from the flips [R], NaN where unknown, shape (N,).
-        head: Cell lists, empty, shape (S, buckets).
-        following: Cell lists, empty, shape (S, most docks).
-        position: Anchors are read, the rest written [R], shape (N, 3).
+        head: Cell lists of the robots placed before, shape (S, buckets).
+        following: Likewise, shape (S, most docks).
+        position: Those of anchors and of robots placed before are read, the rest written [R],
+            shape (N, 3).
         trace: Written: position at each frame [R], shape (F, N, 3).
         step_length: Written: last step before each frame [R], shape (F, N).
     """
@@ -126,7 +129,7 @@ def localize_in_join_order(
             s = i // GRAIN
             law = law_of(gains, s)
             base = start[s]
-            for robot in range(base, start[s + 1]):
+            for robot in range(base + placed_before[s], start[s + 1]):
                 here = vector_at(position, robot)
                 if robot > base:
                     here = initial_position(

@@ -7,10 +7,8 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.params import STRICT
 
-Cue = Literal["contacts", "non_overlap", "ground", "height", "walk_contacts", "odometry"]
-"""What a localizer may use of a log: contacts; that docks do not overlap; which docks are on flat
-ground; heights from flips; contacts of earlier stances, carried to the last one by the flips; and,
-where the spawn is known, the place that the flips lead to."""
+CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometry")
+"""What a localizer may use of a log, where it has it."""
 
 Width = Annotated[float, Field(gt=0.0)]
 
@@ -91,7 +89,35 @@ class VirtualForceParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class LeastSquaresParams:
+class CueParams:
+    """Cues of a method that can do without any of them; each counts as far as the log has it."""
+
+    contacts: bool = True
+    """Docks that touch at the end are D apart."""
+
+    non_overlap: bool = True
+    """All other docks are D apart or farther."""
+
+    height: bool = True
+    """Robots are as high as their flips imply."""
+
+    ground: bool = True
+    """A dock on flat ground is one dock radius above it."""
+
+    walk_contacts: bool = True
+    """Contacts of earlier stances count too, carried to the final one by the flips."""
+
+    odometry: bool = True
+    """Robots that know where they started are as far from there as their flips took them."""
+
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used."""
+        return tuple(cue for cue in CUES if getattr(self, cue))
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class LeastSquaresParams(CueParams):
     """Weights of the residuals that `scipy.optimize.least_squares` makes small together.
 
     A residual counts in units of its width. The widths are plausible, not fitted.
@@ -99,14 +125,6 @@ class LeastSquaresParams:
 
     method: Literal["least-squares"] = "least-squares"
     """Name of the method."""
-
-    cues: Annotated[tuple[Cue, ...], Field(min_length=1)] = (
-        "contacts",
-        "non_overlap",
-        "ground",
-        "height",
-    )
-    """What of the log is used."""
 
     start: VirtualForceParams = VirtualForceParams()
     """How the positions to start from are found."""

@@ -67,14 +67,15 @@ def localize_batch(
         rounds.every,
         rounds.sweeps,
         every,
-        np.array([_gains(p) for p in params], dtype),
+        np.array([gains(p) for p in params], dtype),
         start,
+        np.zeros(len(logs), np.int32),
         contact_start,
         contact,
         np.concatenate([_dock_offsets(log) for log in logs]).astype(dtype),
-        np.concatenate([_directions(log, p) for log, p in zip(logs, params, strict=True)]).astype(
-            dtype
-        ),
+        np.concatenate(
+            [directions(log.orientation_wxyz, p) for log, p in zip(logs, params, strict=True)]
+        ).astype(dtype),
         np.concatenate([log.flip_height / log.dock_radius for log in logs]).astype(dtype),
         chains.head,
         chains.following,
@@ -82,6 +83,19 @@ def localize_batch(
         trace,
         step_length,
     )
+    check_placed(position)
+    return [
+        _estimate(log, frames, trace[:, a:b], step_length[:, a:b])
+        for log, a, b in zip(logs, start[:-1], start[1:], strict=True)
+    ]
+
+
+def check_placed(position: NDArray[np.floating]) -> None:
+    """Refuse positions that a kernel has not written.
+
+    Raises:
+        EnvironmentTroubleError: there are some.
+    """
     if np.isnan(position).any():
         running = backend.current()
         msg = (
@@ -89,13 +103,9 @@ def localize_batch(
             "its driver is faulty: use --arch cpu"
         )
         raise EnvironmentTroubleError(msg)
-    return [
-        _estimate(log, frames, trace[:, a:b], step_length[:, a:b])
-        for log, a, b in zip(logs, start[:-1], start[1:], strict=True)
-    ]
 
 
-def _gains(params: VirtualForceParams) -> list[float]:
+def gains(params: VirtualForceParams) -> list[float]:
     """Columns of the kernel's `gains`; lengths in R, so D is 2."""
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return [
@@ -115,11 +125,13 @@ def _dock_offsets(log: SensingLog) -> NDArray[np.float64]:
     return dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
 
 
-def _directions(log: SensingLog, params: VirtualForceParams) -> NDArray[np.float64]:
+def directions(
+    orientation_wxyz: NDArray[np.float64], params: VirtualForceParams
+) -> NDArray[np.float64]:
     """Direction of each robot's initial offset, shape (N, 3)."""
     if params.initial_offset_axis == "world":
-        return np.tile(WORLD_UP, (log.robot_count, 1))
-    return dock_offsets(log.orientation_wxyz, WORLD_UP[None, :])[:, 0]
+        return np.tile(WORLD_UP, (len(orientation_wxyz), 1))
+    return dock_offsets(orientation_wxyz, WORLD_UP[None, :])[:, 0]
 
 
 def _contacts_by_robot(

@@ -3,6 +3,7 @@
 import math
 from array import array
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,16 @@ _UNKNOWN_PLACE = [math.nan] * 3
 _Entry = RobotLine | StanceEntry
 
 
-class _Felt:
+class Felt(NamedTuple):
+    """One stance, checked, with names of other robots turned into indices."""
+
+    orientation_wxyz: list[float]
+    contacts: list[tuple[int, int, int]]
+    """Rows of (own dock, other robot, its dock), sorted."""
+    ground_docks: list[int]
+
+
+class _FeltColumns:
     """Orientation and touches, of final stances or of earlier ones: one row each."""
 
     def __init__(self) -> None:
@@ -30,9 +40,13 @@ class _Felt:
         self.ground_docks = array("i")
         """Rows of (row, own dock)."""
 
-    @property
-    def rows(self) -> int:
-        return len(self.orientation) // 4
+    def append(self, felt: Felt) -> None:
+        row = len(self.orientation) // 4
+        self.orientation.extend(felt.orientation_wxyz)
+        for contact in felt.contacts:
+            self.contacts.extend((row, *contact))
+        for dock in felt.ground_docks:
+            self.ground_docks.extend((row, dock))
 
 
 class SensingColumns:
@@ -41,16 +55,16 @@ class SensingColumns:
     def __init__(self, header: HeaderLine) -> None:
         self._header = header
         self._index_of: dict[int, int] = {}
-        self._final = _Felt()
-        self._earlier = _Felt()
+        self._final = _FeltColumns()
+        self._earlier = _FeltColumns()
         self._flip_height = array("d")
         self._spawn_position = array("d")
         self._pivot_dock = array("i")
         self._stance_start = array("q", [0])
         self._knows_stances = False
 
-    def add(self, robot: RobotLine) -> None:
-        """Append a robot.
+    def add(self, robot: RobotLine) -> Felt:
+        """Append a robot, and return what it feels at the end; one that is refused is not added.
 
         Raises:
             InputError: with the key at fault, but without file and line.
@@ -58,17 +72,23 @@ class SensingColumns:
         if robot.robot in self._index_of:
             problem = f"robot {robot.robot} has a line already; give every robot its own number"
             raise InputError(problem, key="robot")
+        stances = robot.stances or []
         self._index_of[robot.robot] = len(self._index_of)
-        self._feel(robot, self._final, "")
+        try:
+            final = self._checked(robot, "")
+            earlier = [self._checked(entry, f"stances[{n}].") for n, entry in enumerate(stances)]
+        except InputError:
+            del self._index_of[robot.robot]
+            raise
+        self._final.append(final)
         self._flip_height.append(math.nan if robot.flip_height is None else robot.flip_height)
         self._spawn_position.extend(robot.spawn_position or _UNKNOWN_PLACE)
-        for place, stance in enumerate(robot.stances or ()):
-            prefix = f"stances[{place}]."
-            self._check_dock(stance.pivot_dock, f"{prefix}pivot_dock")
-            self._pivot_dock.append(stance.pivot_dock)
-            self._feel(stance, self._earlier, prefix)
+        for felt in earlier:
+            self._earlier.append(felt)
+        self._pivot_dock.extend(entry.pivot_dock for entry in stances)
         self._stance_start.append(len(self._pivot_dock))
         self._knows_stances = self._knows_stances or robot.stances is not None
+        return final
 
     def log(self) -> SensingLog:
         """Assemble the log; at least one robot must have been added."""
@@ -100,14 +120,15 @@ class SensingColumns:
             ground_docks=np.array(felt.ground_docks, dtype=np.int32).reshape(-1, 2),
         )
 
-    def _feel(self, entry: _Entry, felt: _Felt, prefix: str) -> None:
-        """Append one stance of the robot that was added last."""
-        row = felt.rows
-        felt.orientation.extend(_unit(entry.orientation_wxyz, f"{prefix}orientation_wxyz"))
-        for contact in self._checked_contacts(entry.contacts, f"{prefix}contacts"):
-            felt.contacts.extend((row, *contact))
-        for dock in self._checked_ground_docks(entry.ground_docks or [], f"{prefix}ground_docks"):
-            felt.ground_docks.extend((row, dock))
+    def _checked(self, entry: _Entry, prefix: str) -> Felt:
+        """Check one stance of the robot that was named last."""
+        if isinstance(entry, StanceEntry):
+            self._check_dock(entry.pivot_dock, f"{prefix}pivot_dock")
+        return Felt(
+            _unit(entry.orientation_wxyz, f"{prefix}orientation_wxyz"),
+            self._checked_contacts(entry.contacts, f"{prefix}contacts"),
+            self._checked_ground_docks(entry.ground_docks or [], f"{prefix}ground_docks"),
+        )
 
     def _checked_contacts(
         self, contacts: Sequence[Sequence[int]], key: str

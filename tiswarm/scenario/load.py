@@ -1,12 +1,12 @@
 """From a scenario file and `--set` options to a scenario, or to errors with file and line."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from tiswarm.errors import InputError
-from tiswarm.localization.params import LocalizationParams
+from tiswarm.localization.params import CUES, LocalizationParams
 from tiswarm.records.wording import Part, dotted
 from tiswarm.scenario.check import SMALLEST, Mistake, validated
 from tiswarm.scenario.document import Document, parse_document, read_document
@@ -55,25 +55,41 @@ def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]
         return [error]
 
 
-def localization_params(method: str, overrides: Sequence[str] = ()) -> LocalizationParams:
+def localization_params(
+    method: str,
+    overrides: Sequence[str] = (),
+    *,
+    cues: Sequence[str] | None = None,
+    values: Mapping[str, object] | None = None,
+) -> LocalizationParams:
     """Build the settings of a localization method without a scenario file.
 
     Args:
         method: Name of the method.
         overrides: Texts `KEY=VALUE`, the key being one of the method's own.
+        cues: The cues to use, all others being off; what the method does by itself if None.
+        values: Settings by key, as plain data.
 
     Raises:
-        InputError: for an unknown method, or for the first bad override.
+        InputError: for an unknown method or cue, or for the first bad setting.
     """
+    for cue in cues or ():
+        if cue not in CUES:
+            problem = f"{cue} is not a choice here; use {', '.join(CUES)}"
+            raise InputError(problem, key="--cues")
+    switches = {} if cues is None else {cue: cue in cues for cue in CUES}
     settings = [_parse_setting(text, "localization") for text in overrides]
-    data: Plain = {**SMALLEST, "localization": {"method": method}}
+    data: Plain = {**SMALLEST, "localization": {"method": method, **switches, **(values or {})}}
     _put_all(data, settings)
     outcome = validated(data)
     if isinstance(outcome, Scenario):
         return outcome.localization
     first = outcome[0]
-    culprit = _culprit(first, settings)
-    raise culprit.error(first.problem) if culprit else InputError(first.problem, key="--method")
+    if culprit := _culprit(first, settings):
+        raise culprit.error(first.problem)
+    key = dotted(first.path[1:])
+    option = "--method" if key == "method" else "--cues" if key in switches else key
+    raise InputError(first.problem, key=option)
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:

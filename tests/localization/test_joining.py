@@ -1,0 +1,94 @@
+"""A robot that joins is placed where the whole log would have placed it."""
+
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tiswarm
+from tiswarm.compute import backend
+from tiswarm.errors import InputError
+from tiswarm.localization.params import BackPropagation, LeastSquaresParams, VirtualForceParams
+from tiswarm.records.sensing_file import write_sensing_log
+from tiswarm.sensing import SensingParams, observe
+
+SETTINGS = {"iterations": 60, "initial_offset_axis": "body"}
+
+
+@pytest.fixture(scope="module")
+def lines(towers):
+    """Header and robots of a tower's sensing file, as text."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sensing.jsonl"
+        write_sensing_log(observe(towers[0], SensingParams(tilt_noise_deg=1.0)), path)
+        return path.read_text().splitlines()
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path, precision):
+    """Online and offline are one code path, whether lines come as text or as mappings."""
+    path = tmp_path / "sensing.jsonl"
+    path.write_text("\n".join(lines))
+    whole = tiswarm.localize(path, precision=precision, **SETTINGS)
+
+    localizer = tiswarm.Localizer(lines[0], VirtualForceParams(**SETTINGS), capacity=40)
+    joined = [localizer.join(line) for line in lines[1:10]]
+    joined += [localizer.join(json.loads(line)) for line in lines[10:]]
+
+    assert np.array(joined).tobytes() == whole.position.tobytes()
+    assert localizer.positions.tobytes() == whole.position.tobytes()
+    again = tiswarm.localize(localizer.log, precision=precision, **SETTINGS)
+    assert again.position.tobytes() == whole.position.tobytes()
+
+
+def test_a_robot_that_is_refused_leaves_no_trace(lines):
+    """After a bad line the right one can follow, and all is as if nothing had happened."""
+    localizer = tiswarm.Localizer(lines[0], VirtualForceParams(**SETTINGS))
+    for line in lines[1:5]:
+        localizer.join(line)
+    bad = json.loads(lines[5])
+    bad["stances"][0]["pivot_dock"] = 7
+
+    with pytest.raises(InputError, match=r"stances\[0\].pivot_dock: there is no dock 7"):
+        localizer.join(bad)
+    place = localizer.join(lines[5])
+
+    other = tiswarm.Localizer(lines[0], VirtualForceParams(**SETTINGS))
+    assert place.tobytes() == [other.join(line) for line in lines[1:6]][-1].tobytes()
+
+
+def test_what_cannot_join_is_told(lines):
+    """Methods that move robots again, and more robots than there is room for, are refused."""
+    with pytest.raises(InputError, match="least-squares places all robots at once"):
+        tiswarm.Localizer(lines[0], LeastSquaresParams())
+    with pytest.raises(InputError, match="back_propagation moves robots"):
+        tiswarm.Localizer(lines[0], VirtualForceParams(back_propagation=BackPropagation()))
+    full = tiswarm.Localizer(lines[0], capacity=1)
+    full.join(lines[1])
+    with pytest.raises(InputError, match="room for 1 robots"):
+        full.join(lines[2])
+
+
+def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
+    """What the command line takes, `tiswarm.localize` takes, and refuses the same."""
+    path = tmp_path / "sensing.jsonl"
+    path.write_text("\n".join(lines[:12]))
+    log = tiswarm.read_log(path)
+
+    estimate = tiswarm.localize(
+        log, "least-squares", cues=["contacts", "height"], rounds=1, start={"iterations": 20}
+    )
+
+    assert estimate.certainty.cues == ("contacts", "height")
+    assert len(estimate.iteration) == 2
+    for call, told in (
+        ({"method": "guess"}, "--method: "),
+        ({"iterationz": 3}, "iterationz: unknown key; did you mean iterations"),
+        ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a choice"),
+        ({"iterations": -1}, "iterations: -1 is too small"),
+    ):
+        with pytest.raises(InputError, match=told):
+            tiswarm.localize(log, **call)
+    assert backend.current().precision == "f64"
