@@ -145,7 +145,9 @@ def tune(
     training_seeds: Annotated[
         int, typer.Option(min=1, help="Structures of each sweep point, from seed 1000 on.")
     ] = 25,
-    condition: Annotated[str | None, typer.Option(help="Condition to fit; the first.")] = None,
+    condition: Annotated[
+        list[str], typer.Option(help="Condition that counts; may be given often; all if not.")
+    ] = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, typer.Option(help="Record of the fit.")] = Path("fit.json"),
     arch: OneArch = "cpu",
     threads: Threads = None,
@@ -161,7 +163,7 @@ def tune(
 
     record = study.tune(
         load_scenario(scenario, overrides), out,
-        trials=trials, training_seeds=training_seeds, condition=condition,
+        trials=trials, training_seeds=training_seeds, conditions=condition,
         watcher=ConsoleWatcher(quiet=quiet), arch=arch, threads=threads,
     )  # fmt: skip
     if not quiet:

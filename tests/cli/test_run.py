@@ -79,6 +79,9 @@ def test_a_run_leaves_everything_behind(small_run):
     assert table["condition"].tolist() == ["baseline", "no-z", "no-z-no-undock"]
     assert table["paper_rmse_radii"].tolist() == [1.64, 1.84, 2.36]
     np.testing.assert_allclose(
+        table["rmse_R_to_paper"] * table["paper_rmse_radii"], table["rmse_R_mean"]
+    )
+    np.testing.assert_allclose(
         table["rmse_R_mean"], summary.groupby("condition", sort=False)["rmse_R"].mean()
     )
     assert set(manifest["stages"]) == {"grow", "sense", "localize", "evaluate and store"}

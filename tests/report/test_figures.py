@@ -7,7 +7,9 @@ from PIL import Image
 from tests.report.conftest import write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import figures
-from tiswarm.report.figures import draw_convergence, draw_figures
+from tiswarm.report.accuracy_figure import draw_accuracy
+from tiswarm.report.case_figures import draw_convergence
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render.pictures import is_blank
 
@@ -78,6 +80,59 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
 
     held = np.array([*short, short[-1], short[-1]])
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + held) / 2.0)
+
+
+def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch):
+    """Where a run grows several kinds, none is drawn into the other's axes."""
+    names = [
+        f"0-structure.kind={kind},{condition}"
+        for kind in ("tower", "cantilever")
+        for condition in ("baseline", "no-z")
+    ]
+    for name in names:
+        write_case(tmp_path / "cases" / name, seed=0)
+    rows = [[name, "done", name.rpartition(",")[2]] for name in names]
+    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+    drawn = []
+    monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
+
+    written = [path.stem for path in draw_figures(tmp_path, ignore)]
+
+    assert written == [
+        "convergence",
+        "error-along-growth",
+        "positions-tower",
+        "positions-cantilever",
+    ]
+    titles = [axes.get_title() for axes in drawn[0].axes]
+    assert titles == ["tower", "cantilever"]
+    assert [len(axes.lines) for axes in drawn[0].axes] == [2, 2]
+    along = [axes.get_xlabel() for axes in drawn[1].axes]
+    assert along[:2] == ["True height [R]", "True distance out from the edge [R]"]
+
+
+def test_published_numbers_stand_beside_ours(tmp_path):
+    """An open marker in the row of the condition that was published, none in the others."""
+    header = (
+        "condition,structure.kind,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,"
+        "procrustes_disparity_ci95,paper_rmse_radii,paper_procrustes_disparity"
+    )
+    rows = [
+        ["baseline", "tower", 25, 3.1, 0.2, 0.07, 0.01, 1.64, 0.045],
+        ["back-propagation", "tower", 25, 2.4, 0.2, 0.04, 0.01, "", ""],
+    ]
+    write_table(tmp_path / "table.csv", header, rows)
+
+    figure = draw_accuracy(tmp_path, "")
+
+    rmse, disparity = figure.axes
+    open_markers = [line for line in rmse.lines if line.get_markerfacecolor() == "white"]
+    np.testing.assert_equal(open_markers[0].get_xdata(), [1.64, np.nan])
+    assert [label.get_text() for label in rmse.get_yticklabels()] == [
+        "baseline",
+        "back-propagation",
+    ]
+    assert disparity.get_xlabel() == "Procrustes disparity"
 
 
 @pytest.mark.parametrize("damage", ["missing", "half"])

@@ -20,7 +20,7 @@ class BackPropagation:
     every: Annotated[int, Field(ge=1)] = 10
     """Joins between two rounds; the last join is followed by one too."""
 
-    sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 30
+    sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 50
     """Steps that every robot takes in a round; 0 switches rounds off."""
 
     repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.02

@@ -1,6 +1,7 @@
 """Reads the tables that a run left in its folder."""
 
 import csv
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
+
+_KIND = re.compile(r"structure(?:\.kind=|=kind-)([a-z]+)")
 
 Tell = Callable[[str], None]
 """Receives one line of progress."""
@@ -27,10 +30,28 @@ class Case:
     done: bool
     """Whether it has results."""
 
+    condition: str = ""
+    """Name of its condition, if it is known."""
+
     @property
     def series(self) -> str:
         """What it shares with its other seeds: the condition and the values of the sweep."""
         return self.name.partition("-")[2].replace(",", ", ")
+
+    @property
+    def point(self) -> str:
+        """Values of the sweep that it shares with other conditions; empty without a sweep."""
+        return self.series.removesuffix(self.condition).rstrip(", ") if self.condition else ""
+
+    @property
+    def kind(self) -> str:
+        """Kind of its structure, where that is swept; empty where it is not."""
+        found = _KIND.search(self.name)
+        return found[1] if found else ""
+
+
+Series = dict[str, list[Case]]
+"""Cases that are done, by what they share with their other seeds."""
 
 
 def read_cases(folder: Path) -> list[Case]:
@@ -47,6 +68,7 @@ def read_cases(folder: Path) -> list[Case]:
                     name=row["case"],
                     folder=folder / "cases" / row["case"],
                     done=row["status"] == "done",
+                    condition=row.get("condition") or "",
                 )
                 for row in csv.DictReader(file)
             ]

@@ -6,7 +6,8 @@ robots that are alike.
 """
 
 import itertools
-from collections.abc import Callable, Hashable, Iterable, Sequence
+import math
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,21 +15,12 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.evaluation.profiles import error_profile, relative_profile
+from tiswarm.evaluation.published import PAPER
 from tiswarm.evaluation.statistics import paired_difference, spread
+from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario import Scenario
 from tiswarm.study.scorecard import summed_up
 from tiswarm.study.storage import DONE, CaseRecord
-
-PAPER = {
-    ("tower", True, True): (1.64, 0.045),
-    ("tower", False, True): (1.84, 0.051),
-    ("tower", False, False): (2.36, 0.066),
-    ("cantilever", True, True): (3.91, 0.166),
-    ("cantilever", False, True): (5.26, 0.219),
-    ("cantilever", False, False): (5.12, 0.251),
-}
-"""Table II of the paper: (kind, z correction, undocked repulsion) to RMSE in its "robot radii",
-which it does not define, and Procrustes disparity."""
 
 ACCURACY = (
     "rmse_R",
@@ -76,17 +68,12 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         settings: What each case was computed from.
     """
     pairs = list(zip(records, settings, strict=True))
-    return pd.DataFrame(
-        [
-            {
-                "condition": group[0][0].condition,
-                **group[0][0].point,
-                **_with_statistics([record for record, _ in group]),
-                **_paper(group[0][1]),
-            }
-            for group in _grouped(pairs, lambda pair: _series(pair[0]))
-        ]
-    )
+    rows = []
+    for group in _grouped(pairs, lambda pair: _series(pair[0])):
+        first, setting = group[0]
+        ours = _with_statistics([record for record, _ in group])
+        rows.append({"condition": first.condition, **first.point, **ours, **_paper(setting, ours)})
+    return pd.DataFrame(rows)
 
 
 def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
@@ -170,14 +157,21 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
     )
 
 
-def _paper(setting: Scenario) -> dict[str, object]:
-    """The paper's numbers for its method, the same kind of structure and the same cues."""
+def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, object]:
+    """The paper's numbers for its method, structures and cues, and ours divided by them."""
     method = setting.localization
-    rmse = disparity = None
-    if method.method == "virtual-force":
+    cell = None
+    if isinstance(method, VirtualForceParams) and not method.back_propagation:
         key = (setting.structure.kind, method.z_correction, method.undocked_repulsion)
-        rmse, disparity = PAPER.get(key, (None, None))
-    return {"paper_rmse_radii": rmse, "paper_procrustes_disparity": disparity}
+        cell = PAPER.get(key)
+    rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
+    return {
+        "paper_rmse_radii": rmse,
+        "paper_procrustes_disparity": disparity,
+        "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
+        "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
+        "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
+    }
 
 
 def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:

@@ -26,6 +26,7 @@ from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe
 from tiswarm.study.run import Watcher
 from tiswarm.world.growth import grow
+from tiswarm.world.history import History
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
@@ -54,10 +55,10 @@ otherwise. Of these the one with the weakest repulsion is chosen, for rounding g
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """One training structure: what was sensed, where the robots are, and what settings start."""
+    """One training structure under one condition."""
 
     label: str
-    """Sweep point."""
+    """Sweep point and condition."""
 
     log: SensingLog
     """What the swarm sensed."""
@@ -66,7 +67,7 @@ class Lesson:
     """True centres [R], shape (N, 3)."""
 
     params: VirtualForceParams
-    """Settings that the fit starts from."""
+    """Settings whose gains are replaced."""
 
 
 def tune(
@@ -75,19 +76,19 @@ def tune(
     *,
     trials: int,
     training_seeds: int,
-    condition: str | None,
+    conditions: Sequence[str],
     watcher: Watcher,
     arch: Arch = "cpu",
     threads: int | None = None,
 ) -> dict[str, Any]:
-    """Fit gains to the least mean RMSE over training structures of all sweep points.
+    """Fit gains to the least mean RMSE over training structures, one set for all conditions.
 
     Args:
         scenario: What to grow and how to localize it; its own seeds are kept out.
         path: Record of the fit, written after every trial; an earlier one is taken up again.
         trials: Trials in all.
         training_seeds: Structures of each sweep point, from `FIRST_TRAINING_SEED` on.
-        condition: Which condition's settings to fit; the first if None.
+        conditions: Which count; all if none is named.
         watcher: Told how it goes on.
         arch: Device.
         threads: CPU threads; all if None.
@@ -101,12 +102,12 @@ def tune(
         EnvironmentTroubleError: where the sampler is not installed.
     """
     seeds = _kept_apart(scenario, training_seeds)
-    points = _points(scenario, condition)
-    ranges = GAINS | (OF_ROUNDS if _params(points[0]).back_propagation else {})
+    points = _points(scenario, conditions)
+    start = _start(points)
+    ranges = {name: limits for name, limits in (GAINS | OF_ROUNDS).items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": tiswarm.__version__,
         "scenario": scenario.name,
-        "condition": points[0].condition,
         "points": [point.label for point in points],
         "robots": [point.settings.robots for point in points],
         "training_seeds": seeds,
@@ -115,7 +116,7 @@ def tune(
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
     done = _taken_up(path, record)
-    study = _new_study(_start(_params(points[0]), ranges))
+    study = _new_study(start)
     _replay(study, done, ranges, path)
     backend.start(arch, threads=threads)
     if len(done) < trials:
@@ -143,51 +144,57 @@ def _kept_apart(scenario: Scenario, count: int) -> list[int]:
     return seeds
 
 
-def _points(scenario: Scenario, condition: str | None) -> list[Variant]:
-    """Sweep points under one condition."""
-    wanted = condition or next(iter(scenario.conditions))
-    if wanted not in scenario.conditions:
-        problem = f"no condition {wanted!r}; choose one of {', '.join(scenario.conditions)}"
-        raise InputError(problem, key="--condition")
-    return [variant for variant in variants(scenario) if variant.condition == wanted]
+def _points(scenario: Scenario, conditions: Sequence[str]) -> list[Variant]:
+    """Sweep points under each condition that counts."""
+    for name in conditions:
+        if name not in scenario.conditions:
+            problem = f"no condition {name!r}; choose among {', '.join(scenario.conditions)}"
+            raise InputError(problem, key="--condition")
+    return [v for v in variants(scenario) if not conditions or v.condition in conditions]
 
 
 def _params(point: Variant) -> VirtualForceParams:
     """Settings of a point whose gains can be fitted."""
     params = point.settings.localization
     if not isinstance(params, VirtualForceParams):
-        problem = f"{params.method} has no gains to fit; choose a condition of virtual-force"
+        problem = f"{params.method} has no gains to fit; name conditions of virtual-force"
         raise InputError(problem, key="--condition")
     return params
 
 
 def _lessons(points: Sequence[Variant], seeds: list[int], watcher: Watcher) -> list[Lesson]:
-    """Grow and sense every training structure, once."""
-    lessons = []
+    """Grow every training structure once, and sense it under each condition."""
+    grown: dict[str, list[History]] = {}
     for point in points:
         settings = point.settings
-        with watcher.stage("grow", len(seeds) * settings.robots) as advance:
-            grown = grow(
-                settings.structure,
-                robots=settings.robots,
-                seeds=seeds,
-                robot=settings.robot,
-                tell=advance,
-            )
-        lessons += [
-            Lesson(
-                label=point.label,
-                log=observe(history, settings.sensing),
-                true=history.position,
-                params=_params(point),
-            )
-            for history in grown
-        ]
-    return lessons
+        if _structure(point) not in grown:
+            with watcher.stage("grow", len(seeds) * settings.robots) as advance:
+                grown[_structure(point)] = grow(
+                    settings.structure,
+                    robots=settings.robots,
+                    seeds=seeds,
+                    robot=settings.robot,
+                    tell=advance,
+                )
+    return [
+        Lesson(
+            label=point.label,
+            log=observe(history, point.settings.sensing),
+            true=history.position,
+            params=_params(point),
+        )
+        for point in points
+        for history in grown[_structure(point)]
+    ]
+
+
+def _structure(point: Variant) -> str:
+    """All that a structure grows from, but its seed."""
+    return repr((point.settings.structure, point.settings.robot, point.settings.robots))
 
 
 def _errors(lessons: Sequence[Lesson], values: Mapping[str, float]) -> dict[str, Any]:
-    """Mean RMSE with such gains, over all structures and over those of each point [R]."""
+    """Mean RMSE with such gains, over all lessons and over those of each label [R]."""
     params = [_with_values(lesson.params, values) for lesson in lessons]
     estimates = localize_many([lesson.log for lesson in lessons], params)
     of_point: dict[str, list[float]] = {}
@@ -211,11 +218,14 @@ def _with_values(params: VirtualForceParams, values: Mapping[str, float]) -> Vir
     return replace(params, **gains)
 
 
-def _start(params: VirtualForceParams, ranges: Mapping[str, Range]) -> dict[str, float]:
-    """Gains that the settings have now, as far as they are in range."""
-    values = {name: getattr(params, name) for name in ranges if name in GAINS}
-    values |= {name: getattr(params.back_propagation, name) for name in ranges if name in OF_ROUNDS}
-    return {name: float(np.clip(values[name], *ranges[name])) for name in ranges}
+def _start(points: Sequence[Variant]) -> dict[str, float]:
+    """Gains that the settings have now, as far as they are in range; those of rounds if any."""
+    params = [_params(point) for point in points]
+    values = {name: getattr(params[0], name) for name in GAINS}
+    if rounds := next((p.back_propagation for p in params if p.back_propagation), None):
+        values |= {name: getattr(rounds, name) for name in OF_ROUNDS}
+    ranges = GAINS | OF_ROUNDS
+    return {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
 
 
 def _optuna_version() -> str:

@@ -1,0 +1,30 @@
+"""Table II of *Contact-Driven Localization in a Freeform Robotic Self-Assembled Structure*.
+
+M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. Lengths are in
+its "robot radii", which it does not define: the radius R of a dock sphere, or the distance rho of
+a dock from the centre, 1.506 R. The disparity has no unit.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """One cell of the table."""
+
+    rmse_radii: float
+    """Root mean square error ["robot radii"]."""
+
+    disparity: float
+    """Procrustes disparity [1]."""
+
+
+PAPER = {
+    ("tower", True, True): Published(rmse_radii=1.64, disparity=0.045),
+    ("tower", False, True): Published(rmse_radii=1.84, disparity=0.051),
+    ("tower", False, False): Published(rmse_radii=2.36, disparity=0.066),
+    ("cantilever", True, True): Published(rmse_radii=3.91, disparity=0.166),
+    ("cantilever", False, True): Published(rmse_radii=5.26, disparity=0.219),
+    ("cantilever", False, False): Published(rmse_radii=5.12, disparity=0.251),
+}
+"""By kind of structure, height cue, and whether docks that are not in contact repel."""
