@@ -5,6 +5,7 @@ import pytest
 
 from tests.report.conftest import write_table
 from tiswarm.errors import InputError
+from tiswarm.report import page_view
 from tiswarm.report.folder import read_cases
 from tiswarm.report.page import write_page
 from tiswarm.report.page_tables import case_table, warnings_of
@@ -65,6 +66,16 @@ def test_the_view_shows_each_series_once(run_folder):
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))
         assert case["worst"] == max(case["error"])
+
+
+def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
+    """A page stays small, and says what it leaves out."""
+    monkeypatch.setattr(page_view, "MOST_ROBOTS", 5)
+
+    view = build_view(read_cases(run_folder))
+
+    assert [case["robot"] for case in view.data["cases"]] == [[0, 1, 2, 3, 4]]
+    assert "Of 12 robots, those that joined first are here" in view.note
 
 
 def test_warnings_count_what_limits_a_run():

@@ -17,7 +17,7 @@ BINS = 10
 """Most ranges that a quantity is cut into."""
 
 HOPS_APART = (1, 2, 4, 8, 16, 32, 64)
-PAIRS_LOOKED_AT = 10_000_000
+PAIRS_LOOKED_AT = 2_000_000
 """Of larger swarms, pairs that start at every so many robots only, to bound time and memory."""
 
 

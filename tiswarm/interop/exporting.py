@@ -58,7 +58,7 @@ def tables_of(subject: Subject) -> dict[str, pd.DataFrame]:
     """Poses as `tiswarm import` reads them, and contacts with the place where docks meet."""
     log = subject.log
     i, a, j, b = log.contacts.T
-    offsets = dock_offsets(subject.pose[:, 3:], log.dock_offset_body / log.dock_radius)
+    offsets = dock_offsets(subject.pose[:, 3:], subject.dock_offset_body)
     dock = subject.pose[:, None, :3] + offsets
     contacts = pd.DataFrame(
         {

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,6 +14,8 @@ MOST_CASES = 2_000
 MOST_REASONS = 5
 
 Row = Mapping[Hashable, Any]
+Column = tuple[str, Callable[[Row], "Cell"]]
+"""Label of a column, and how a row fills it."""
 
 
 class Cell(NamedTuple):
@@ -277,16 +279,20 @@ def _point(value: object) -> Cell:
     return Cell(re.sub(r"[{}']", "", str(value)))
 
 
-def _mean_columns(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Any]:
+def _mean_columns(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Column]:
     """Label and cell of each mean that a table has."""
     return [
-        (label, lambda row, name=name, digits=digits: _mean(row, name, digits))
+        _mean_column(label, name, digits)
         for label, name, digits in columns
         if f"{name}_mean" in table and table[f"{name}_mean"].notna().any()
     ]
 
 
-def _number_column(label: str, name: str, digits: int) -> Any:  # noqa: ANN401 - as above
+def _mean_column(label: str, name: str, digits: int) -> Column:
+    return (label, lambda row: _mean(row, name, digits))
+
+
+def _number_column(label: str, name: str, digits: int) -> Column:
     return (label, lambda row: _number(row[name], digits))
 
 

@@ -35,29 +35,29 @@ def build_view(cases: Sequence[Case]) -> View | None:
     """
     first = {case.series: case for case in reversed(cases) if case.done}
     chosen = [case for case in cases if case.done and first[case.series] is case]
-    subjects: list[Subject] = []
-    for case in chosen[:MOST_CASES]:
-        subjects.append(read_subject(case))
-        if sum(len(subject.pose) for subject in subjects) > MOST_ROBOTS:
-            subjects.pop()
-            break
-    if not subjects:
+    if not chosen:
         return None
-    done = sum(case.done for case in cases)
-    log = subjects[0].log
+    subject = read_subject(chosen[0])
+    shown = [_data(subject)]
+    for case in chosen[1:MOST_CASES]:
+        data = _data(read_subject(case))
+        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
+            break
+        shown.append(data)
+    done, robots = sum(case.done for case in cases), len(subject.pose)
+    notes = [f"{len(shown)} of {done} cases are here."] if len(shown) < done else []
+    if robots > MOST_ROBOTS:
+        notes.append(f"Of {robots} robots, those that joined first are here.")
     return View(
-        data={
-            "offsets": (log.dock_offset_body / log.dock_radius).round(DIGITS).tolist(),
-            "cases": [_data(subject) for subject in subjects],
-        },
-        note=f"{len(subjects)} of {done} cases are here." if len(subjects) < done else "",
+        data={"offsets": subject.dock_offset_body.round(DIGITS).tolist(), "cases": shown},
+        note=" ".join(notes),
     )
 
 
 def _data(subject: Subject) -> dict[str, Any]:
-    """Poses and errors of the robots that have an estimate."""
+    """Poses and errors of the robots that have an estimate, the first to join if they are many."""
     table = np.column_stack([subject.error, subject.pose, subject.estimated_pose])
-    known = np.isfinite(table).all(axis=1)
+    known = np.flatnonzero(np.isfinite(table).all(axis=1))[:MOST_ROBOTS]
     error, true, turn, estimate, sensed = np.split(
         table[known].round(DIGITS), [1, 4, 8, 11], axis=1
     )

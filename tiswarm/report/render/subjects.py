@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.records.contact_graph import hops
+from tiswarm.records.lines import numbered_lines, placed
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_line import HeaderLine, parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.folder import Case, read_columns
 from tiswarm.report.render.build import Look, Robots, Rods, build_scene
@@ -77,14 +79,27 @@ class Subject:
 
     @cached_property
     def log(self) -> SensingLog:
-        """What the robots sensed."""
+        """What the robots sensed; of many robots, slow to read."""
         return read_sensing_log(self.case.folder / "sensing.jsonl")
+
+    @cached_property
+    def header(self) -> HeaderLine:
+        """What the log says of all robots."""
+        path = self.case.folder / "sensing.jsonl"
+        number, text = next(numbered_lines(path), (1, ""))
+        with placed(path, number):
+            return parse_header(text)
+
+    @property
+    def dock_offset_body(self) -> NDArray[np.float64]:
+        """Centre to dock, body frame [R], shape (docks, 3)."""
+        return np.array(self.header.dock_offsets) / self.header.dock_radius
 
     @property
     def ground_z(self) -> float | None:
         """Height of the ground [R]; None where there is none."""
-        log = self.log
-        return None if log.ground_z is None else log.ground_z / log.dock_radius
+        height = self.header.ground_z
+        return None if height is None else height / self.header.dock_radius
 
     @property
     def by_join(self) -> NDArray[np.float64]:
@@ -101,8 +116,7 @@ class Subject:
         """
         known = np.flatnonzero(np.isfinite(pose).all(axis=1))
         center = pose[known, :3]
-        offsets = self.log.dock_offset_body / self.log.dock_radius
-        dock = center[:, None] + dock_offsets(pose[known, 3:], offsets)
+        dock = center[:, None] + dock_offsets(pose[known, 3:], self.dock_offset_body)
         color = np.broadcast_to(color, (len(pose), 3))[known]
         return Robots(center=center, dock=dock, color=color, look=look)
 
