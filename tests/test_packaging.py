@@ -108,3 +108,12 @@ def test_no_file_names_a_registry_or_a_home():
         found += [(file.name, hit) for rule in (REGISTRY, HOME) for hit in rule.findall(text)]
 
     assert found == []
+
+
+def test_the_example_of_the_readme_runs():
+    """As it stands there."""
+    example = re.search(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
+
+    done = subprocess.run([sys.executable, "-c", example[1]], check=False, cwd=REPOSITORY)
+
+    assert done.returncode == 0
