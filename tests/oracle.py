@@ -126,3 +126,31 @@ def swarm_step(
     length = np.linalg.norm(force, axis=1)
     too_long = np.inf if max_step is None else max_step
     return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]
+
+
+def joint_force(log, known, position, tolerance, width):
+    """Force of the joint annealer on every robot: contacts, overlaps, known places, one by one."""
+    arm = [[matrix(q) @ b / log.dock_radius for b in log.dock_offset_body] for q in
+           log.orientation_wxyz]  # fmt: skip
+    force = np.zeros_like(position)
+    for i, j, shift, variance in zip(
+        known.robot, known.other, known.shift, known.variance, strict=True
+    ):
+        apart = position[i] + shift - position[j]
+        gap = np.linalg.norm(apart) - 2.0
+        within = tolerance**2 + variance
+        stiff = tolerance**2 / within / (1.0 + (gap / width) ** 2 / within)
+        force[i] -= stiff * gap * apart / np.linalg.norm(apart)
+        force[j] += stiff * gap * apart / np.linalg.norm(apart)
+    touching = {tuple(row) for row in log.contacts.tolist()}
+    for i in range(len(position)):
+        for j in range(i + 1, len(position)):
+            for a, own in enumerate(arm[i]):
+                for b, other in enumerate(arm[j]):
+                    apart = position[i] + own - position[j] - other
+                    length = np.linalg.norm(apart)
+                    if length < 2.0 and (i, a, j, b) not in touching:
+                        force[i] += (2.0 - length) * apart / length
+                        force[j] -= (2.0 - length) * apart / length
+    known_well = tolerance**2 * known.precision
+    return force + known_well / (1.0 + known_well) * (known.place - position)

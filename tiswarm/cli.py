@@ -131,6 +131,8 @@ def localize(
     if not quiet:
         for line in doubts(sensed, log, filter(None, [estimate.certainty])):
             typer.echo(line)
+        for line in estimate.notes:
+            typer.echo(line)
         typer.echo(
             f"{estimate.robot_count} robots, residual {estimate.residual[-1]:.2g} "
             f"{sensed.length_unit} rms -> {out}"

@@ -274,3 +274,27 @@ def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
     assert (pd.read_csv(run / "summary.csv")["status"] == "failed").all()
     assert tiswarm("report", run).returncode == 0
     assert (run / "summary.csv").read_text() == summary
+
+
+def test_methods_stand_side_by_side(tiswarm, tmp_path):
+    """Conditions with different methods run on the same structures, and a log goes in alone."""
+    joint = "{localization.method: joint, localization.chains: 2, localization.steps: 200}"
+
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path,
+        "--set", "sensing.tilt_noise_deg=1.0",
+        "--set", f"conditions={{paper: {{}}, joint: {joint}}}",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    folder = next(tmp_path.iterdir())
+    rmse = pd.read_csv(folder / "table.csv").set_index("condition")["rmse_R_mean"]
+    alone = tiswarm(
+        "localize", folder / "cases" / "0-joint" / "sensing.jsonl", "--method", "joint",
+        "--set", "chains=2", "--set", "steps=200", "--out", tmp_path / "estimate.csv",
+    )  # fmt: skip
+
+    assert rmse["joint"] < rmse["paper"]
+    assert alone.returncode == 0, alone.stderr
+    stored = (folder / "cases" / "0-joint" / "estimate.csv").read_bytes()
+    assert (tmp_path / "estimate.csv").read_bytes() == stored
+    assert b"sd_R" in stored

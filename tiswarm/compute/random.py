@@ -10,6 +10,8 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiswarm.compute.dialect import ti
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_B = np.uint64(0x94D049BB133111EB)
@@ -48,3 +50,16 @@ def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     mixed = (mixed ^ (mixed >> np.uint64(30))) * _MIX_A
     mixed = (mixed ^ (mixed >> np.uint64(27))) * _MIX_B
     return mixed ^ (mixed >> np.uint64(31))
+
+
+@ti.func
+def mixed(value):
+    """Scatter the 32 low bits of a `ti.u64`, in a kernel.
+
+    The steps are those of Wellons' "lowbias32"; no product overflows 64 bits.
+    """
+    low = ti.u64(0xFFFFFFFF)
+    bits = (value + ti.u64(0x9E3779B9)) & low
+    bits = ((bits ^ (bits >> ti.u64(16))) * ti.u64(0x7FEB352D)) & low
+    bits = ((bits ^ (bits >> ti.u64(15))) * ti.u64(0x846CA68B)) & low
+    return bits ^ (bits >> ti.u64(16))

@@ -90,25 +90,33 @@ class VirtualForceParams:
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CueParams:
-    """Cues of a method that can do without any of them; each counts as far as the log has it."""
+    """Cues of a method that can do without any of them; each counts as far as the log has it.
 
-    contacts: bool = True
-    """Docks that touch at the end are D apart."""
+    Fields that are inherited carry their text as a description, for the JSON Schema does not
+    find the docstrings of a base class.
+    """
 
-    non_overlap: bool = True
-    """All other docks are D apart or farther."""
+    contacts: Annotated[bool, Field(description="Docks that touch at the end are D apart.")] = True
 
-    height: bool = True
-    """Robots are as high as their flips imply."""
+    non_overlap: Annotated[bool, Field(description="All other docks are D apart or farther.")] = (
+        True
+    )
 
-    ground: bool = True
-    """A dock on flat ground is one dock radius above it."""
+    height: Annotated[bool, Field(description="Robots are as high as their flips imply.")] = True
 
-    walk_contacts: bool = True
-    """Contacts of earlier stances count too, carried to the final one by the flips."""
+    ground: Annotated[
+        bool, Field(description="A dock on flat ground is one dock radius above it.")
+    ] = True
 
-    odometry: bool = True
-    """Robots that know where they started are as far from there as their flips took them."""
+    walk_contacts: Annotated[
+        bool,
+        Field(description="Contacts of earlier stances count too, carried on by the flips."),
+    ] = True
+
+    odometry: Annotated[
+        bool,
+        Field(description="Robots that know where they started went as far as their flips say."),
+    ] = True
 
     @property
     def cues(self) -> tuple[str, ...]:
@@ -151,8 +159,49 @@ class LeastSquaresParams(CueParams):
     """Evaluations of the residuals at most in each solve."""
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class JointParams(CueParams):
+    """Weights and schedule of the annealer that places all robots at once.
+
+    How much each cue counts follows from the noise that the log states.
+    """
+
+    method: Literal["joint"] = "joint"
+    """Name of the method."""
+
+    robust: bool = True
+    """Let contacts that disagree with all others give way."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    """Seed of the chains' random numbers."""
+
+    chains: Annotated[int, Field(ge=1, le=1000)] = 8
+    """Annealings from different starts; the estimate is their mean, `sd` their spread."""
+
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 1500
+    """Steps of an annealing."""
+
+    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 750
+    """Steps at the end temperature, over which positions are averaged."""
+
+    start_tolerance: Annotated[float, Field(gt=0.0)] = 1.0
+    """How far equations may be missed, as a standard deviation, when annealing begins [R]."""
+
+    end_tolerance: Annotated[float, Field(gt=0.0)] = 0.045
+    """The same when it ends [R]."""
+
+    contact_sd: Annotated[float, Field(gt=0.0)] = 0.006
+    """How far from D docks that feel each other may be, as a standard deviation [R]."""
+
+    height_sd: Annotated[float, Field(gt=0.0)] = 0.01
+    """The same of heights and grounds, beside the noise that the log states [R]."""
+
+    spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
+    """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
+
+
 LocalizationParams = Annotated[
-    VirtualForceParams | LeastSquaresParams,  # | the settings of each further method
+    VirtualForceParams | LeastSquaresParams | JointParams,  # | the settings of each further method
     Field(discriminator="method"),
 ]
 """Settings of any method."""

@@ -4,6 +4,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
 from tiswarm.localization import least_squares, virtual_force
+from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.certainty import certainty
 from tiswarm.records.estimate import Estimate
@@ -22,6 +23,7 @@ class Method:
 
 
 METHODS = {
+    "joint": Method(localize_batch=joint.localize_batch, batch_key=joint.batch_key),
     "virtual-force": Method(
         localize_batch=virtual_force.localize_batch, batch_key=virtual_force.batch_key
     ),

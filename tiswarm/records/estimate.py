@@ -24,6 +24,9 @@ class Estimate:
     sd: NDArray[np.float64] | None = None
     """Standard deviation of each position where the method knows it, shape (N,)."""
 
+    notes: tuple[str, ...] = ()
+    """What else the method has to say about the log, a line each."""
+
     certainty: Certainty | None = None
     """What the cues in use cannot tell; filled in after the method has run."""
 

@@ -1,0 +1,147 @@
+"""The annealer's forces are right, its estimates good, and the same whoever asks and how."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests import oracle
+from tiswarm.compute import backend
+from tiswarm.localization.joint import anneal
+from tiswarm.localization.joint.equations import equations
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.registry import localize, localize_many
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams, observe
+
+SHORT = JointParams(chains=2, steps=300, hold_steps=100)
+NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+
+
+@pytest.fixture(scope="module")
+def log(towers) -> SensingLog:
+    """What the robots of a small tower sensed, with noise."""
+    return observe(towers[0], NOISY)
+
+
+def _rmse(position, history):
+    return np.sqrt(((position - history.position) ** 2).sum(axis=1).mean())
+
+
+@pytest.mark.parametrize("robust", [True, False])
+def test_forces_match_the_energies_written_out_slowly(log, robust):
+    """Contacts, overlaps and known places pull as sums over all of them say."""
+    params = dataclasses.replace(SHORT, robust=robust, start_tolerance=0.3, end_tolerance=0.3)
+    known = equations(log, params)
+    swarm = anneal.Swarm([log], [params], [known])
+    before = swarm.positions()
+
+    swarm.step(0, 0.0, is_held=False)
+
+    forces = swarm.force.to_numpy().reshape(before.shape)
+    width = 3.0 if robust else np.inf
+    for position, force in zip(before, forces, strict=True):
+        slow = oracle.joint_force(log, known, position, 0.3, width)
+        np.testing.assert_allclose(force, slow, rtol=1e-9, atol=1e-11)
+
+
+def test_robots_are_found_without_noise(towers):
+    """Where walks leave next to nothing unknown, robots are where they truly are."""
+    logs = [observe(history, SensingParams()) for history in towers]
+    params = dataclasses.replace(SHORT, steps=1000)
+
+    estimates = localize_many(logs, [params] * len(logs))
+
+    for estimate, history in zip(estimates, towers, strict=True):
+        error = np.linalg.norm(estimate.position - history.position, axis=1)
+        assert np.median(error) < 0.15
+        assert estimate.residual[-1] < 0.3 * estimate.residual[0]
+        np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
+
+
+def test_company_threads_names_and_order_do_not_change_a_byte(towers):
+    """Alone or together, on one thread or two, renamed and shuffled: the same bits."""
+    logs = [observe(history, NOISY) for history in towers]
+    params = [SHORT, dataclasses.replace(SHORT, height=False, walk_contacts=False), SHORT]
+    shuffled = [_renamed_and_shuffled(log) for log in logs]
+
+    together = localize_many(logs, params)
+    alone = [localize(log, p) for log, p in zip(shuffled, params, strict=True)]
+    backend.start(threads=1)
+    single = localize_many(logs[::-1], params[::-1])[::-1]
+
+    for a, b, c in zip(together, alone, single, strict=True):
+        assert a.trace.tobytes() == b.trace.tobytes() == c.trace.tobytes()
+        assert a.sd.tobytes() == b.sd.tobytes() == c.sd.tobytes()
+
+
+def test_the_unit_of_length_does_not_matter(log):
+    """A log in other units, four to a dock radius, gives the same places in these units."""
+    scaled = dataclasses.replace(
+        log,
+        dock_radius=4.0,
+        dock_offset_body=4.0 * log.dock_offset_body,
+        anchor_position=4.0 * log.anchor_position,
+        flip_height=4.0 * log.flip_height,
+    )
+
+    np.testing.assert_array_equal(
+        localize(scaled, SHORT).position, 4.0 * localize(log, SHORT).position
+    )
+
+
+def test_wrong_contacts_are_given_up(towers):
+    """Contacts that are none ruin a trusting estimate and hardly touch a robust one."""
+    noise = dataclasses.replace(NOISY, false_contacts=0.05)
+    logs = [observe(history, noise) for history in towers]
+    params = dataclasses.replace(SHORT, steps=1000)
+
+    robust = localize_many(logs, [params] * 3)
+    trusting = localize_many(logs, [dataclasses.replace(params, robust=False)] * 3)
+
+    def total(estimates):
+        return sum(_rmse(e.position, h) for e, h in zip(estimates, towers, strict=True))
+
+    assert total(robust) < 0.7 * total(trusting)
+    assert any("judged wrong" in note for e in robust for note in e.notes)
+
+
+def test_a_log_of_bare_contacts_is_enough(log):
+    """One dock, no flips, no heights, no ground, a robot that nothing ties: all get a place."""
+    bare = dataclasses.replace(
+        log,
+        dock_offset_body=log.dock_offset_body[:1],
+        contacts=np.array([[0, 0, 1, 0], [1, 0, 2, 0]], np.int32),
+        robot_id=np.array([70, -3, 12, 9]),
+        orientation_wxyz=log.orientation_wxyz[:4],
+        ground_z=None,
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=np.full(4, np.nan),
+        spawn_position=np.full((4, 3), np.nan),
+        stances=None,
+        noise=None,
+    )
+
+    estimate = localize(bare, SHORT)
+
+    assert estimate.located.tolist() == [True, True, True, False]
+    assert np.isfinite(estimate.position).all()
+    assert (estimate.sd[1:] > 0.4).all()  # on a sphere, and not all around it in so few steps
+    silent = dataclasses.replace(bare, contacts=np.empty((0, 4), np.int32))
+    assert np.isfinite(localize(silent, SHORT).position).all()
+
+
+def _renamed_and_shuffled(log: SensingLog) -> SensingLog:
+    rng = np.random.default_rng(0)
+    stances = dataclasses.replace(
+        log.stances,
+        contacts=rng.permutation(log.stances.contacts),
+        ground_docks=rng.permutation(log.stances.ground_docks),
+    )
+    return dataclasses.replace(
+        log,
+        robot_id=rng.permutation(log.robot_count) - 7,
+        contacts=rng.permutation(log.contacts),
+        ground_docks=rng.permutation(log.ground_docks),
+        stances=stances,
+    )

@@ -1,0 +1,1 @@
+"""All robots at once: equations from a log, annealed by several chains, summed up."""

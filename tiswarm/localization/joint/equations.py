@@ -1,0 +1,239 @@
+"""What a log says about positions, as equations with a standard deviation.
+
+A contact of robot i with robot j, felt at any stance of i, says |p_i + c - p_j| = D with p the
+final centres and c known: a flip moves a centre by what the orientations before and after say.
+Heights, ground and odometry say where a centre is, coordinate by coordinate. Each variance
+follows from the noise of every orientation that went into it. Lengths in dock radii.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from tiswarm.compute.rotations import dock_offsets
+from tiswarm.localization.params import JointParams
+from tiswarm.records.contradictions import ASSUMED
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
+from tiswarm.records.walks import displacements, owners
+
+SCATTER = 5.0
+"""How far from the anchor robots are that nothing ties to it: a standard deviation, times the
+cube root of the number of robots, as crowds of robots are wide."""
+FLIPS_UNTOLD = 10
+"""Flips that a height is taken to come from where the log has no stances."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equations:
+    """Equations of one structure of N robots; none of them is about the anchor alone."""
+
+    robot: NDArray[np.int64]
+    """Robot i that felt each contact, shape (C,)."""
+
+    other: NDArray[np.int64]
+    """Robot j that it touched, which joined earlier, shape (C,)."""
+
+    shift: NDArray[np.float64]
+    """c, shape (C, 3)."""
+
+    variance: NDArray[np.float64]
+    """Of the distance, shape (C,)."""
+
+    is_final: NDArray[np.bool_]
+    """Whether the contact is of the final stance, shape (C,)."""
+
+    place: NDArray[np.float64]
+    """Where each centre is known to be, shape (N, 3)."""
+
+    precision: NDArray[np.float64]
+    """One over the variance of each coordinate of `place`, 0 where unknown, shape (N, 3)."""
+
+    def lengths(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance of the docks of each contact for some positions (..., N, 3), shape (..., C)."""
+        apart = position[..., self.robot, :] + self.shift - position[..., self.other, :]
+        length: NDArray[np.float64] = np.linalg.norm(apart, axis=-1)
+        return length
+
+
+class _Path:
+    """Every stance of every robot, the final one last, seen from the final centre."""
+
+    def __init__(self, log: SensingLog, stances: Stances, noise: SensingNoise) -> None:
+        size = np.diff(stances.start)
+        robots = len(size)
+        self.owner = np.concatenate([owners(stances), np.arange(robots)])
+        order = np.argsort(self.owner, kind="stable")
+        self.owner = self.owner[order]
+        self.row = np.empty(len(order), np.int64)
+        """Where each of the log's stances, and then each final one, stands among all."""
+        self.row[order] = np.arange(len(order))
+        self.final = self.row[len(order) - robots :]
+        self.first = np.r_[0, self.final[:-1] + 1]
+        wxyz = np.concatenate([stances.orientation_wxyz, log.orientation_wxyz])[order]
+        self.arm = dock_offsets(wxyz, log.dock_offset_body) / log.dock_radius
+        still = np.zeros((robots, 3))
+        self.shift = np.concatenate([displacements(log, stances), still])[order] / log.dock_radius
+        pivot = np.r_[stances.pivot_dock, np.zeros(robots, np.int32)][order]
+        # The dock that a robot leaves a stance by stays put; a final stance is measured from the
+        # centre itself.
+        self.held = self.arm[np.arange(len(order)), pivot]
+        self.held[self.final] = 0.0
+        reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
+        reached[self.first] = 0.0
+        self.tilt, self.yaw, self.bias = np.radians(
+            [noise.tilt_deg, noise.yaw_deg, noise.yaw_bias_deg or 0.0]
+        )
+        summed = np.cumsum(self._turned(reached)[::-1], axis=0)[::-1]
+        later = np.concatenate([summed[1:], np.zeros((1, 3))])
+        self.walked = later - later[self.final][self.owner]
+        """Variance of what lies between a stance and the final centre, shape (stances, 3)."""
+
+    def _turned(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
+        x, y, z = arm.T**2
+        tilt, yaw = self.tilt**2, self.yaw**2
+        return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
+
+    def docks(
+        self, row: NDArray[np.int64], dock: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """From final centres to docks at some stances, and the variance, both of shape (n, 3)."""
+        at = self.shift[row] + self.arm[row, dock]
+        variance = self.walked[row] + self._turned(self.arm[row, dock] - self.held[row])
+        return at, variance + self._biased(at)
+
+    def starts(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """From final centres to where walks began, and the variance, both of shape (N, 3)."""
+        at = self.shift[self.first]
+        return at, self.walked[self.first] + self._turned(self.held[self.first]) + self._biased(at)
+
+    def _biased(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, _ = self.bias**2 * arm.T**2
+        return np.column_stack([y, x, np.zeros(len(arm))])
+
+
+def equations(log: SensingLog, params: JointParams) -> Equations:
+    """Write down what a log says, as far as its cues are on.
+
+    Args:
+        log: What was sensed.
+        params: Cues, and the noise of what the log does not tell the noise of.
+    """
+    path = _Path(log, log.stances or _no_stances(log), log.noise or ASSUMED)
+    contact, is_final = _contacts(log, path, params)
+    row, own, other, dock = contact.T
+    robot = path.owner[row]
+    place, precision = _places(log, path, params)
+    is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
+    is_placed[0] = True
+    loose = _untied(robot, other, is_placed)[:, None] & (precision == 0.0)
+    scatter = SCATTER * np.cbrt(log.robot_count)
+    place = np.where(loose, log.anchor_position / log.dock_radius, place)
+    precision = np.where(loose, scatter**-2, precision)
+    shift, variance = path.docks(row, own)
+    its, its_variance = path.docks(path.final[other], dock)
+    return Equations(
+        robot=robot,
+        other=other,
+        shift=shift - its,
+        # The direction is unknown before the positions are: the mean over all directions.
+        variance=(variance + its_variance).mean(axis=1) + params.contact_sd**2,
+        is_final=is_final,
+        place=place,
+        precision=precision,
+    )
+
+
+def _untied(
+    robot: NDArray[np.int64], other: NDArray[np.int64], is_placed: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Whether no chain of contacts leads from each robot to one whose place is known."""
+    graph = coo_array((np.ones(len(robot)), (robot, other)), shape=(len(is_placed),) * 2)
+    _, part = connected_components(graph, directed=False)
+    return ~np.isin(part, part[is_placed])
+
+
+def _no_stances(log: SensingLog) -> Stances:
+    return Stances(
+        start=np.zeros(log.robot_count + 1, np.int64),
+        orientation_wxyz=np.empty((0, 4)),
+        pivot_dock=np.empty(0, np.int32),
+        contacts=np.empty((0, 4), np.int32),
+        ground_docks=np.empty((0, 2), np.int32),
+    )
+
+
+def _contacts(
+    log: SensingLog, path: _Path, params: JointParams
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Rows of (stance, own dock, other robot, its dock), sorted, and whether each is final."""
+    rows: NDArray[np.int64] = np.empty((0, 4), np.int64)
+    if params.contacts:
+        final = log.contacts.astype(np.int64)
+        rows = np.column_stack([path.final[final[:, 2]], final[:, 3], final[:, :2]])
+    if params.walk_contacts and log.stances is not None:
+        felt = log.stances.contacts.astype(np.int64)
+        felt[:, 0] = path.row[felt[:, 0]]
+        # A dock that stays put says the same thing at the next stance again.
+        pivot = log.stances.pivot_dock[log.stances.contacts[:, 0]]
+        ahead = felt + np.array([1, 0, 0, 0])
+        every = {tuple(row) for row in np.concatenate([felt, rows]).tolist()}
+        again = [tuple(row) in every for row in ahead.tolist()]
+        rows = np.concatenate([rows, felt[~(np.array(again, np.bool_) & (felt[:, 1] == pivot))]])
+    rows = np.unique(rows, axis=0)
+    return rows, np.isin(rows[:, 0], path.final)
+
+
+def _places(
+    log: SensingLog, path: _Path, params: JointParams
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What is known of each coordinate of each centre: the surest of all that tells it.
+
+    Returns:
+        Coordinates and one over their variance, both of shape (N, 3).
+    """
+    place = np.zeros((log.robot_count, 3))
+    variance = np.full((log.robot_count, 3), np.inf)
+    start, start_variance = path.starts()
+    everyone = np.arange(log.robot_count)
+
+    def learn(
+        robot: NDArray[np.int64], axis: int, at: NDArray[np.float64], sure: NDArray[np.float64]
+    ) -> None:
+        order = np.lexsort((-sure, robot))  # of a robot's rows the surest comes last
+        order = order[np.isfinite(at[order]) & (sure[order] < variance[robot[order], axis])]
+        place[robot[order], axis] = at[order]
+        variance[robot[order], axis] = sure[order]
+
+    if params.height:
+        walked = start_variance[:, 2]
+        if log.stances is None:
+            reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
+            walked = np.full(log.robot_count, FLIPS_UNTOLD * (2.0 * reach * path.tilt) ** 2)
+        learn(everyone, 2, log.flip_height / log.dock_radius, walked + params.height_sd**2)
+    if params.ground and log.ground_z is not None:
+        row, dock = _grounded(log, path, params).T
+        at, sure = path.docks(row, dock)
+        height = log.ground_z / log.dock_radius + 1.0 - at[:, 2]
+        learn(path.owner[row], 2, height, sure[:, 2] + params.height_sd**2)
+    if params.odometry:
+        told = None if log.noise is None else log.noise.spawn
+        spawn_sd = params.spawn_sd if told is None else told / log.dock_radius
+        for axis in range(3):
+            at = log.spawn_position[:, axis] / log.dock_radius - start[:, axis]
+            learn(everyone, axis, at, start_variance[:, axis] + spawn_sd**2 + params.height_sd**2)
+    return place, 1.0 / variance
+
+
+def _grounded(log: SensingLog, path: _Path, params: JointParams) -> NDArray[np.int64]:
+    """Docks on flat ground, rows of (stance, dock)."""
+    final = log.ground_docks.astype(np.int64)
+    rows = np.column_stack([path.final[final[:, 0]], final[:, 1]])
+    if params.walk_contacts and log.stances is not None:
+        felt = log.stances.ground_docks.astype(np.int64)
+        felt[:, 0] = path.row[felt[:, 0]]
+        rows = np.concatenate([rows, felt])
+    return np.unique(rows, axis=0)

@@ -1,0 +1,108 @@
+"""The joint method: equations, annealing, and one estimate from all chains."""
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.localization.joint.anneal import Annealed, anneal
+from tiswarm.localization.joint.equations import Equations, equations
+from tiswarm.localization.joint.kernels import SPACING
+from tiswarm.localization.params import JointParams
+from tiswarm.records.contact_graph import located
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+CHANCE = 5.0
+"""A chain whose sum of squares is greater than the least by more standard deviations of such a
+sum got stuck, and does not count."""
+DOUBT = 5.0
+"""Contacts farther off than so many standard deviations are judged wrong."""
+MOST_NAMED = 8
+"""Robots or contacts that a note names."""
+
+
+def batch_key(log: SensingLog, params: JointParams) -> Hashable:
+    """Name what logs must share to be annealed together."""
+    schedule = (params.steps, params.hold_steps, params.start_tolerance, params.end_tolerance)
+    return (len(log.dock_offset_body), params.seed, params.chains, *schedule)
+
+
+def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) -> list[Estimate]:
+    """Localize structures side by side.
+
+    Args:
+        logs: One log a structure, all of one batch key with their settings.
+        params: Settings for each.
+
+    Returns:
+        One estimate a log: the mean over the end of all chains but those that got stuck, and as
+        `sd` the root mean square distance from it. The residual is the root mean square of what
+        docks in contact are nearer or farther than D.
+    """
+    known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
+    annealed = anneal(logs, params, known)
+    return [
+        _estimate(log, e, a, p.end_tolerance)
+        for log, e, a, p in zip(logs, known, annealed, params, strict=True)
+    ]
+
+
+def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: float) -> Estimate:
+    gap = known.lengths(annealed.last) - SPACING
+    missed = gap**2 / (known.variance + tolerance**2)
+    sums = np.minimum(missed, DOUBT**2).sum(axis=1)
+    sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
+    mean = annealed.mean[sound]
+    position = mean.mean(axis=0)
+    between = ((mean - position) ** 2).sum(axis=2)
+    sd = np.sqrt((between + annealed.spread[sound]).mean(axis=0))
+    trace = np.concatenate([annealed.trace[:-1], position[None]])
+    return Estimate(
+        robot_id=log.robot_id,
+        position=position * log.dock_radius,
+        located=located(log),
+        sd=sd * log.dock_radius,
+        notes=(
+            *_doubted(log, known, (missed[sound] > DOUBT**2).all(axis=0)),
+            *_ambiguous(log, np.sqrt(between.max(axis=0)), _rms(gap[sound])),
+        ),
+        iteration=annealed.iteration,
+        trace=trace * log.dock_radius,
+        residual=_rms(known.lengths(trace) - SPACING) * log.dock_radius,
+    )
+
+
+def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Root mean square over the contacts of gaps (K, C), 0 where there are none, shape (K,)."""
+    rms: NDArray[np.float64] = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
+    return rms
+
+
+def _doubted(log: SensingLog, known: Equations, is_wrong: NDArray[np.bool_]) -> list[str]:
+    """Name contacts that no chain could agree with."""
+    if not is_wrong.any():
+        return []
+    name = log.robot_id.tolist()
+    rows = np.unique(np.column_stack([known.robot, known.other])[is_wrong], axis=0).tolist()
+    pairs = [f"{name[i]} with {name[j]}" for i, j in rows]
+    return [f"contacts judged wrong, of robot {_listed(pairs)}"]
+
+
+def _ambiguous(
+    log: SensingLog, off: NDArray[np.float64], residual: NDArray[np.float64]
+) -> list[str]:
+    """Name robots that stand elsewhere in another solution about as good."""
+    robots = np.flatnonzero(off > SPACING)
+    if not len(robots):
+        return []
+    names = _listed([str(log.robot_id[i]) for i in robots[np.argsort(-off[robots], kind="stable")]])
+    low, high = residual.min() * log.dock_radius, residual.max() * log.dock_radius
+    unit = log.length_unit
+    found = f"solutions with residuals from {low:.3g} to {high:.3g} {unit}"
+    return [f"{found} differ by more than the width of a dock in the place of robot {names}"]
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
