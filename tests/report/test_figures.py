@@ -11,6 +11,7 @@ from tiswarm.report.accuracy_figure import draw_accuracy
 from tiswarm.report.case_figures import draw_convergence
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
+from tiswarm.report.profile_figure import PANELS, profile_painters
 from tiswarm.report.render.pictures import is_blank
 
 
@@ -152,3 +153,33 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message says which folder is meant."""
     with pytest.raises(InputError, match="name a folder that"):
         draw_figures(tmp_path, ignore)
+
+
+@pytest.mark.parametrize(
+    ("points", "names"),
+    [
+        ([], {"profiles"}),
+        (["tower", "chain"], {"profiles-tower", "profiles-chain"}),
+        ([10, 20, 30, 40, 50], {"profiles"}),
+    ],
+)
+def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
+    """A figure for each kind of structure; of a long sweep, one for all; values are the table's."""
+    rows = [
+        ["baseline", *point, by, low, low + 1, 4, 0.5, 1.0 + low]
+        for point in ([[value] for value in points] or [[]])
+        for by in PANELS
+        for low in (1, 2, 4)
+    ]
+    header = "condition,swept,by,low,high,count,mean_error_R,rmse_R"
+    write_table(
+        run_folder / "profiles.csv", header if points else header.replace("swept,", ""), rows
+    )
+
+    painters = profile_painters(run_folder, "")
+    drawn = next(iter(painters.values()))()
+
+    assert set(painters) == names
+    np.testing.assert_allclose(
+        drawn.axes[0].lines[0].get_xydata(), [[1.5, 2.0], [2.5, 3.0], [4.5, 5.0]]
+    )

@@ -17,7 +17,7 @@ from tiswarm.report.folder import Series, Tell, read_cases, subfolder
 from tiswarm.report.kind_figures import by_kind, kind_painters
 from tiswarm.report.law_figures import LAW_FIGURES
 from tiswarm.report.law_points import has_laws, read_law_points
-from tiswarm.report.profile_figure import draw_profiles, has_profiles
+from tiswarm.report.profile_figure import profile_painters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,9 +72,7 @@ def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[],
         painters = kind_painters(kinds, note)
     if has_table(folder):
         painters["accuracy"] = partial(draw_accuracy, folder, note)
-    if has_profiles(folder):
-        painters["profiles"] = partial(draw_profiles, folder, note)
-    return painters
+    return painters | profile_painters(folder, note)
 
 
 FIGURES: dict[str, Callable[[Series, str], "Figure"]] = {

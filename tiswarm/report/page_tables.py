@@ -62,7 +62,7 @@ PARTS = (
     ("between robots in contact", "rmse_per_contact_R", 2),
 )
 PUBLISHED = (
-    ("published RMSE [robot radii]", "paper_rmse_radii", 2),
+    ("published [robot radii]", "paper_rmse_radii", 2),
     ("published disparity", "paper_procrustes_disparity", 3),
 )
 CASE = (
@@ -232,7 +232,8 @@ def _parts(table: pd.DataFrame) -> Table:
 
 def _differences(paired: pd.DataFrame) -> Table:
     """RMSE and disparity between conditions, structure by structure."""
-    chosen = paired[paired["measure"].isin(["rmse_R", "procrustes_disparity"])]
+    first = paired["against"] == paired["against"].iloc[0]
+    chosen = paired[first & paired["measure"].isin(["rmse_R", "procrustes_disparity"])]
     swept = list(paired.columns[2 : paired.columns.get_loc("measure")])
     labels = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
     return Table(
@@ -250,7 +251,10 @@ def _differences(paired: pd.DataFrame) -> Table:
             ]
             for row in chosen.to_dict("records")
         ],
-        note="p by Wilcoxon's signed-rank test, not corrected for how many are made.",
+        note=(
+            "p by Wilcoxon's signed-rank test, not corrected for how many are made. More measures, "
+            "and other pairs of conditions, are in paired.csv."
+        ),
     )
 
 

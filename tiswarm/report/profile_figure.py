@@ -1,5 +1,8 @@
 """The figure of `profiles.csv`: what errors go along with."""
 
+import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,21 +23,40 @@ PANELS = {
     "hops_apart": "Contacts between two robots",
 }
 LINE_STYLES = ("-", "--", ":")
-COLUMNS = ["by", "low", "high", "rmse_R"]
+MOST_POINTS = 4
+"""Points of a sweep that have a figure each."""
 
 
-def has_profiles(folder: Path) -> bool:
-    """Whether a run tells its errors by what robots have in common."""
-    return (folder / FILE).is_file()
+def profile_painters(folder: Path, note: str) -> dict[str, Callable[[], "Figure"]]:
+    """By file name, what draws the profiles of a run: a figure for each of a few sweep points.
 
-
-def draw_profiles(folder: Path, note: str) -> "Figure":
-    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops apart.
+    Of many points, or of none, all conditions share a figure; without the table there is none.
 
     Raises:
         InputError: where the table is damaged.
     """
+    if not (folder / FILE).is_file():
+        return {}
     table = _read(folder / FILE)
+    if "rmse_R" not in table:  # no case was finished
+        return {}
+    swept = list(table.columns[1 : table.columns.get_loc("by")])
+    points = dict(list(table.groupby(swept, sort=False))) if swept else {}
+    if not 1 < len(points) <= MOST_POINTS:
+        return {"profiles": partial(draw_profiles, table, note)}
+    return {
+        f"profiles-{_slug(point)}": partial(draw_profiles, part.drop(columns=swept), note)
+        for point, part in points.items()
+    }
+
+
+def draw_profiles(table: pd.DataFrame, note: str) -> "Figure":
+    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops apart.
+
+    Args:
+        table: Rows of `profiles.csv`.
+        note: What to say below.
+    """
     swept = list(table.columns[: table.columns.get_loc("by")])
     figure = new_figure(PAGE_WIDTH, 3.6)
     panels = figure.subplots(2, 3).flat
@@ -63,10 +85,16 @@ def draw_profiles(folder: Path, note: str) -> "Figure":
     return figure
 
 
+def _slug(point: object) -> str:
+    """A file name for values of the sweep."""
+    values = point if isinstance(point, tuple) else (point,)
+    return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, values))).strip("-")
+
+
 def _read(path: Path) -> pd.DataFrame:
     try:
         table = pd.read_csv(path)
-        table[COLUMNS]
+        table["by"]
     except (OSError, ValueError, KeyError) as error:
         problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
         raise InputError(problem, path=path) from error
