@@ -50,13 +50,15 @@ class Entry:
         return partial(factory, precision=self.precision, threads=self.threads, **self.options)
 
 
-def _ours(precision: str = "float64", threads: int = 1, arch: str = "cpu", **env: str) -> Entry:
+def _ours(
+    precision: str = "float64", threads: int = 1, arch: str = "cpu", library: str = "taichi"
+) -> Entry:
     return Entry(
         engine="tiswarm_relax:TiswarmRelax",
         precision=precision,
         threads=threads,
         options={"arch": arch},
-        environment=env,
+        environment={"TISWARM_BACKEND": library},
         in_order=False,
     )
 
@@ -73,8 +75,8 @@ def _jax(precision: str) -> Entry:
 ENGINES = {
     "tiswarm-f64": _ours(),
     "tiswarm-f32": _ours("float32"),
-    "quadrants-f64": _ours(TISWARM_BACKEND="quadrants"),
-    "quadrants-f32": _ours("float32", TISWARM_BACKEND="quadrants"),
+    "quadrants-f64": _ours(library="quadrants"),
+    "quadrants-f32": _ours("float32", library="quadrants"),
     "numba-f64": Entry(engine="numba_lists:NumbaLists"),
     "numba-f32": Entry(engine="numba_lists:NumbaLists", precision="float32"),
     "c-f64": Entry(engine="c_lists:CLists"),

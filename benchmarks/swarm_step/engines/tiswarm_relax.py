@@ -1,10 +1,13 @@
 """tiswarm as its users call it: one call from arrays to arrays, renumbering and all."""
 
+import os
+
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.swarm_step.scenes import ROBOT, Law, Scene
 from tiswarm import relax
+from tiswarm.compute import backend
 
 
 class TiswarmRelax:
@@ -20,6 +23,10 @@ class TiswarmRelax:
             "threads": threads,
         }
         self.builds = 0
+        wanted, running = os.environ.get("TISWARM_BACKEND", ""), backend.start(**self.options)
+        if not running.library.startswith(wanted):
+            msg = f"TISWARM_BACKEND={wanted} was asked for, {running.library} runs"
+            raise ImportError(msg)
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
         """Take steps from the scene's start."""
