@@ -49,11 +49,11 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[
         yield f"in one contact only: {_robots(log, single)}"
     for known in found:
         cues = ", ".join(known.cues).replace("_", " ")
-        loose = np.count_nonzero(known.loose)
-        yield (
-            f"{cues}: {known.floppy_modes} floppy modes of {3 * log.robot_count - 3}, "
-            f"which leave {loose} robots loose"
+        counted = (
+            "too many robots to count the" if known.floppy_modes is None else known.floppy_modes
         )
+        told = f"{cues}: {counted} floppy modes of {3 * log.robot_count - 3}"
+        yield told if known.loose is None else f"{told}, {known.loose.sum()} robots loose"
     impossible = contradictions(log)
     for line, problem in impossible[:MOST_SHOWN]:
         yield f"{path}:{line}: contacts: {problem}"

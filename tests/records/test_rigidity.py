@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from tiswarm.compute.rotations import dock_offsets
+from tiswarm.records import freedom
 from tiswarm.records.certainty import by_cue, certainty
-from tiswarm.records.rigidity import HELD, equations, floppy_modes, freedom
+from tiswarm.records.freedom import HELD, floppy_modes, loose, weld
+from tiswarm.records.rigidity import equations
 from tiswarm.records.walks import displacements
 from tiswarm.sensing import SensingParams, observe
 
@@ -77,19 +79,35 @@ def test_equations_are_the_derivative_of_what_is_sensed(towers, logs):
     "cues", [cues for size in (1, 2, 3) for cues in itertools.combinations(CUES[:4], size)]
 )
 def test_floppy_modes_are_the_null_space(towers, logs, cues):
-    """Welding, sparse factors and probes find what singular values of the whole matrix say."""
+    """Welding, peeling, factors and probes find what singular values of the whole matrix say."""
     for history, log in zip(towers, logs, strict=True):
         matrix = _matrix(history.position, log, cues)
         _, size, ways = np.linalg.svd(matrix)
         null = ways[np.count_nonzero(size > 1e-5) :]
         share = np.sqrt((null.reshape(len(null), -1, 3) ** 2).sum(axis=(0, 2)) / 3.0)
 
-        left = freedom(equations(history.position, log, cues), log.robot_count)
+        bodies = weld(equations(history.position, log, cues), log.robot_count)
+        marked = loose(bodies)
 
-        assert left.floppy_modes == len(null) == floppy_modes(history.position, log, cues)
-        assert not left.loose[0]
+        assert floppy_modes(bodies) == len(null)
+        assert not marked[0]
         clear = (share < HELD / 2) | (share > 2 * HELD)  # 16 probes tell shares to some 15 %
-        assert (left.loose[1:] == (share > HELD))[clear].all()
+        assert (marked[1:] == (share > HELD))[clear].all()
+
+
+def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, monkeypatch):
+    """Contacts alone peel off to the anchor; what does not is owned to be unknown."""
+    exact = certainty(logs[0], ["contacts"])
+
+    monkeypatch.setattr(freedom, "MOST_BODIES", 1)
+    peeled = certainty(logs[0], ["contacts"])
+    monkeypatch.setattr(freedom, "MOST_BODIES", 0)
+    unknown = certainty(logs[0], ["contacts"])
+
+    assert peeled.floppy_modes == exact.floppy_modes
+    assert unknown.floppy_modes is None
+    assert peeled.loose is unknown.loose is None
+    assert set(peeled.known) == {""}
 
 
 def test_each_cue_leaves_fewer_motions(logs):

@@ -10,7 +10,8 @@ from tiswarm.evaluation import metrics
 from tiswarm.evaluation.profiles import relative_errors
 from tiswarm.records.contact_graph import contact_count, earlier_contact_count, hops
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.rigidity import floppy_modes
+from tiswarm.records.freedom import floppy_modes, weld
+from tiswarm.records.rigidity import equations
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.truth import Truth
 from tiswarm.robot import RobotGeometry
@@ -35,11 +36,12 @@ def score(
     """
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
+    modes = floppy_modes(weld(equations(true, log, cues), log.robot_count))
     return {
         "robots": log.robot_count,
         "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
-        "floppy_modes": floppy_modes(true, log, cues),
+        "floppy_modes": np.nan if modes is None else modes,
         "unlocated": int((~estimate.located).sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,

@@ -9,7 +9,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tiswarm.compute import random
-from tiswarm.records.rigidity import Equations, equations, freedom
+from tiswarm.records.freedom import floppy_modes, loose, weld
+from tiswarm.records.rigidity import Equations, equations
 from tiswarm.records.sensing_log import SensingLog
 
 TYING = ("contacts", "walk_contacts", "odometry")
@@ -26,19 +27,24 @@ class Certainty:
     cues: tuple[str, ...]
     """The cues that count."""
 
-    floppy_modes: int
-    """Independent motions of the swarm that nothing sensed would notice."""
+    floppy_modes: int | None
+    """Independent motions of the swarm that nothing sensed would notice, or None where there are
+    too many robots to count them."""
 
-    loose: NDArray[np.bool_]
-    """Whether such motions shift each robot, shape (N,)."""
+    loose: NDArray[np.bool_] | None
+    """Whether such motions shift each robot, shape (N,), or None likewise."""
 
     apart: NDArray[np.bool_]
     """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
 
     @property
     def known(self) -> list[str]:
-        """Say of each robot whether its place can be known: "yes", "loose" or "apart"."""
-        words = np.where(self.apart, "apart", np.where(self.loose, "loose", "yes"))
+        """Say of each robot whether its place can be known: "yes", "loose" or "apart".
+
+        Nothing is said where there are too many robots to find out.
+        """
+        tied = "" if self.loose is None else np.where(self.loose, "loose", "yes")
+        words = np.where(self.apart, "apart", tied)
         return [str(word) for word in words]
 
 
@@ -58,13 +64,12 @@ def certainty(
         robot = np.arange(log.robot_count)[:, None]
         spread = 10.0 * log.dock_radius
         position = spread * random.normal(0, "anywhere", robot, np.arange(3))
-    known = equations(position, log, counting)
-    left = freedom(known, log.robot_count)
+    bodies = weld(equations(position, log, counting), log.robot_count)
     tied = equations(position, log, [cue for cue in counting if cue in TYING])
     return Certainty(
         cues=counting,
-        floppy_modes=left.floppy_modes,
-        loose=left.loose,
+        floppy_modes=floppy_modes(bodies),
+        loose=loose(bodies),
         apart=_apart(tied, log.robot_count),
     )
 
