@@ -46,12 +46,13 @@ def localize(log, params):
             for t in range(1, rounds.sweeps + 1):
                 ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
                 for i in range(1, j + 1):
-                    position[i] = position[i] + step(log, params, position, dock, rows, i, ramp)
+                    move = step(log, params, position, dock, rows, i, ramp, rounds.gain)
+                    position[i] = position[i] + move
     return np.array(position)
 
 
-def step(log, params, position, dock, rows, robot, ramp):
-    """Sum of the forces on a robot by all others that have a position, no longer than the cap."""
+def step(log, params, position, dock, rows, robot, ramp, gain=1.0):
+    """A share of the forces on a robot by all that have a position, no longer than the cap."""
     force = np.zeros(3)
     for i, other_position in enumerate(position):
         if i == robot:
@@ -63,6 +64,7 @@ def step(log, params, position, dock, rows, robot, ramp):
                 force += pair_force(offset, (i, b, robot, a) in rows, near, params, ramp)
     if params.z_correction:
         force[2] += params.height_gain * (log.flip_height[robot] - position[robot][2])
+    force = gain * force
     length = np.linalg.norm(force)
     return force * min(1.0, params.max_step / length if length else 1.0)
 

@@ -8,8 +8,10 @@ import pytest
 from tests.cli.conftest import REPOSITORY
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import InputError
+from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario import load_scenario
 from tiswarm.study import tune
+from tiswarm.study.tuning import GAINS
 
 PAPER = REPOSITORY / "scenarios" / "paper.yaml"
 SMALL = ("--set", "robots=8", "--training-seeds", "2")
@@ -69,3 +71,15 @@ def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, 
         )  # fmt: skip
 
     assert record.read_bytes() == before
+
+
+def test_shipped_gains_are_those_of_the_record_and_never_reported_on():
+    """To two digits; and no scenario that ships grows a structure that they were fitted on."""
+    fit = json.loads((REPOSITORY / "docs" / "fits" / "virtual-force.json").read_text())
+    shipped = VirtualForceParams()
+
+    assert {name: getattr(shipped, name) for name in GAINS} == {
+        name: float(f"{fit['chosen'][name]:.2g}") for name in GAINS
+    }
+    for path in (REPOSITORY / "scenarios").glob("*.yaml"):
+        assert not set(load_scenario(path).seed_list) & set(fit["training_seeds"]), path.name

@@ -109,7 +109,7 @@ def localize_in_join_order(
         sweeps: Steps of every robot in a round, 0 without back-propagation.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains: One row a structure, columns as `law_of` reads them, shape (S, 8).
+        gains: One row a structure, columns as `law_of` reads them, shape (S, 9).
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
         contact_start: First contact row of each robot, shape (N + 1,).
@@ -168,7 +168,7 @@ def localize_in_join_order(
                                     contact_start, contact, dock_offset, flip_height, position,
                                     head, following,
                                 )  # fmt: skip
-                                step = capped(force, law.max_step)
+                                step = capped(law.sweep_gain * force, law.max_step)
                             move(law, j, base, s, step, dock_offset, position, head, following)
                             there = vector_at(position, j)
                             seen = frame + sweep // trace_every

@@ -38,9 +38,10 @@ def law_of(gains: ti.template(), structure):
         height_gain=gains[structure, 2],
         initial_offset=gains[structure, 3],
         max_step=gains[structure, 4],
-        sweep_repulsion=gains[structure, 5],
-        spacing=gains[structure, 6],
-        undocked=ti.cast(gains[structure, 7], ti.i32),
+        sweep_gain=gains[structure, 5],
+        sweep_repulsion=gains[structure, 6],
+        spacing=gains[structure, 7],
+        undocked=ti.cast(gains[structure, 8], ti.i32),
     )
 
 

@@ -107,6 +107,7 @@ def check_placed(position: NDArray[np.floating]) -> None:
 
 def gains(params: VirtualForceParams) -> list[float]:
     """Columns of the kernel's `gains`; lengths in R, so D is 2."""
+    rounds = params.back_propagation or NO_SWEEPS
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return [
         params.attraction_gain,
@@ -114,7 +115,8 @@ def gains(params: VirtualForceParams) -> list[float]:
         params.height_gain if params.z_correction else 0.0,
         params.initial_offset,
         params.max_step,
-        (params.back_propagation or NO_SWEEPS).repulsion_share,
+        rounds.gain,
+        rounds.repulsion_share,
         2.0,
         float(ALL_DOCKS if params.undocked_repulsion else undocked),
     ]

@@ -116,7 +116,8 @@ def tune(
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
     done = _taken_up(path, record)
-    study = _new_study(start)
+    first = {name: done[0][name] for name in ranges} if done else start
+    study = _new_study(first)
     _replay(study, done, ranges, path)
     backend.start(arch, threads=threads)
     if len(done) < trials:
