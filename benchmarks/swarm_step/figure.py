@@ -5,13 +5,22 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from benchmarks.swarm_step.engines.registry import ENGINES
 from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
 MARKERS = {"f64": "o", "f32": "^", "all": "s"}
 LINES = {"f64": "-", "f32": "--", "all": ":"}
+
+
+def _library(engine: str) -> str:
+    return engine.partition("-f")[0]
+
+
+LIBRARIES = list(dict.fromkeys(map(_library, ENGINES)))
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
@@ -28,28 +37,34 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         down = -(-len(scenes) // across)
         figure = new_figure(width, 2.6 * down + 0.6)
         panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+        shown = {}
         for panel, scene in zip(panels.flat, scenes, strict=False):
-            _draw_scene(panel, measured[measured["scene"] == scene])
+            shown |= _draw_scene(panel, measured[measured["scene"] == scene])
             panel.set_title(scene)
         for panel in panels[-1]:
             panel.set_xlabel("robots")
         for row in panels:
             row[0].set_ylabel("CPU time of a robot's step [ns]")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right upper")
+        in_order = [engine for engine in ENGINES if engine in shown]
+        handles = [shown[engine] for engine in in_order]
+        figure.legend(handles, in_order, loc="outside right upper", handlelength=3.5)
         path.write_bytes(png(figure))
 
 
-def _draw_scene(panel: "Axes", table: pd.DataFrame) -> None:
-    libraries = list(dict.fromkeys(name.rpartition("-f")[0] for name in table["engine"]))
-    colours = dict(zip(libraries, PALETTE * 2, strict=False))
+def _draw_scene(panel: "Axes", table: pd.DataFrame) -> dict[str, "Line2D"]:
+    """Draw one line for each engine, and give them back by its name."""
+    lines = {}
     for engine, rows in table.groupby("engine", sort=False):
-        library, _, kind = str(engine).rpartition("-f")
-        kind = "all" if kind.endswith("all") else f"f{kind}"
-        style = {"color": colours[library], "linestyle": LINES[kind], "marker": MARKERS[kind]}
+        library, kind = _library(str(engine)), str(engine).rpartition("-")[2]
+        number = LIBRARIES.index(library)
+        style = {"linestyle": LINES[kind], "marker": MARKERS[kind], "markersize": 3.5}
+        style["color"] = PALETTE[number % len(PALETTE)]
+        if number >= len(PALETTE):
+            style["markerfacecolor"] = "white"
         value = "cpu_ns"
         if library == "stream":  # the bytes of a step, without those of lists
             style |= {"color": "0.6", "marker": "none"}
             value = "step_cpu_ns"
-        panel.loglog(rows["robots"], rows[value], **style, markersize=3, label=engine)
+        lines[str(engine)] = panel.loglog(rows["robots"], rows[value], **style)[0]
     panel.grid(visible=True, linewidth=0.3)
+    return lines

@@ -55,22 +55,26 @@ class JaxDense:
         here = self.start_position
         elsewhere = self.start_list.reference_position + self.law.skin
         listed = self.start_list.set(reference_position=elsewhere)  # so the first step builds it
-        origin, self.builds = elsewhere, 0
+        builds = jnp.zeros((), jnp.int32)
         for _ in range(steps):
-            here, listed = self.advance(here, listed, max_step)
-            self.builds += int(listed.reference_position[0, 0] != origin[0, 0])
-            origin = listed.reference_position
+            here, listed, builds = self.advance(here, listed, builds, max_step)
+        self.builds = int(builds)
         if bool(listed.did_buffer_overflow):
             msg = "its neighbour list overflowed"
             raise RuntimeError(msg)
         return np.asarray(here, np.float64) - self.shift
 
     def _advance(
-        self, position: jax.Array, listed: partition.NeighborList, max_step: float
-    ) -> tuple[jax.Array, partition.NeighborList]:
+        self,
+        position: jax.Array,
+        listed: partition.NeighborList,
+        builds: jax.Array,
+        max_step: float,
+    ) -> tuple[jax.Array, partition.NeighborList, jax.Array]:
         law = self.law
         dock = (position[:, None] + self.dock_offset).reshape(-1, 3)
-        listed = self.neighbors.update(dock, listed)
+        before, listed = listed, self.neighbors.update(dock, listed)
+        builds += jnp.any(listed.reference_position != before.reference_position)
         offset = dock.at[listed.idx].get(mode="fill", fill_value=jnp.inf) - dock[:, None]
         distance = jnp.sqrt(jnp.sum(offset * offset, axis=2))
         gap = jnp.minimum(distance - law.spacing, 0.0)
@@ -84,4 +88,4 @@ class JaxDense:
         force = force.at[own].add(pull).at[other].add(-pull)
         step = force.reshape(-1, 3, 3).sum(axis=1)
         length = jnp.sqrt(jnp.sum(step * step, axis=1, keepdims=True))
-        return position + step * jnp.minimum(1.0, max_step / length), listed
+        return position + step * jnp.minimum(1.0, max_step / length), listed, builds
