@@ -4,9 +4,10 @@ What a command needs is imported when it runs, so that `tiswarm --help` stays qu
 """
 
 import json
+import re
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.exceptions import TyperException
@@ -15,6 +16,9 @@ import tiswarm
 from tiswarm.compute.choices import Arch, Precision
 from tiswarm.console import ConsoleWatcher, fail
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
+
+if TYPE_CHECKING:
+    from tiswarm import study
 
 app = typer.Typer(
     add_completion=False,
@@ -60,7 +64,21 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("reports"),
     arch: OneArch = "cpu",
     threads: Threads = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes to compute in, side by side.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
+    ] = None,
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Compute the I-th of N parts only.")
+    ] = "1/1",
+    case_limit: Annotated[
+        float | None,
+        typer.Option(min=0.001, metavar="SECONDS", help="Give a case up that takes longer."),
+    ] = None,
     *,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at a failed case.")] = False,
     pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
     pdf: Pdf = False,
     animate: Animate = False,
@@ -76,7 +94,45 @@ def run(
 
     watcher = ConsoleWatcher(quiet=quiet)
     plan = load_scenario(scenario, overrides)
-    result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads)
+    dispatch = study.Dispatch(
+        workers=workers,
+        scheduler=scheduler,
+        shard=_shard(shard),
+        case_limit_s=case_limit,
+        fail_fast=fail_fast,
+    )
+    result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads, dispatch=dispatch)
+    if result.missing:
+        watcher.say(f"part {shard} is done; {result.missing} cases of other parts are missing")
+    else:
+        _show(result, watcher, pictures=pictures, pdf=pdf, movie=movie if animate else None)
+    if result.failed:
+        first = result.failed[0]
+        msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
+        raise CasesFailedError(msg)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """Read I/N."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    number, count = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= number <= count:
+        msg = "is no part of a whole; give it as 2/8, from 1/8 to 8/8"
+        raise InputError(msg, key=f"--shard {text}")
+    return number, count
+
+
+def _show(
+    result: "study.RunResult",
+    watcher: ConsoleWatcher,
+    *,
+    pictures: bool,
+    pdf: bool,
+    movie: Literal["gif", "mp4"] | None,
+) -> None:
+    """Draw what a run came to and say it in a few lines."""
+    from tiswarm import study
+
     some_done = len(result.failed) < result.computed + result.found
     there = (result.folder / "report.html").exists()
     drawn = pictures and (pdf or result.computed > 0 or not there)
@@ -84,16 +140,12 @@ def run(
         _draw_figures(result.folder, watcher, pdf=pdf)
         if some_done:
             _draw_renders(result.folder, watcher)
-    if animate and some_done:
+    if movie and some_done:
         _animate(result.folder, watcher, movie)
-    if drawn or animate:
+    if drawn or movie:
         _write_page(result.folder, watcher)
-    if not quiet:
+    if not watcher.quiet:
         typer.echo(study.headline(result.folder))
-    if result.failed:
-        first = result.failed[0]
-        msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
-        raise CasesFailedError(msg)
 
 
 @app.command(epilog="Example: tiswarm localize sensing.jsonl --set z_correction=false")

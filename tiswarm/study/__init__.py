@@ -3,8 +3,10 @@
 The only room that holds the truth and an estimate together.
 """
 
-from tiswarm.study.run import RunResult, Watcher, run, tabulate
+from tiswarm.study.pool import Dispatch
+from tiswarm.study.run import RunResult, run, tabulate
 from tiswarm.study.tables import headline
 from tiswarm.study.tuning import tune
+from tiswarm.study.work import Watcher
 
-__all__ = ["RunResult", "Watcher", "headline", "run", "tabulate", "tune"]
+__all__ = ["Dispatch", "RunResult", "Watcher", "headline", "run", "tabulate", "tune"]

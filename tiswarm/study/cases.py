@@ -40,26 +40,61 @@ def plan(scenario: Scenario) -> list[Case]:
     ]
 
 
-def chunks(cases: Sequence[Case]) -> Iterator[list[Case]]:
+def chunks(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Iterator[list[Case]]:
     """Split cases into lists that grow structures of one kind together.
 
     All conditions of a structure are in the same chunk, so each is grown once.
+
+    Args:
+        cases: Cases to split.
+        robots_at_once: A chunk is closed once its structures have this many robots.
     """
-
-    def kind(case: Case) -> tuple[str, int, int]:
-        settings = case.settings
-        return (repr((settings.structure, settings.robot)), settings.robots, case.seed)
-
-    ordered = sorted(cases, key=kind)
-    structures = [list(group) for _, group in groupby(ordered, key=kind)]
-    for _, alike in groupby(structures, key=lambda group: kind(group[0])[:2]):
+    for _, alike in groupby(_structures(cases), key=lambda group: _kind(group[0])[:2]):
         chunk: list[Case] = []
         robots = 0
         for group in alike:
             chunk += group
             robots += group[0].settings.robots
-            if robots >= ROBOTS_AT_ONCE:
+            if robots >= robots_at_once:
                 yield chunk
                 chunk, robots = [], 0
         if chunk:
             yield chunk
+
+
+def robots_to_grow(cases: Sequence[Case]) -> int:
+    """Count the robots of all structures, each of which is grown once."""
+    return sum(group[0].settings.robots for group in _structures(cases))
+
+
+def halves(chunk: Sequence[Case]) -> list[list[Case]]:
+    """Split a chunk in two, between structures if it has several."""
+    seeds = sorted({case.seed for case in chunk})
+    if len(seeds) > 1:
+        middle = seeds[len(seeds) // 2]
+        parts = [[c for c in chunk if c.seed < middle], [c for c in chunk if c.seed >= middle]]
+    else:
+        parts = [list(chunk[: len(chunk) // 2]), list(chunk[len(chunk) // 2 :])]
+    return parts
+
+
+def shard(cases: Sequence[Case], number: int, count: int) -> list[Case]:
+    """Deal structures out and return the cases of one share, in their order.
+
+    Args:
+        cases: All cases.
+        number: Which share, from 1.
+        count: How many shares there are.
+    """
+    mine = {c.name for group in _structures(cases)[number - 1 :: count] for c in group}
+    return [case for case in cases if case.name in mine]
+
+
+def _kind(case: Case) -> tuple[str, int, int]:
+    settings = case.settings
+    return (repr((settings.structure, settings.robot)), settings.robots, case.seed)
+
+
+def _structures(cases: Sequence[Case]) -> list[list[Case]]:
+    """Cases by the structure they share, structures of one kind side by side."""
+    return [list(group) for _, group in groupby(sorted(cases, key=_kind), key=_kind)]

@@ -1,17 +1,14 @@
 """`manifest.json`: by what, where and in what time a run was computed.
 
-The only file of a run that differs from machine to machine and from time to time.
+It and what is measured of each case's cost are all of a run that differs from machine to machine
+and from time to time.
 """
 
 import importlib.metadata
 import json
 import os
 import platform
-import resource
-import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,6 +17,7 @@ import psutil
 import tiswarm
 from tiswarm.compute.backend import Backend
 from tiswarm.records.atomic import write_text
+from tiswarm.study.costs import Cost, total
 
 LIBRARIES = (
     "matplotlib",
@@ -34,35 +32,22 @@ LIBRARIES = (
 )
 
 
-class Stopwatch:
-    """Wall and CPU time of each stage, added up over its visits."""
+def describe(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str, object]:
+    """Gather everything a reader needs to judge or repeat a run.
 
-    def __init__(self) -> None:
-        """Start with no stage."""
-        self.stages: dict[str, dict[str, float]] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time what happens inside the block."""
-        wall, cpu = time.perf_counter(), time.process_time()
-        try:
-            yield
-        finally:
-            spent = self.stages.setdefault(name, {"wall_s": 0.0, "cpu_s": 0.0})
-            spent["wall_s"] = round(spent["wall_s"] + time.perf_counter() - wall, 3)
-            spent["cpu_s"] = round(spent["cpu_s"] + time.process_time() - cpu, 3)
-
-
-def describe(backend: Backend, stopwatch: Stopwatch) -> dict[str, object]:
-    """Gather everything a reader needs to judge or repeat a run."""
+    Args:
+        backend: What ran the kernels.
+        costs: By stage what each case has cost.
+    """
+    stages, peak_memory_mb = total(costs)
     return {
         "tiswarm": tiswarm.__version__,
         "backend": {key: value for key, value in asdict(backend).items() if key != "cache"},
         "machine": machine(),
         "python": platform.python_version(),
         "libraries": _library_versions(),
-        "stages": stopwatch.stages,
-        "peak_memory_MB": peak_memory_mb(),
+        "stages": stages,
+        "peak_memory_MB": peak_memory_mb,
     }
 
 
@@ -74,12 +59,6 @@ def machine() -> dict[str, object]:
         "cores": os.cpu_count(),
         "memory_MB": psutil.virtual_memory().total // 2**20,
     }
-
-
-def peak_memory_mb() -> int:
-    """Most memory this process has held [MB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak // (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def write_manifest(folder: Path, content: dict[str, object]) -> None:

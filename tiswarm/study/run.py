@@ -1,42 +1,25 @@
-"""Runs a scenario: grow, sense, localize, evaluate, store; goes on where an earlier run ended."""
+"""Runs a scenario case by case; goes on where an earlier run ended."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
-import numpy as np
-
-from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch
-from tiswarm.errors import InputError
-from tiswarm.evaluation import growth
-from tiswarm.evaluation import tables as scores
-from tiswarm.evaluation.profiles import by_hops_apart
-from tiswarm.localization.registry import localize_many
-from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.truth import Truth
+from tiswarm.errors import CasesFailedError, InputError, TiswarmError
 from tiswarm.scenario import Scenario, load_scenario
-from tiswarm.sensing import observe
 from tiswarm.study import manifest, tables
-from tiswarm.study.cases import Case, chunks, plan
+from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard
+from tiswarm.study.pool import Dispatch, Pool, opened, reason
 from tiswarm.study.scorecard import write_scorecard
-from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
-from tiswarm.world.growth import grow
-from tiswarm.world.history import History
-from tiswarm.world.soundness import unsoundness
+from tiswarm.study.storage import FAILED, CaseRecord, RunFolder, write_table
+from tiswarm.study.work import Job, Outcome, Watcher, failure
 
+PLAIN = Dispatch()
 
-class Watcher(Protocol):
-    """Whoever is told how a run goes on."""
-
-    def say(self, text: str) -> None:
-        """Hear one line."""
-
-    def stage(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
-        """Watch a stage of `total` steps; the block's value is told steps as they are done."""
+CHUNKS_EACH = 4
+"""Chunks for each process of a pool, so that all end at about the same time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +38,9 @@ class RunResult:
     failed: tuple[CaseRecord, ...]
     """Cases that failed."""
 
+    missing: int
+    """Cases left to other shards that are not there yet; tables are written once none is."""
+
 
 def run(
     scenario: Scenario,
@@ -63,6 +49,7 @@ def run(
     watcher: Watcher,
     arch: Arch = "cpu",
     threads: int | None = None,
+    dispatch: Dispatch = PLAIN,
 ) -> RunResult:
     """Compute every case that is not yet stored, then write the tables.
 
@@ -72,31 +59,46 @@ def run(
         watcher: Told how it goes on.
         arch: Device.
         threads: CPU threads; all if None.
+        dispatch: Where cases are computed, and which.
+
+    Raises:
+        CasesFailedError: a case failed and the run was to stop there.
     """
-    backend.start(arch, threads=threads)
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
-    stored = ((case, folder.stored(case.name)) for case in cases)
-    records = {case.name: record for case, record in stored if record is not None}
-    missing = [case for case in cases if case.name not in records]
-    if records:
-        watcher.say(f"{len(records)} of {len(cases)} cases are already stored")
-    stopwatch = manifest.Stopwatch()
-    bench = _Bench(folder, stopwatch, watcher, arch, threads)
-    for chunk in chunks(missing):
-        records |= {record.case: record for record in bench.work_off(chunk)}
-    if missing:
-        manifest.write_manifest(
-            folder.path, manifest.describe(backend.current(), stopwatch) | {"cases": len(cases)}
+    mine = shard(cases, *dispatch.shard)
+    part = "" if dispatch.shard == PLAIN.shard else "{}-of-{}".format(*dispatch.shard)
+    with folder.held(part):
+        stored = ((case, folder.stored(case.name)) for case in mine)
+        records = {case.name: record for case, record in stored if record is not None}
+        missing = [case for case in mine if case.name not in records]
+        found = len(records)
+        if found:
+            watcher.say(f"{found} of {len(mine)} cases are already stored")
+        used = None
+        if missing:
+            with opened(dispatch, threads, watcher) as pool:
+                for outcome in _compute(missing, folder, pool, arch, dispatch, watcher):
+                    records |= {record.case: record for record in outcome.records}
+                    used = outcome.backend or used
+        failed = tuple(record for record in records.values() if record.status == FAILED)
+        others = {case.name for case in cases} - set(records)
+        elsewhere = {name: folder.recorded(name) for name in others}
+        records |= {name: record for name, record in elsewhere.items() if record is not None}
+        result = RunResult(
+            folder=folder.path,
+            computed=len(missing),
+            found=found,
+            failed=failed,
+            missing=len(cases) - len(records),
         )
-    complete = [records[case.name] for case in cases]
-    write_tables(folder, scenario, cases, complete)
-    return RunResult(
-        folder=folder.path,
-        computed=len(missing),
-        found=len(cases) - len(missing),
-        failed=tuple(record for record in complete if record.status == FAILED),
-    )
+        if not result.missing:
+            if used is not None:
+                costs = [folder.cost(case.name) for case in cases]
+                described = manifest.describe(used, costs) | {"cases": len(cases)}
+                manifest.write_manifest(folder.path, described)
+            write_tables(folder, scenario, cases, [records[case.name] for case in cases])
+    return result
 
 
 def write_tables(
@@ -128,137 +130,70 @@ def tabulate(path: Path) -> None:
     write_tables(folder, scenario, [case for case, _ in kept], [record for _, record in kept])
 
 
-class _Bench:
-    """Where chunks of cases are worked off, stage by stage."""
-
-    def __init__(
-        self,
-        folder: RunFolder,
-        stopwatch: manifest.Stopwatch,
-        watcher: Watcher,
-        arch: Arch,
-        threads: int | None,
-    ) -> None:
-        self.folder = folder
-        self.stopwatch = stopwatch
-        self.watcher = watcher
-        self.arch: Arch = arch
-        self.threads = threads
-
-    def work_off(self, chunk: Sequence[Case]) -> list[CaseRecord]:
-        """Compute and store cases whose structures are of one kind."""
-        histories = self._grow(chunk)
-        sound, records = self._sift(chunk, histories)
-        logs = self._sense(sound, histories)
-        estimates = self._localize(sound, logs)
-        with self._stage("evaluate and store", len(sound)) as advance:
-            for case, log, estimate in zip(sound, logs, estimates, strict=True):
-                records.append(self._store(case, histories[case.seed], log, estimate))
-                advance(1)
-        return records
-
-    @contextmanager
-    def _stage(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
-        with self.stopwatch.stage(name), self.watcher.stage(name, total) as advance:
-            yield advance
-
-    def _grow(self, chunk: Sequence[Case]) -> dict[int, History]:
-        """Grow each structure once, whatever the number of its conditions."""
-        settings = chunk[0].settings
-        seeds = sorted({case.seed for case in chunk})
-        with self._stage("grow", len(seeds) * settings.robots) as advance:
-            grown = grow(
-                settings.structure,
-                robots=settings.robots,
-                seeds=seeds,
-                robot=settings.robot,
-                tell=advance,
-            )
-        return dict(zip(seeds, grown, strict=True))
-
-    def _sift(
-        self, chunk: Sequence[Case], histories: dict[int, History]
-    ) -> tuple[list[Case], list[CaseRecord]]:
-        """Set aside cases whose structure must not be stored, with the reason."""
-        gap = chunk[0].settings.structure.climb.contact_gap
-        faults = {seed: _fault(history, gap) for seed, history in histories.items()}
-        failures = [_record(case, FAILED, faults[case.seed]) for case in chunk if faults[case.seed]]
-        for failure in failures:
-            self.folder.store_failure(failure)
-            self.watcher.say(f"case {failure.case} failed: {failure.reason}")
-        for seed, history in histories.items():
-            if history.ended and not faults[seed]:
-                self.watcher.say(f"seed {seed}: growth ended: {history.ended}")
-        return [case for case in chunk if not faults[case.seed]], failures
-
-    def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> list[SensingLog]:
-        with self._stage("sense", len(cases)) as advance:
-            logs = []
-            for case in cases:
-                logs.append(observe(histories[case.seed], case.settings.sensing))
-                advance(1)
-        return logs
-
-    def _localize(self, cases: Sequence[Case], logs: Sequence[SensingLog]) -> list[Estimate]:
-        if not cases:
-            return []
-        precision = cases[0].settings.precision
-        with self._stage("localize", len(cases)) as advance:
-            backend.start(self.arch, threads=self.threads, precision=precision)
-            methods = [case.settings.localization for case in cases]
-            return localize_many(logs, methods, tell=advance)
-
-    def _store(
-        self, case: Case, history: History, log: SensingLog, estimate: Estimate
-    ) -> CaseRecord:
-        """Evaluate one case and write it down."""
-        truth = Truth(
-            robot_id=log.robot_id,
-            position=history.position,
-            orientation_wxyz=history.orientation_wxyz,
-        )
-        scored = scores.score(
-            truth,
-            log,
-            estimate,
-            history.robot,
-            cues=case.settings.localization.cues,
-        )
-        return self.folder.store(
-            _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),
-            truth=truth,
-            log=log,
-            estimate=estimate,
-            tables={
-                "robots": scores.by_robot(truth, log, estimate, history.sensed),
-                "convergence": scores.by_iteration(truth, estimate),
-                "growth": growth.by_join(history),
-                "relative": by_hops_apart(truth, log, estimate),
-            },
-        )
+def _compute(
+    missing: Sequence[Case],
+    folder: RunFolder,
+    pool: Pool,
+    arch: Arch,
+    dispatch: Dispatch,
+    watcher: Watcher,
+) -> Iterator[Outcome]:
+    """Compute cases in chunks; a chunk that cannot be done is split until the culprit is alone."""
+    waiting = deque(chunks(missing, _robots_at_once(missing, pool, dispatch)))
+    flying: dict[Future[Outcome], list[Case]] = {}
+    while waiting or flying:
+        while waiting and len(flying) < pool.width:
+            chunk = waiting.popleft()
+            job = Job(folder=folder, cases=chunk, arch=arch, threads=pool.threads)
+            flying[pool.submit(job)] = chunk
+        for future in wait(flying, return_when=FIRST_COMPLETED).done:
+            chunk = flying.pop(future)
+            outcome = _outcome(future, chunk, folder)
+            if outcome is None:
+                waiting.extendleft(reversed(halves(chunk)))
+                continue
+            _tell(outcome.records, watcher)
+            first = next((r for r in outcome.records if r.status == FAILED), None)
+            if first is not None and dispatch.fail_fast:
+                msg = f"stopped, for a case failed: {first.case}: {first.reason}"
+                raise CasesFailedError(msg)
+            yield outcome
 
 
-def _fault(history: History, contact_gap: float) -> str:
-    """Why a structure cannot be used, or nothing."""
-    if history.robot_count < 2:  # noqa: PLR2004 - one robot has nobody to touch
-        return history.ended or "only one robot joined"
-    return unsoundness(history, contact_gap=contact_gap)
+def _robots_at_once(missing: Sequence[Case], pool: Pool, dispatch: Dispatch) -> int:
+    """Size of a chunk: large, but small enough to keep a pool busy and to tell who hangs."""
+    if dispatch.case_limit_s is not None:
+        return 1
+    if pool.width == 1:
+        return ROBOTS_AT_ONCE
+    return min(ROBOTS_AT_ONCE, robots_to_grow(missing) // (CHUNKS_EACH * pool.width) + 1)
 
 
-def _record(
-    case: Case, status: str, reason: str, scored: dict[str, float | int | None] | None = None
-) -> CaseRecord:
-    return CaseRecord(
-        case=case.name,
-        seed=case.seed,
-        condition=case.variant.condition,
-        point=case.variant.point,
-        status=status,
-        reason=reason,
-        scores=scored or {},
-    )
+def _outcome(future: "Future[Outcome]", chunk: list[Case], folder: RunFolder) -> Outcome | None:
+    """What came of a chunk; None if it is to be split.
+
+    Raises:
+        TiswarmError: trouble that every other case would have too.
+    """
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if isinstance(error, TiswarmError) or not isinstance(error, Exception):
+        raise error
+    if len(chunk) > 1:
+        return None
+    record = failure(chunk[0], reason(error))
+    folder.store_failure(record)
+    return Outcome(records=[record], backend=None)
 
 
-def _json_numbers(scored: dict[str, float | int]) -> dict[str, float | int | None]:
-    """Say None where a number is unknown, for JSON has no NaN."""
-    return {name: None if np.isnan(value) else value for name, value in scored.items()}
+def _tell(records: Sequence[CaseRecord], watcher: Watcher) -> None:
+    """Say which cases failed, and which structures ended early."""
+    ended = {}
+    for record in records:
+        if record.status == FAILED:
+            watcher.say(f"case {record.case} failed: {record.reason}")
+        elif record.reason:
+            ended[record.seed] = record.reason
+    for seed, why in ended.items():
+        watcher.say(f"seed {seed}: growth ended: {why}")

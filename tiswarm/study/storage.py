@@ -1,15 +1,19 @@
 """The run folder: cases appear whole or not at all, and are recognised by their content."""
 
+import fcntl
 import hashlib
 import json
+import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+import tiswarm
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.records.atomic import write_text
 from tiswarm.records.estimate import Estimate
@@ -18,9 +22,11 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.tables import write_estimate, write_positions
 from tiswarm.records.truth import Truth
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
+from tiswarm.study.costs import Cost
 
 DONE = "done"
 FAILED = "failed"
+COST = "cost.json"
 TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case; one without them all was stored by an older version."""
 
@@ -50,8 +56,11 @@ class CaseRecord:
     scores: Mapping[str, float | int | None] = field(default_factory=dict)
     """What evaluation made of it."""
 
+    version: str = tiswarm.__version__
+    """The tiswarm that computed it; another would not give the same bytes."""
+
     files: Mapping[str, str] = field(default_factory=dict)
-    """SHA-256 of each of the case's other files."""
+    """SHA-256 of each of the case's other files, but for its cost."""
 
 
 class RunFolder:
@@ -78,21 +87,72 @@ class RunFolder:
         """Folder of the cases."""
         return self.path / "cases"
 
+    @contextmanager
+    def held(self, shard: str = "") -> Iterator[None]:
+        """Keep other runs out of the folder, but for those of other shards.
+
+        The system frees a lock when its process ends, in whatever way.
+
+        Args:
+            shard: Name of the part that is computed; all of it if empty.
+
+        Raises:
+            EnvironmentTroubleError: another run is at work.
+        """
+        with ExitStack() as locks:
+            self._lock(locks, ".lock", fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
+            if shard:
+                self._lock(locks, f".lock-{shard}", fcntl.LOCK_EX)
+            else:
+                self._tidy()
+            yield
+
+    def _lock(self, locks: ExitStack, name: str, kind: int) -> None:
+        path = self.path / name
+        try:
+            fcntl.flock(locks.enter_context(path.open("a+")), kind | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            msg = f"{self.path}: another run is at work here; wait for it, or choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+        except OSError as error:
+            msg = f"{path}: cannot be locked: {error.strerror}; choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+
+    def _tidy(self) -> None:
+        """Remove what killed runs left half-written."""
+        for part in self.cases.glob(".*.part"):
+            shutil.rmtree(part, ignore_errors=True)
+        for temporary in self.path.rglob(".*.tmp"):
+            temporary.unlink(missing_ok=True)
+
     def stored(self, name: str) -> CaseRecord | None:
-        """Read a finished case; None where there is none or its files are not what it says."""
+        """Read a finished case; None where it is missing, damaged or of another version."""
         record = self.recorded(name)
-        return record if record is not None and record.status == DONE else None
+        fit = record is not None and (record.status, record.version) == (DONE, tiswarm.__version__)
+        return record if fit else None
 
     def recorded(self, name: str) -> CaseRecord | None:
         """Read a case, finished or failed; None where its files are not what it says."""
         folder = self.cases / name
         try:
-            record = CaseRecord(**json.loads((folder / "case.json").read_text()))
+            record = CaseRecord(**{"version": ""} | json.loads((folder / "case.json").read_text()))
             intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
         except (OSError, ValueError, TypeError):
             return None
         whole = record.status == FAILED or {f"{name}.csv" for name in TABLES} <= set(record.files)
         return record if intact and whole else None
+
+    def cost(self, name: str) -> Mapping[str, Cost]:
+        """Read by stage what a case has cost; nothing where that is unknown."""
+        try:
+            cost: Mapping[str, Cost] = json.loads((self.cases / name / COST).read_text())
+        except (OSError, ValueError):
+            return {}
+        return cost
+
+    def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
+        """Write by stage what a stored case has cost, which no run repeats."""
+        write_text(self.cases / name / COST, json.dumps(cost, indent=1) + "\n")
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -129,8 +189,7 @@ class RunFolder:
 
     def _workplace(self, name: str) -> Path:
         """Make an empty folder that a killed run may leave behind without harm."""
-        work = self.cases / f".{name}.part"
-        shutil.rmtree(work, ignore_errors=True)
+        work = self.cases / f".{name}.{secrets.token_hex(4)}.part"
         work.mkdir()
         return work
 
@@ -138,7 +197,13 @@ class RunFolder:
         write_text(work / "case.json", json.dumps(asdict(record), indent=1) + "\n")
         target = self.cases / record.case
         shutil.rmtree(target, ignore_errors=True)
-        work.rename(target)
+        try:
+            work.rename(target)
+        except OSError:
+            if not target.is_dir():
+                raise
+            # A worker that outlived its run has stored the same case a moment ago.
+            shutil.rmtree(work, ignore_errors=True)
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

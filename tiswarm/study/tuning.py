@@ -24,7 +24,7 @@ from tiswarm.records.atomic import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe
-from tiswarm.study.run import Watcher
+from tiswarm.study.work import Watcher
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 

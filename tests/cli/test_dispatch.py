@@ -1,0 +1,229 @@
+"""Studies in pieces: interrupted, broken, sharded, in processes and on clusters."""
+
+import fcntl
+import filecmp
+import json
+import os
+import signal
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import REPOSITORY
+from tiswarm.console import ConsoleWatcher
+from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
+from tiswarm.scenario import load_scenario
+from tiswarm.study import Dispatch, run
+from tiswarm.study import work as work_room
+
+SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
+MEASURED = {"manifest.json", "cost.json"}
+QUIET = ConsoleWatcher(quiet=True)
+
+
+def _run(out, *overrides, **dispatch):
+    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [*SMALL, *overrides])
+    return run(scenario, out, watcher=QUIET, dispatch=Dispatch(**dispatch))
+
+
+def _assert_same_results(a: Path, b: Path) -> None:
+    """Compare every byte that does not depend on the machine, but hidden locks."""
+    found = [
+        {p.relative_to(run) for p in run.rglob("[!.]*") if p.is_file() and p.name not in MEASURED}
+        for run in (a, b)
+    ]
+    assert found[0] == found[1]
+    assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
+    assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """Folder of a run that nothing disturbed."""
+    return _run(tmp_path_factory.mktemp("whole")).folder
+
+
+@pytest.fixture
+def inject(tmp_path, monkeypatch):
+    """Have processes run some lines as they start."""
+
+    def into_processes(lines: str) -> None:
+        site = tmp_path / "site"
+        site.mkdir()
+        (site / "sitecustomize.py").write_text(textwrap.dedent(lines))
+        monkeypatch.setenv("PYTHONPATH", f"{site}{os.pathsep}{REPOSITORY}")
+
+    return into_processes
+
+
+def test_processes_side_by_side_change_no_byte(whole, tmp_path):
+    """Two processes that share the structures give what one gives."""
+    result = _run(tmp_path, workers=2)
+
+    assert result.computed == 8
+    _assert_same_results(whole, result.folder)
+
+
+def test_shards_make_the_same_run_together(whole, tmp_path):
+    """Parts are computed apart, no case twice, and the last one writes the tables."""
+    parts = [_run(tmp_path, shard=(number, 3)) for number in (3, 1, 2)]
+
+    assert [part.missing for part in parts] == [6, 2, 0]
+    assert sum(part.computed for part in parts) == 8
+    _assert_same_results(whole, parts[0].folder)
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
+    """Threads of a cluster's workers, each with a process of its own, give what one gives."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    ) as cluster:
+        result = _run(tmp_path, scheduler=cluster.scheduler_address)
+
+    assert result.computed == 8
+    _assert_same_results(whole, result.folder)
+
+
+def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
+    """Nobody waits for a cluster without end."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("tiswarm.study.pool.CONNECT_S", 0.1)
+
+    with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers"):
+        _run(tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
+    """Each gets its reason, and a later run makes good for all of them."""
+    inject("""
+        import os, signal
+        import tiswarm.sensing
+        observe = tiswarm.sensing.observe
+
+        def stumble(history, params):
+            if history.seed == 1:
+                raise ValueError("a sensor\\nbroke")
+            if history.seed == 2:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return observe(history, params)
+
+        tiswarm.sensing.observe = stumble
+    """)
+    three = ("seeds=3", "conditions={a: {}}")
+
+    broken = _run(tmp_path, *three, workers=1, case_limit_s=600.0)
+    mended = _run(tmp_path, *three)
+
+    reasons = {record.seed: record.reason for record in broken.failed}
+    assert reasons == {
+        1: "ValueError: a sensor broke",
+        2: "its process was killed by SIGKILL, perhaps for want of memory",
+    }
+    assert (mended.found, mended.failed) == (1, ())
+
+
+def test_a_case_that_takes_too_long_is_given_up(tmp_path):
+    """No study waits for a case without end."""
+    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", case_limit_s=0.001)
+
+    assert [record.reason for record in result.failed] == [
+        "took longer than 0.001 s; give --case-limit more"
+    ]
+
+
+def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
+    """A method that fails for one condition of one structure costs that case alone."""
+    real = work_room.localize_many
+
+    def fail(logs, methods, **told):
+        if any(m.iterations == 20 and log.seed == 2 for log, m in zip(logs, methods, strict=True)):
+            raise MemoryError
+        return real(logs, methods, **told)
+
+    def mark(history, params):
+        log = observe(history, params)
+        object.__setattr__(log, "seed", history.seed)
+        return log
+
+    observe = work_room.observe
+    monkeypatch.setattr(work_room, "observe", mark)
+    monkeypatch.setattr(work_room, "localize_many", fail)
+
+    result = _run(tmp_path)
+
+    assert [(record.case, record.reason) for record in result.failed] == [("2-b", "MemoryError")]
+    monkeypatch.undo()
+    assert _run(tmp_path).computed == 1
+    _assert_same_results(whole, result.folder)
+
+
+def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
+    """Who asks for it is not kept waiting for the other cases."""
+
+    def fail(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(work_room, "observe", fail)
+
+    with pytest.raises(CasesFailedError, match=r"0-a: ZeroDivisionError"):
+        _run(tmp_path, fail_fast=True)
+    assert len([*tmp_path.glob("*/cases/[!.]*")]) == 1
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject):
+    """Kill -9 within the fourth case loses none before it; that one is not trusted half-written."""
+    inject("""
+        import os, pathlib, signal
+        replace = pathlib.Path.replace
+        records = 0
+
+        def replace_or_die(path, target):
+            global records
+            records += target.name == "case.json"
+            if records == 4:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return replace(path, target)
+
+        pathlib.Path.replace = replace_or_die
+    """)
+    settings = [part for text in SMALL for part in ("--set", text)]
+
+    killed = tiswarm("run", "scenarios/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
+    resumed = _run(tmp_path)
+
+    assert killed.returncode == -signal.SIGKILL
+    assert (resumed.found, resumed.computed) == (3, 5)
+    _assert_same_results(whole, resumed.folder)
+
+
+def test_a_folder_takes_one_run_at_a_time(whole):
+    """A second run is refused while the first is at work; shards of one run are not."""
+    with (whole / ".lock").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH)
+        with pytest.raises(EnvironmentTroubleError, match="another run is at work here"):
+            _run(whole.parent)
+        assert _run(whole.parent, shard=(1, 2)).missing == 0
+
+
+def test_cases_of_another_version_are_computed_anew(whole, tmp_path):
+    """A run never mixes what two versions made."""
+    folder = _run(tmp_path, "seeds=1").folder
+    record = folder / "cases" / "0-a" / "case.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"version": "0.0"}))
+
+    again = _run(tmp_path, "seeds=1")
+
+    assert (again.found, again.computed) == (1, 1)
+
+
+def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
+    """Structures that grow together are not all localized in the precision of the first."""
+    swept = _run(tmp_path, "seeds=1", "sweep.precision=[f64, f32]").folder / "cases"
+    alone = _run(tmp_path, "seeds=1", "precision=f32").folder / "cases"
+
+    single = (alone / "0-a" / "estimate.csv").read_bytes()
+    assert (swept / "0-precision=f32,a" / "estimate.csv").read_bytes() == single
+    assert (swept / "0-precision=f64,a" / "estimate.csv").read_bytes() != single

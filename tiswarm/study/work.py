@@ -1,0 +1,214 @@
+"""Works off cases whose structures are of one kind: grow, sense, localize, evaluate, store."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Protocol
+
+import numpy as np
+
+from tiswarm.compute import backend
+from tiswarm.compute.backend import Backend
+from tiswarm.compute.choices import Arch, Precision
+from tiswarm.evaluation import growth
+from tiswarm.evaluation import tables as scores
+from tiswarm.evaluation.profiles import by_hops_apart
+from tiswarm.localization.registry import localize_many
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.truth import Truth
+from tiswarm.sensing import observe
+from tiswarm.study.cases import Case
+from tiswarm.study.costs import Costs
+from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.soundness import unsoundness
+
+
+class Watcher(Protocol):
+    """Whoever is told how a run goes on."""
+
+    def say(self, text: str) -> None:
+        """Hear one line."""
+
+    def stage(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
+        """Watch a stage of `total` steps; the block's value is told steps as they are done."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Cases whose structures are of one kind, and all that is needed to work them off."""
+
+    folder: RunFolder
+    """Where they are stored."""
+
+    cases: Sequence[Case]
+    """What is computed."""
+
+    arch: Arch
+    """Device."""
+
+    threads: int | None
+    """CPU threads; all if None."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a job."""
+
+    records: Sequence[CaseRecord]
+    """One of each case; they are stored too."""
+
+    backend: Backend | None
+    """What ran the kernels, if any ran."""
+
+
+def work_off(job: Job, watcher: Watcher) -> Outcome:
+    """Compute and store the cases of a job."""
+    backend.start(job.arch, threads=job.threads)
+    records = _Bench(job, watcher).work_off()
+    return Outcome(records=records, backend=backend.current())
+
+
+def failure(case: Case, reason: str) -> CaseRecord:
+    """Record of a case that could not be computed."""
+    return _record(case, FAILED, reason)
+
+
+class _Bench:
+    """Where a job is worked off, stage by stage."""
+
+    def __init__(self, job: Job, watcher: Watcher) -> None:
+        self.job = job
+        self.watcher = watcher
+        self.costs = Costs()
+
+    def work_off(self) -> list[CaseRecord]:
+        histories = self._grow(self.job.cases)
+        sound, records = self._sift(self.job.cases, histories)
+        logs = self._sense(sound, histories)
+        estimates = self._localize(sound, logs)
+        with self._stage("evaluate and store", sound) as advance:
+            for case, log, estimate in zip(sound, logs, estimates, strict=True):
+                records.append(self._store(case, histories[case.seed], log, estimate))
+                advance(1)
+        for case in sound:
+            self.job.folder.store_cost(case.name, self.costs.of(case.name))
+        return records
+
+    @contextmanager
+    def _stage(
+        self, name: str, cases: Sequence[Case], total: int | None = None
+    ) -> Iterator[Callable[[int], None]]:
+        """Watch and time a stage, whose cost its cases share."""
+        steps = len(cases) if total is None else total
+        shared = self.costs.stage(name, [case.name for case in cases])
+        with shared, self.watcher.stage(name, steps) as advance:
+            yield advance
+
+    def _grow(self, chunk: Sequence[Case]) -> dict[int, History]:
+        """Grow each structure once, whatever the number of its conditions."""
+        settings = chunk[0].settings
+        seeds = sorted({case.seed for case in chunk})
+        with self._stage("grow", chunk, len(seeds) * settings.robots) as advance:
+            grown = grow(
+                settings.structure,
+                robots=settings.robots,
+                seeds=seeds,
+                robot=settings.robot,
+                tell=advance,
+            )
+        return dict(zip(seeds, grown, strict=True))
+
+    def _sift(
+        self, chunk: Sequence[Case], histories: dict[int, History]
+    ) -> tuple[list[Case], list[CaseRecord]]:
+        """Set aside cases whose structure must not be stored, with the reason."""
+        gap = chunk[0].settings.structure.climb.contact_gap
+        faults = {seed: _fault(history, gap) for seed, history in histories.items()}
+        failures = [failure(case, faults[case.seed]) for case in chunk if faults[case.seed]]
+        for failed in failures:
+            self.job.folder.store_failure(failed)
+        return [case for case in chunk if not faults[case.seed]], failures
+
+    def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> list[SensingLog]:
+        with self._stage("sense", cases) as advance:
+            logs = []
+            for case in cases:
+                logs.append(observe(histories[case.seed], case.settings.sensing))
+                advance(1)
+        return logs
+
+    def _localize(self, cases: Sequence[Case], logs: Sequence[SensingLog]) -> list[Estimate]:
+        """Localize side by side what has method and precision in common."""
+
+        def kind(n: int) -> tuple[str, Precision]:
+            settings = cases[n].settings
+            return settings.localization.method, settings.precision
+
+        estimates: dict[int, Estimate] = {}
+        for (_, precision), alike in groupby(sorted(range(len(cases)), key=kind), key=kind):
+            members = list(alike)
+            with self._stage("localize", [cases[n] for n in members]) as advance:
+                backend.start(self.job.arch, threads=self.job.threads, precision=precision)
+                methods = [cases[n].settings.localization for n in members]
+                found = localize_many([logs[n] for n in members], methods, tell=advance)
+            estimates |= dict(zip(members, found, strict=True))
+        return [estimates[n] for n in range(len(cases))]
+
+    def _store(
+        self, case: Case, history: History, log: SensingLog, estimate: Estimate
+    ) -> CaseRecord:
+        """Evaluate one case and write it down."""
+        truth = Truth(
+            robot_id=log.robot_id,
+            position=history.position,
+            orientation_wxyz=history.orientation_wxyz,
+        )
+        scored = scores.score(
+            truth,
+            log,
+            estimate,
+            history.robot,
+            cues=case.settings.localization.cues,
+        )
+        return self.job.folder.store(
+            _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),
+            truth=truth,
+            log=log,
+            estimate=estimate,
+            tables={
+                "robots": scores.by_robot(truth, log, estimate, history.sensed),
+                "convergence": scores.by_iteration(truth, estimate),
+                "growth": growth.by_join(history),
+                "relative": by_hops_apart(truth, log, estimate),
+            },
+        )
+
+
+def _fault(history: History, contact_gap: float) -> str:
+    """Why a structure cannot be used, or nothing."""
+    if history.robot_count < 2:  # noqa: PLR2004 - one robot has nobody to touch
+        return history.ended or "only one robot joined"
+    return unsoundness(history, contact_gap=contact_gap)
+
+
+def _record(
+    case: Case, status: str, reason: str, scored: dict[str, float | int | None] | None = None
+) -> CaseRecord:
+    return CaseRecord(
+        case=case.name,
+        seed=case.seed,
+        condition=case.variant.condition,
+        point=case.variant.point,
+        status=status,
+        reason=reason,
+        scores=scored or {},
+    )
+
+
+def _json_numbers(scored: dict[str, float | int]) -> dict[str, float | int | None]:
+    """Say None where a number is unknown, for JSON has no NaN."""
+    return {name: None if np.isnan(value) else value for name, value in scored.items()}
