@@ -6,6 +6,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tiswarm.compute import random
+from tiswarm.compute.dialect import Reals2, ti
+from tiswarm.compute.random import mixed
 
 whole = st.integers(0, 2**40)
 
@@ -43,3 +45,22 @@ def test_numbers_are_uniform_and_normal():
         assert stats.kstest(uniform, "uniform").pvalue > 1e-3
         assert stats.kstest(normal, "norm").pvalue > 1e-3
         assert abs(np.corrcoef(uniform[1:], uniform[:-1])[0, 1]) < 0.03
+
+
+@ti.kernel
+def _mix(table: Reals2):
+    for i, j in ti.ndrange(table.shape[0], table.shape[1]):
+        table[i, j] = ti.cast(mixed(mixed(ti.cast(i, ti.u64)) ^ ti.cast(j, ti.u64)), ti.f64)
+
+
+def test_kernels_mix_well():
+    """Chained hashes of small numbers are uniform, and neighbours have nothing in common."""
+    table = np.empty((150, 150))
+
+    _mix(table)
+
+    unit = table / 2.0**32
+    assert stats.kstest(unit.ravel(), "uniform").pvalue > 1e-3
+    for shift in ((0, 1), (1, 0), (1, 1)):
+        moved = np.roll(unit, shift, axis=(0, 1))
+        assert abs(np.corrcoef(unit.ravel(), moved.ravel())[0, 1]) < 0.03

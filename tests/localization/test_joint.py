@@ -46,7 +46,10 @@ def test_forces_match_the_energies_written_out_slowly(log, robust):
 
 
 def test_robots_are_found_without_noise(towers):
-    """Where walks leave next to nothing unknown, robots are where they truly are."""
+    """Where walks leave next to nothing unknown, robots are where they truly are.
+
+    What is unknown is told by the spread of the chains.
+    """
     logs = [observe(history, SensingParams()) for history in towers]
     params = dataclasses.replace(SHORT, steps=1000)
 
@@ -55,6 +58,7 @@ def test_robots_are_found_without_noise(towers):
     for estimate, history in zip(estimates, towers, strict=True):
         error = np.linalg.norm(estimate.position - history.position, axis=1)
         assert np.median(error) < 0.15
+        assert np.mean(error[1:] < 1.55 * estimate.sd[1:]) > 0.5
         assert estimate.residual[-1] < 0.3 * estimate.residual[0]
         np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
 
@@ -88,6 +92,16 @@ def test_the_unit_of_length_does_not_matter(log):
     np.testing.assert_array_equal(
         localize(scaled, SHORT).position, 4.0 * localize(log, SHORT).position
     )
+
+
+def test_single_precision_is_precise_enough(towers):
+    """Other bits make other chains, but robots are found."""
+    log = observe(towers[0], SensingParams())
+    backend.start(precision="f32")
+
+    estimate = localize(log, dataclasses.replace(SHORT, steps=1000))
+
+    assert np.median(np.linalg.norm(estimate.position - towers[0].position, axis=1)) < 0.3
 
 
 def test_wrong_contacts_are_given_up(towers):

@@ -19,7 +19,7 @@ from tiswarm.records.contradictions import ASSUMED
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.records.walks import displacements, owners
 
-SCATTER = 5.0
+SCATTER = 1.5
 """How far from the anchor robots are that nothing ties to it: a standard deviation, times the
 cube root of the number of robots, as crowds of robots are wide."""
 FLIPS_UNTOLD = 10

@@ -104,7 +104,7 @@ def kick_of(seed, chain, number, t):
     kick = ti.Vector([0.0, 0.0, 0.0])
     for axis in ti.static(range(3)):
         bits = mixed(key ^ ti.u64(axis))
-        kick[axis] = spread * ((ti.cast(bits, ti.f64) + 0.5) * 2.0**-32 - 0.5)
+        kick[axis] = spread * ((ti.cast(bits, float) + 0.5) * 2.0**-32 - 0.5)
     return kick
 
 
