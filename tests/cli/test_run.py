@@ -252,7 +252,7 @@ def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
 
 def test_methods_stand_side_by_side(tiswarm, tmp_path):
     """Conditions with different methods run on the same structures, and a log goes in alone."""
-    joint = "{localization.method: joint, localization.chains: 2, localization.steps: 200}"
+    joint = "{localization.method: joint, localization.chains: 2, localization.steps: 800}"
 
     done = tiswarm(
         "run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path,
@@ -264,7 +264,7 @@ def test_methods_stand_side_by_side(tiswarm, tmp_path):
     rmse = pd.read_csv(folder / "table.csv").set_index("condition")["rmse_R_mean"]
     alone = tiswarm(
         "localize", folder / "cases" / "0-joint" / "sensing.jsonl", "--method", "joint",
-        "--set", "chains=2", "--set", "steps=200", "--out", tmp_path / "estimate.csv",
+        "--set", "chains=2", "--set", "steps=800", "--out", tmp_path / "estimate.csv",
     )  # fmt: skip
 
     assert rmse["joint"] < rmse["paper"]

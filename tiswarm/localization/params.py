@@ -184,7 +184,7 @@ class JointParams(CueParams):
     """Annealings from different starts; the estimate is their mean, `sd` their spread."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] = 1500
-    """Steps of an annealing."""
+    """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 750
     """Steps at the end temperature, over which positions are averaged."""
