@@ -24,6 +24,10 @@ class Memory:
     on_host: bool
     """Whether arrays are NumPy's; the device is a CPU then."""
 
+    def for_seldom_used(self) -> "Memory":
+        """Where arrays go that few kernels are started with."""
+        return Memory(self.running, on_host=self.running.arch == "cpu")
+
     def reals(self, *shape: int) -> DeviceArray:
         """Reserve an array of real numbers."""
         return self._reserve(self.running.dtype, shape)

@@ -27,8 +27,8 @@ MOST_ITEMS = 2**31 - 1
 """Largest number that the kernels' integers can hold."""
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
-BUCKETS_PER_DOCK = 4
-FIRST_CAPACITY = 24
+BUCKETS_PER_DOCK = 1
+FIRST_CAPACITY = 16
 """Entries of a row to begin with, for each of the robot's docks."""
 ROOM = 1.25
 """How much longer than the longest row rows are made."""
@@ -182,16 +182,17 @@ class NeighborList:
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
         self._check_size()
         self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
-        self.table = memory.upload(tables)
         first, entry = pack_contacts(contacts, robots=self.robots, docks=self.docks)
-        self.contact_start = memory.upload(first)
-        self.contact = memory.upload(entry if len(entry) else np.zeros(1, np.int32))
-        self.begin = memory.ints(self.table_size)
-        self.block_total = memory.ints(-(-self.table_size // SCAN_BLOCK))
-        self.sorted_dock = memory.ints(self.robots * self.docks)
-        self.sorted_at = memory.reals(self.robots * self.docks, 4)
+        seldom = memory.for_seldom_used()
+        self.table = seldom.upload(tables)
+        self.contact_start = seldom.upload(first)
+        self.contact = seldom.upload(entry if len(entry) else np.zeros(1, np.int32))
+        self.begin = seldom.ints(self.table_size)
+        self.block_total = seldom.ints(-(-self.table_size // SCAN_BLOCK))
+        self.sorted_dock = seldom.ints(self.robots * self.docks)
+        self.sorted_at = seldom.reals(self.robots * self.docks, 4)
+        self.longest = seldom.ints(len(tables))
         self.row_count = memory.ints(self.robots)
-        self.longest = memory.ints(len(tables))
         self.row = memory.ints(self.robots * (self.capacity + 1))
         self.builds = 0
 

@@ -255,10 +255,11 @@ class _Run:
         self.position = memory.upload(position)
         self.arm = memory.reals(robots * docks, 3)
         self.dock = memory.reals(2, robots * docks, 4)
+        seldom = memory.for_seldom_used()
         place_docks(
-            memory.upload(swarm.orientation_wxyz[self.order]),
-            memory.upload(swarm.dock_offset_body),
-            memory.upload(swarm.structure[self.order]),
+            seldom.upload(swarm.orientation_wxyz[self.order]),
+            seldom.upload(swarm.dock_offset_body),
+            seldom.upload(swarm.structure[self.order]),
             self.position, self.arm, self.dock,
         )  # fmt: skip
         height = np.zeros(1) if swarm.height is None else swarm.height[self.order]
