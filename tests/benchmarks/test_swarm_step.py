@@ -1,5 +1,8 @@
 """What the swarm step is measured on, and held against, is what it claims to be."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -59,3 +62,16 @@ def test_engines_pass_the_check(engine, name):
     assert found["force_error"] < 1e-12
     assert found["end_error_R"] < 1e-12
     assert running.builds > 1
+
+
+def test_the_benchmark_runs_from_the_command_line(tmp_path):
+    """A small size of the engine alone: measured, checked and drawn."""
+    command = [sys.executable, "-m", "benchmarks.swarm_step", "--engines", "tiswarm-f64"]
+    sizes = ["--sizes", "100", "--scenes", "batch", "--repeats", "1", "--out", str(tmp_path)]
+
+    done = subprocess.run([*command, *sizes], capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0, done.stderr
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "machine.json", "swarm_step.csv", "swarm_step.png",
+    }  # fmt: skip
