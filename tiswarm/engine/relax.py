@@ -104,23 +104,37 @@ def relax(
         InputError: where an argument makes no sense, or forces diverge.
         EnvironmentTroubleError: where the machine lacks the device or the memory.
     """
+    return prepare(
+        position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure,
+        precision=precision, arch=arch, threads=threads,
+    ).relax(
+        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp, steps=steps,
+        height_gain=height_gain, max_step=max_step,
+    )  # fmt: skip
+
+
+def prepare(
+    position: ArrayLike,
+    orientation_wxyz: ArrayLike,
+    contacts: ArrayLike,
+    *,
+    robot: Robot,
+    height: ArrayLike | None = None,
+    structure: ArrayLike | None = None,
+    precision: Precision = "f64",
+    arch: Arch = "cpu",
+    threads: int | None = None,
+) -> "PreparedSwarm":
+    """Put a swarm on the device, to be relaxed again and again, as when gains are fitted.
+
+    Args: as `relax` has them, and so are the errors.
+    """
     swarm = _Swarm.checked(
         position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure
     )
-    ramps = np.asarray(ramp, np.float64)
-    if steps < 0 or ramps.shape not in {(), (steps,)}:
-        msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
-        raise InputError(msg)
-    limit = NO_LIMIT if max_step is None else max_step
-    law = (attraction_gain, repulsion_gain, height_gain, robot.spacing, limit)
-    if not (all(0.0 <= gain <= LARGEST_GAIN for gain in law[:3]) and limit >= 0.0):
-        msg = f"gains must be 0 to {LARGEST_GAIN:g}, and the largest step 0 or more, not {law}"
-        raise InputError(msg)
     running = backend.start(arch, threads=threads, precision=precision)
     swarm.check_resolution(running)
-    if steps == 0 or len(swarm.position) == 0:
-        return RelaxResult(position=swarm.position, largest_move=np.zeros(steps), list_builds=0)
-    return _Run(running, swarm, law, np.broadcast_to(ramps, steps)).take_steps()
+    return PreparedSwarm(running, swarm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,68 +233,87 @@ def _checked_contacts(
     return np.column_stack([one // docks, one % docks, other // docks, other % docks])
 
 
-class _Run:
-    """A swarm on the device, renumbered so that neighbors are near in memory."""
+class PreparedSwarm:
+    """A swarm on the device, renumbered so that neighbors are near in memory; see `prepare`."""
 
-    def __init__(
-        self,
-        running: Backend,
-        swarm: _Swarm,
-        law: tuple[float, ...],
-        ramp: NDArray[np.float64],
-    ) -> None:
+    def __init__(self, running: Backend, swarm: _Swarm) -> None:
         """Renumber the robots and copy them to the device."""
+        self.swarm = swarm
         robots, docks = len(swarm.position), len(swarm.dock_offset_body)
+        if robots == 0:
+            return
         size = np.bincount(swarm.structure)
         self.running = running
         self.by_structure = running.arch == "cpu" and size.max() <= SMALL
-        self.law = law
-        self.spacing = swarm.spacing
         self.order = morton_order(swarm.position, swarm.structure)
         self.start = np.concatenate([[0], size.cumsum()])
         _check_memory(running, robots, docks)
-        position = swarm.position[self.order]
+        self.first_position = swarm.position[self.order]
         self.memory = memory = Memory(running, on_host=self.by_structure)
         self.neighbors = NeighborList(
             memory,
-            position,
+            self.first_position,
             self._renumbered(swarm.contacts),
             docks=docks,
             reach=float(np.linalg.norm(swarm.dock_offset_body, axis=1).max()),
             cutoff=(1.0 + SKIN) * swarm.spacing,
             start=self.start if self.by_structure else None,
         )
-        self.ramp = memory.upload(ramp)
-        self.steps = len(ramp)
-        self.position = memory.upload(position)
         self.arm = memory.reals(robots * docks, 3)
         self.dock = memory.reals(2, robots * docks, 4)
         seldom = memory.for_seldom_used()
-        place_docks(
+        self.body = (
             seldom.upload(swarm.orientation_wxyz[self.order]),
             seldom.upload(swarm.dock_offset_body),
             seldom.upload(swarm.structure[self.order]),
-            self.position, self.arm, self.dock,
-        )  # fmt: skip
+        )
         height = np.zeros(1) if swarm.height is None else swarm.height[self.order]
         self.height = memory.upload(np.nan_to_num(height, nan=UNKNOWN))
         self.reference = memory.reals(robots, 3)
 
-    def take_steps(self) -> RelaxResult:
-        """Take all steps and hand the robots back in the caller's order."""
+    def relax(
+        self,
+        *,
+        attraction_gain: float,
+        repulsion_gain: float,
+        ramp: float | Sequence[float] | NDArray[np.float64],
+        steps: int,
+        height_gain: float = 0.0,
+        max_step: float | None = None,
+    ) -> RelaxResult:
+        """Take steps from where the robots were at first; arguments as `relax` has them."""
+        ramps = np.asarray(ramp, np.float64)
+        if steps < 0 or ramps.shape not in {(), (steps,)}:
+            msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
+            raise InputError(msg)
+        limit = NO_LIMIT if max_step is None else max_step
+        law = (attraction_gain, repulsion_gain, height_gain, self.swarm.spacing, limit)
+        if not (all(0.0 <= gain <= LARGEST_GAIN for gain in law[:3]) and limit >= 0.0):
+            msg = f"gains must be 0 to {LARGEST_GAIN:g}, and the largest step 0 or more, not {law}"
+            raise InputError(msg)
+        if steps == 0 or len(self.swarm.position) == 0:
+            still = self.swarm.position.copy()
+            return RelaxResult(position=still, largest_move=np.zeros(steps), list_builds=0)
+        self.law, self.steps = law, steps
+        self.ramp = self.memory.upload(np.broadcast_to(ramps, steps))
+        self._go_to_start()
         moves, builds = self._by_structure() if self.by_structure else self._all_at_once()
-        position = np.empty((len(self.order), 3))
+        position = np.empty_like(self.first_position)
         position[self.order] = self.memory.download(self.position)
-        if not _resolved(position, self.running, self.spacing):
+        if not _resolved(position, self.running, self.swarm.spacing):
             msg = "the forces diverged; lower the gains or give max_step"
             raise InputError(msg)
         return RelaxResult(position=position, largest_move=moves, list_builds=builds)
+
+    def _go_to_start(self) -> None:
+        self.position = self.memory.upload(self.first_position)
+        place_docks(*self.body, self.position, self.arm, self.dock)
 
     def _all_at_once(self) -> tuple[NDArray[np.float64], int]:
         """Step by step, each with all threads, rows made anew where they have gone stale."""
         rows = self.neighbors
         control, moves = self.memory.ints(2), self.memory.reals(self.steps)
-        taken = 0
+        taken, builds_before = 0, rows.builds
         while taken < self.steps:
             rows.build(self.dock, taken % 2)
             start_interval(self.position, self.reference, control)
@@ -289,12 +322,12 @@ class _Run:
                     for t in range(taken, min(taken + LAUNCHES, self.steps)):
                         take_step(
                             rows.docks, rows.own_bits, *rows.strides, *self.law,
-                            0.5 * SKIN * self.spacing, t, self.ramp, self.dock, rows.row,
+                            0.5 * SKIN * self.swarm.spacing, t, self.ramp, self.dock, rows.row,
                             rows.row_count, self.arm, self.height, self.reference, self.position,
                             control, moves,
                         )  # fmt: skip
                 taken = int(control[TAKEN])
-        return self.memory.download(moves).astype(np.float64), rows.builds
+        return self.memory.download(moves).astype(np.float64), rows.builds - builds_before
 
     def _by_structure(self) -> tuple[NDArray[np.float64], int]:
         """All steps of a structure on one thread; again from the start if a row was too short."""
@@ -302,7 +335,6 @@ class _Run:
         start = self.memory.upload(self.start)
         moves = self.memory.reals(structures, self.steps)
         builds = self.memory.ints(structures)
-        at_first = self.position.copy(), self.dock.copy()
         while True:
             with loose_arithmetic():
                 relax_structures(
@@ -316,7 +348,7 @@ class _Run:
             if longest <= rows.capacity:
                 break
             rows.lengthen(longest)
-            self.position[:], self.dock[:] = at_first
+            self._go_to_start()
         return moves.max(axis=0).astype(np.float64), int(builds.max())
 
     def _renumbered(self, contacts: NDArray[np.int64]) -> NDArray[np.int64]:

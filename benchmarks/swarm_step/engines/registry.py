@@ -51,13 +51,17 @@ class Entry:
 
 
 def _ours(
-    precision: str = "float64", threads: int = 1, arch: str = "cpu", library: str = "taichi"
+    precision: str = "float64",
+    threads: int = 1,
+    arch: str = "cpu",
+    whole_call: str = "",
+    **env: str,
 ) -> Entry:
     return Entry(
         engine="tiswarm_relax:TiswarmRelax",
         precision=precision,
         threads=threads,
-        options={"arch": arch},
+        options={"arch": arch, "whole_call": whole_call},
         environment={"TISWARM_BACKEND": library},
         in_order=False,
     )
@@ -74,6 +78,7 @@ def _jax(precision: str) -> Entry:
 
 ENGINES = {
     "tiswarm-f64": _ours(),
+    "tiswarm-f64-call": _ours(whole_call="yes"),
     "tiswarm-f32": _ours("float32"),
     "quadrants-f64": _ours(library="quadrants"),
     "quadrants-f32": _ours("float32", library="quadrants"),
