@@ -54,8 +54,8 @@ def _ours(
     precision: str = "float64",
     threads: int = 1,
     arch: str = "cpu",
+    library: str = "taichi",
     whole_call: str = "",
-    **env: str,
 ) -> Entry:
     return Entry(
         engine="tiswarm_relax:TiswarmRelax",
