@@ -78,6 +78,9 @@ def run(
         typer.Option(min=0.001, metavar="SECONDS", help="Give a case up that takes longer."),
     ] = None,
     *,
+    only_plan: Annotated[
+        bool, typer.Option("--plan", help="Say what it would take, and run nothing.")
+    ] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at a failed case.")] = False,
     pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
     pdf: Pdf = False,
@@ -94,6 +97,9 @@ def run(
 
     watcher = ConsoleWatcher(quiet=quiet)
     plan = load_scenario(scenario, overrides)
+    if only_plan:
+        typer.echo(study.forecast(study.plan(plan)))
+        return
     dispatch = study.Dispatch(
         workers=workers,
         scheduler=scheduler,

@@ -15,6 +15,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import find_mistakes, load_scenario
 from tiswarm.study.cases import plan
+from tiswarm.study.forecast import forecast
 
 MOST_SHOWN = 10
 
@@ -85,6 +86,4 @@ def _inspect_scenario(path: Path) -> Inspection:
     mistakes = tuple(find_mistakes(path))
     if mistakes:
         return Inspection(mistakes=mistakes)
-    cases = plan(load_scenario(path))
-    robots = sum(case.settings.robots for case in cases)
-    return Inspection(summary=f"{len(cases)} cases, {robots} robots in all")
+    return Inspection(summary=str(forecast(plan(load_scenario(path)))))

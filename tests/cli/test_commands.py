@@ -46,6 +46,7 @@ def test_version_is_told(tiswarm):
         (("run", "scenarios/tower.yaml", "--set", "robots=-3"), "--set robots=-3"),
         (("run", "scenarios/tower.yaml", "--set", "robtos=3"), "did you mean robots"),
         (("run", "scenarios/tower.yaml", "--threads", "0"), "give 1 or more"),
+        (("run", "scenarios/tower.yaml", "--shard", "3/2"), "--shard 3/2: is no part of a whole"),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
         (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),

@@ -18,6 +18,7 @@ from tiswarm.report.kind_figures import by_kind, kind_painters
 from tiswarm.report.law_figures import LAW_FIGURES
 from tiswarm.report.law_points import has_laws, read_law_points
 from tiswarm.report.profile_figure import profile_painters
+from tiswarm.report.scaling_figure import draw_scaling, has_scaling
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,6 +71,8 @@ def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[],
     }
     if kinds := by_kind(series):
         painters = kind_painters(kinds, note)
+    if has_scaling(folder):
+        painters["scaling"] = partial(draw_scaling, folder, note)
     if has_table(folder):
         painters["accuracy"] = partial(draw_accuracy, folder, note)
     return painters | profile_painters(folder, note)

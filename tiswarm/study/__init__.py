@@ -3,10 +3,22 @@
 The only room that holds the truth and an estimate together.
 """
 
+from tiswarm.study.cases import plan
+from tiswarm.study.forecast import forecast
 from tiswarm.study.pool import Dispatch
 from tiswarm.study.run import RunResult, run, tabulate
 from tiswarm.study.tables import headline
 from tiswarm.study.tuning import tune
 from tiswarm.study.work import Watcher
 
-__all__ = ["Dispatch", "RunResult", "Watcher", "headline", "run", "tabulate", "tune"]
+__all__ = [
+    "Dispatch",
+    "RunResult",
+    "Watcher",
+    "forecast",
+    "headline",
+    "plan",
+    "run",
+    "tabulate",
+    "tune",
+]

@@ -49,7 +49,7 @@ def chunks(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Itera
         cases: Cases to split.
         robots_at_once: A chunk is closed once its structures have this many robots.
     """
-    for _, alike in groupby(_structures(cases), key=lambda group: _kind(group[0])[:2]):
+    for _, alike in groupby(structures(cases), key=lambda group: _kind(group[0])[:2]):
         chunk: list[Case] = []
         robots = 0
         for group in alike:
@@ -64,7 +64,7 @@ def chunks(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Itera
 
 def robots_to_grow(cases: Sequence[Case]) -> int:
     """Count the robots of all structures, each of which is grown once."""
-    return sum(group[0].settings.robots for group in _structures(cases))
+    return sum(group[0].settings.robots for group in structures(cases))
 
 
 def halves(chunk: Sequence[Case]) -> list[list[Case]]:
@@ -86,7 +86,7 @@ def shard(cases: Sequence[Case], number: int, count: int) -> list[Case]:
         number: Which share, from 1.
         count: How many shares there are.
     """
-    mine = {c.name for group in _structures(cases)[number - 1 :: count] for c in group}
+    mine = {c.name for group in structures(cases)[number - 1 :: count] for c in group}
     return [case for case in cases if case.name in mine]
 
 
@@ -95,6 +95,6 @@ def _kind(case: Case) -> tuple[str, int, int]:
     return (repr((settings.structure, settings.robot)), settings.robots, case.seed)
 
 
-def _structures(cases: Sequence[Case]) -> list[list[Case]]:
-    """Cases by the structure they share, structures of one kind side by side."""
+def structures(cases: Sequence[Case]) -> list[list[Case]]:
+    """List cases by the structure they share, structures of one kind side by side."""
     return [list(group) for _, group in groupby(sorted(cases, key=_kind), key=_kind)]

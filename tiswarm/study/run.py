@@ -6,12 +6,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
+from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
 from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.study import manifest, tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard
 from tiswarm.study.pool import Dispatch, Pool, opened, reason
+from tiswarm.study.scaling import write_scaling
 from tiswarm.study.scorecard import write_scorecard
 from tiswarm.study.storage import FAILED, CaseRecord, RunFolder, write_table
 from tiswarm.study.work import Job, Outcome, Watcher, failure
@@ -64,6 +66,8 @@ def run(
     Raises:
         CasesFailedError: a case failed and the run was to stop there.
     """
+    if dispatch.scheduler is None:  # a device that is not there is told before anything is written
+        backend.start(arch, threads=threads)
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
     mine = shard(cases, *dispatch.shard)
@@ -110,6 +114,7 @@ def write_tables(
     write_table(tables.table(records, settings), folder.path / "table.csv")
     write_table(tables.paired(records), folder.path / "paired.csv")
     write_table(tables.profiles(records, folder.cases), folder.path / "profiles.csv")
+    write_scaling(folder, cases, {record.case: record for record in records})
     if scenario.scorecard != "none":
         write_scorecard(folder, cases, records)
 

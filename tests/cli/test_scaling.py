@@ -1,0 +1,112 @@
+"""What a study will take and has taken: forecasts, costs, and how they grow with its size."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.cli.conftest import REPOSITORY
+from tiswarm import study
+from tiswarm.console import ConsoleWatcher
+from tiswarm.report.scaling_figure import PANELS, draw_scaling
+from tiswarm.scenario import load_scenario
+
+SIZES = (6, 9, 14)
+
+
+@pytest.fixture(scope="module")
+def scaled(tmp_path_factory):
+    """Folder of a run of three sizes, two seeds and two conditions."""
+    small = load_scenario(
+        REPOSITORY / "scenarios" / "scaling.yaml",
+        [f"sweep.robots={list(SIZES)}", "seeds=2", "conditions.joint.localization.steps=20"],
+    )
+    out = tmp_path_factory.mktemp("scaled")
+    return study.run(small, out, watcher=ConsoleWatcher(quiet=True)).folder
+
+
+def _costs(folder, robots):
+    cases = (folder / "cases").glob(f"*-robots={robots},*")
+    return {case.name: json.loads((case / "cost.json").read_text()) for case in cases}
+
+
+def test_scaling_tells_means_by_size(scaled):
+    """Accuracy is that of the summary; growth counts once a structure, the rest once a case."""
+    table = pd.read_csv(scaled / "scaling.csv")
+    mean = table.set_index(["series", "measure", "robots"])["mean"]
+    summary = pd.read_csv(scaled / "summary.csv").groupby(["condition", "robots"])
+
+    for size in SIZES:
+        costs = _costs(scaled, size)
+        grown = sum(cost["grow"]["cpu_s"] for cost in costs.values())
+        joint = [cost["localize"]["cpu_s"] for name, cost in costs.items() if "joint" in name]
+        assert len(costs) == 4
+        assert mean["joint", "rmse_R", size] == pytest.approx(
+            summary["rmse_R"].mean()["joint", size]
+        )
+        assert mean["joint", "grow_cpu_s", size] == pytest.approx(grown / 2)
+        assert mean["joint", "localize_cpu_s", size] == pytest.approx(np.mean(joint))
+        assert mean["paper", "grow_cpu_s", size] == mean["joint", "grow_cpu_s", size]
+
+
+def test_exponents_are_slopes_on_logarithmic_axes(scaled):
+    """Each series has the least-squares slope of log mean over log N."""
+    for _, part in pd.read_csv(scaled / "scaling.csv").groupby(["series", "measure"]):
+        x, y = np.log(part["robots"]), np.log(part["mean"])
+        slope = np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2)
+
+        np.testing.assert_allclose(part["exponent"], slope, atol=1e-9)
+
+
+def test_the_manifest_adds_costs_up(scaled):
+    """Times of a stage are those of its cases together."""
+    stages = json.loads((scaled / "manifest.json").read_text())["stages"]
+    costs = [cost for size in SIZES for cost in _costs(scaled, size).values()]
+
+    for name, spent in stages.items():
+        assert spent["cpu_s"] == pytest.approx(sum(c[name]["cpu_s"] for c in costs), abs=1e-3)
+
+
+def test_the_figure_shows_every_series(scaled):
+    """One line a condition in each panel, at the means of the table."""
+    table = pd.read_csv(scaled / "scaling.csv").set_index(["measure", "series"])["mean"]
+    table = table.sort_index(kind="stable")
+
+    panels = draw_scaling(scaled, "").axes
+
+    for axes, measure in zip(panels, PANELS, strict=True):
+        drawn = {line.get_label().partition(":")[0]: line.get_ydata() for line in axes.lines}
+        assert set(drawn) == {"paper", "joint"}
+        for name, values in drawn.items():
+            np.testing.assert_allclose(values, table[measure, name])
+
+
+def test_a_plan_is_told_and_nothing_runs(tiswarm, tmp_path):
+    """Cases, robots and an estimate, for `run --plan` and for `check` alike."""
+    scenario = REPOSITORY / "scenarios" / "scaling.yaml"
+
+    planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
+    checked = tiswarm("check", scenario)
+
+    told = "42 cases, 866400 robots in all; an estimate: "
+    assert planned.stdout.startswith(told)
+    assert told in checked.stdout
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_forecast_grows_with_what_is_asked_for():
+    """Twice the seeds are twice the work; conditions share the growth of their structures."""
+    tower = REPOSITORY / "scenarios" / "tower.yaml"
+
+    def told(*overrides):
+        return study.forecast(study.plan(load_scenario(tower, overrides)))
+
+    once, twice = told("seeds=2"), told("seeds=4")
+    alone = told("seeds=2", "conditions={baseline: {}}")
+
+    assert twice.grow_s == pytest.approx(2 * once.grow_s)
+    assert twice.localize_s == pytest.approx(2 * once.localize_s)
+    assert alone.grow_s == pytest.approx(once.grow_s)
+    assert alone.localize_s == pytest.approx(once.localize_s / 3)
+    assert told("robots=20000").memory_mb > once.memory_mb

@@ -1,0 +1,106 @@
+"""What a run will take, before it starts: an estimate from costs measured on other runs.
+
+Seconds are processor time on one core of a server of 2023 (measured by `cost.json` of structures
+of 100 to 10,000 robots, seeds from 1000 on); how well it is spread over cores differs by stage.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
+from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
+
+START_S = 4.0
+"""Start of the program and its kernels."""
+
+CLIMB_S = 3e-3
+"""Growth of a robot, but for mechanics."""
+
+SOLVE_S = {"flexible": 4.8e-5, "rigid": 2.2e-5}
+"""Mechanics by model, for each robot squared where they are solved after every join."""
+
+VIRTUAL_FORCE_S = 1.3e-6
+"""Localization by `virtual-force`, of a robot in an iteration."""
+
+JOINT_S = 8e-7
+"""Localization by `joint`, of a robot of a chain in a step."""
+
+LEAST_SQUARES_S = 0.01
+"""Localization by `least-squares`, of a robot."""
+
+REST_S = 5e-4
+"""Sensing, evaluating and storing a robot."""
+
+BASE_MB, ROBOT_MB = 270.0, 0.025
+"""Memory of the program, and of each robot that it holds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """Size of a run and what it is thought to take; times on one core."""
+
+    cases: int
+    """Cases to compute."""
+
+    robots: int
+    """Robots in all cases together."""
+
+    grow_s: float
+    """Growth of every structure [s]."""
+
+    localize_s: float
+    """Localization of every case [s]."""
+
+    rest_s: float
+    """Everything else [s]."""
+
+    memory_mb: float
+    """Most memory of a process [MB]."""
+
+    def __str__(self) -> str:
+        """Say it in a line, as the estimate it is."""
+        total = self.grow_s + self.localize_s + self.rest_s
+        return (
+            f"{self.cases} cases, {self.robots} robots in all; an estimate: {_time(total)} of "
+            f"processor time (growth {_time(self.grow_s)}, localization {_time(self.localize_s)}), "
+            f"{self.memory_mb:.0f} MB"
+        )
+
+
+def forecast(cases: Sequence[Case]) -> Forecast:
+    """Estimate what cases will take; within a factor of three or so, and machines differ."""
+    once = [group[0].settings for group in structures(cases)]
+    robots = [case.settings.robots for case in cases]
+    localize = [_localize_s(case.settings.localization) * case.settings.robots for case in cases]
+    grow = [
+        s.robots
+        * (CLIMB_S + SOLVE_S[s.structure.mechanics.model] * s.robots / s.structure.solve_every)
+        for s in once
+    ]
+    at_once = max(min(sum(robots), ROBOTS_AT_ONCE), *robots, 0)
+    return Forecast(
+        cases=len(cases),
+        robots=sum(robots),
+        grow_s=sum(grow),
+        localize_s=sum(localize),
+        rest_s=START_S + REST_S * sum(robots),
+        memory_mb=BASE_MB + ROBOT_MB * at_once,
+    )
+
+
+def _localize_s(params: LocalizationParams) -> float:
+    """Localization of a robot [s]."""
+    if isinstance(params, VirtualForceParams):
+        rounds = params.back_propagation
+        return VIRTUAL_FORCE_S * (params.iterations + (rounds.sweeps if rounds else 0))
+    if isinstance(params, JointParams):
+        return JOINT_S * params.chains * (params.steps + params.hold_steps)
+    return LEAST_SQUARES_S
+
+
+def _time(seconds: float) -> str:
+    """Round a time to what can be known of it."""
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds:.2g} s"

@@ -1,0 +1,81 @@
+"""`scaling.csv`: how accuracy and cost change with the number of robots."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+from tiswarm.evaluation.fits import exponent
+from tiswarm.study.cases import Case, structures
+from tiswarm.study.costs import Cost
+from tiswarm.study.storage import CaseRecord, RunFolder, write_table
+
+FILE = "scaling.csv"
+ACCURACY = ("rmse_R", "procrustes_disparity")
+
+
+def write_scaling(
+    folder: RunFolder, cases: Sequence[Case], records: Mapping[str, CaseRecord]
+) -> None:
+    """Write accuracy, times and memory of each stage against N, and exponents p of N^p.
+
+    Growth counts once for each structure, whatever the number of its conditions. Memory is that of
+    the whole batch a structure was computed in. Runs of one size have no such table.
+
+    Args:
+        folder: Where the cases are stored.
+        cases: Every case.
+        records: By name, what came of each.
+    """
+    if len({case.settings.robots for case in cases}) < 2:  # noqa: PLR2004 - nothing to compare
+        return
+    rows = []
+    for group in structures(cases):
+        done = [case for case in group if records[case.name].scores]
+        costs = {case.name: folder.cost(case.name) for case in done}
+        grown = _together([cost.get("grow", {}) for cost in costs.values()])
+        for case in done:
+            measured = _columns({**costs[case.name], "grow": grown})
+            scores = {name: records[case.name].scores[name] for name in ACCURACY}
+            rows += [
+                {
+                    "series": _series(case),
+                    "robots": case.settings.robots,
+                    "measure": name,
+                    "mean": value,
+                }
+                for name, value in (scores | measured).items()
+            ]
+    table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
+    alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
+    points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
+    parts = [
+        part.assign(exponent=exponent(part["robots"].to_numpy(float), part["mean"].to_numpy(float)))
+        for _, part in points.groupby(["series", "measure"], sort=False)
+    ]
+    write_table(pd.concat(parts) if parts else points.assign(exponent=math.nan), folder.path / FILE)
+
+
+def _together(costs: Sequence[Cost]) -> Cost:
+    """Undo the sharing of a cost among cases."""
+    known = [cost for cost in costs if cost]
+    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
+    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
+    return {**times, "peak_memory_MB": peak} if known else {}
+
+
+def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
+    """Name each number after its stage and unit, as `grow_wall_s`."""
+    return {
+        f"{stage.replace(' ', '_')}_{unit}": value
+        for stage, cost in costs.items()
+        for unit, value in cost.items()
+    }
+
+
+def _series(case: Case) -> str:
+    """What a case has in common with those of other sizes."""
+    point = {key: value for key, value in case.variant.point.items() if key != "robots"}
+    names = [f"{key}={json.dumps(value)}" for key, value in point.items()]
+    return ", ".join([*names, case.variant.condition])
