@@ -13,9 +13,6 @@ from tiswarm.records.contact_graph import contact_count, located
 from tiswarm.records.contradictions import contradictions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.scenario import find_mistakes, load_scenario
-from tiswarm.study.cases import plan
-from tiswarm.study.forecast import forecast
 
 MOST_SHOWN = 10
 
@@ -83,6 +80,11 @@ def _inspect_log(path: Path) -> Inspection:
 
 
 def _inspect_scenario(path: Path) -> Inspection:
+    # Slow to import, and no business of a log's.
+    from tiswarm.scenario import find_mistakes, load_scenario  # noqa: PLC0415
+    from tiswarm.study.cases import plan  # noqa: PLC0415
+    from tiswarm.study.forecast import forecast  # noqa: PLC0415
+
     mistakes = tuple(find_mistakes(path))
     if mistakes:
         return Inspection(mistakes=mistakes)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 LEVEL = 0.95
 """How often an interval holds the true mean."""
@@ -27,7 +27,7 @@ def spread(values: NDArray[np.float64]) -> dict[str, float]:
     if count < FEWEST:
         return {"mean": mean, "std": math.nan, "ci95": math.nan}
     std = float(known.std(ddof=1))
-    width = float(stats.t.ppf(0.5 + LEVEL / 2.0, count - 1)) * std / math.sqrt(count)
+    width = float(stdtrit(count - 1, 0.5 + LEVEL / 2.0)) * std / math.sqrt(count)
     return {"mean": mean, "std": std, "ci95": width}
 
 
@@ -51,6 +51,8 @@ def paired_difference(
     difference = difference[np.isfinite(difference)]
     p_value = math.nan
     if difference.any():
+        from scipy import stats  # noqa: PLC0415 - slow to import
+
         p_value = float(stats.wilcoxon(difference).pvalue)
     return {
         "structures": len(difference),
