@@ -27,7 +27,7 @@ run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=sc
 	$(bin)/tiswarm run "$(SCENARIO)"
 
 test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
-	$(bin)/python -m pytest
+	$(bin)/python -m pytest -n auto
 
 lint: $(installed_dev)  ## Check format, style, types and architecture
 	$(bin)/ruff format --check --quiet .
