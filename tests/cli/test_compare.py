@@ -6,6 +6,8 @@ import pytest
 from tiswarm.errors import InputError
 from tiswarm.study.comparison import compare
 
+pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
+
 
 @pytest.fixture(scope="module")
 def other_run(tiswarm, tmp_path_factory):

@@ -17,6 +17,8 @@ from tiswarm.scenario import load_scenario
 from tiswarm.study import Dispatch, run
 from tiswarm.study import work as work_room
 
+pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
+
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
 MEASURED = {"manifest.json", "cost.json"}
 QUIET = ConsoleWatcher(quiet=True)

@@ -12,6 +12,8 @@ from tiswarm.console import ConsoleWatcher
 from tiswarm.report.scaling_figure import PANELS, draw_scaling
 from tiswarm.scenario import load_scenario
 
+pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
+
 SIZES = (6, 9, 14)
 
 
