@@ -1,0 +1,59 @@
+"""Commands that compute nothing: mistakes, the schema, the state of the machine."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tiswarm.cli.options import app
+from tiswarm.console import fail
+from tiswarm.errors import InputError
+
+
+@app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
+) -> None:
+    """Look for mistakes in scenarios and sensing logs, without running anything."""
+    from tiswarm.inspection import inspect
+
+    mistakes: list[InputError] = []
+    for path in files:
+        finding = inspect(path)
+        mistakes += finding.mistakes
+        if not finding.mistakes:
+            typer.echo(f"{path}: {finding.summary}")
+    for mistake in mistakes[:-1]:
+        fail(str(mistake))
+    if mistakes:
+        raise mistakes[-1]
+
+
+@app.command(epilog="Example: tiswarm schema > scenario.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
+    from tiswarm.scenario import scenario_schema
+
+    typer.echo(json.dumps(scenario_schema(), indent=2))
+
+
+@app.command(epilog="Example: tiswarm doctor")
+def doctor(
+    *,
+    missing_packages: Annotated[
+        bool,
+        typer.Option(
+            "--missing-packages", help="Print only the system packages to install, in one line."
+        ),
+    ] = False,
+) -> None:
+    """Say what works on this machine, and what to install for what does not."""
+    from tiswarm import doctor as examination
+
+    if missing_packages:
+        typer.echo(" ".join(examination.missing_packages()), nl=True)
+        return
+    for finding in examination.examine():
+        mark = "ok" if finding.works else "--"
+        typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")

@@ -1,0 +1,78 @@
+"""Commands on run folders: redraw, compare, export."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from tiswarm.cli.drawing import animate_first, draw_figures_of, draw_renders_of, write_page_of
+from tiswarm.cli.options import Animate, Movie, Pdf, Quiet, RunFolderPath, app
+from tiswarm.console import ConsoleWatcher
+
+ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
+
+
+@app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
+def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
+    """Redraw every table, every figure and report.html of a run from its stored data."""
+    from tiswarm import study
+
+    watcher = ConsoleWatcher(quiet=quiet)
+    study.tabulate(run)
+    draw_figures_of(run, watcher, pdf=pdf)
+    write_page_of(run, watcher)
+    if not quiet:
+        typer.echo(study.headline(run))
+
+
+@app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
+def render(
+    run: RunFolderPath,
+    renderer: Annotated[
+        str | None, typer.Option(help="open3d, open3d-raycast or taichi; the first that works.")
+    ] = None,
+    case: Annotated[str | None, typer.Option(help="Case to draw; the first one.")] = None,
+    *,
+    animate: Animate = False,
+    movie: Movie = "gif",
+    quiet: Quiet = False,
+) -> None:
+    """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
+    watcher = ConsoleWatcher(quiet=quiet)
+    draw_renders_of(run, watcher, renderer=renderer, case=case)
+    if animate:
+        animate_first(run, watcher, movie, renderer=renderer, case=case)
+    write_page_of(run, watcher)
+
+
+@app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
+    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("reports/comparison"),
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Set runs side by side: one table, differences on the structures they share, one figure."""
+    from tiswarm.report.comparison_figure import draw_comparison
+    from tiswarm.study.comparison import compare as tabulate
+
+    tabulate(runs, out)
+    draw_comparison(out, ConsoleWatcher(quiet=True).say)
+    if not quiet:
+        typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")
+
+
+@app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
+def export(
+    run: RunFolderPath,
+    form: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write to; RUN/export.")] = None,
+    case: Annotated[str | None, typer.Option(help="Case to export; the first one.")] = None,
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Write structure, contacts and estimate of a case for other programs."""
+    from tiswarm.interop.exporting import export_case
+
+    tell = ConsoleWatcher(quiet=quiet).say
+    export_case(run, form, run / "export" if out is None else out, case, tell)

@@ -1,0 +1,149 @@
+"""Commands that compute: a scenario's cases, and the gains of a method."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from tiswarm.cli.drawing import animate_first, draw_figures_of, draw_renders_of, write_page_of
+from tiswarm.cli.options import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
+from tiswarm.console import ConsoleWatcher
+from tiswarm.errors import CasesFailedError, InputError
+
+if TYPE_CHECKING:
+    from tiswarm import study
+
+
+@app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
+def run(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("reports"),
+    arch: OneArch = "cpu",
+    threads: Threads = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes to compute in, side by side.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
+    ] = None,
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Compute the I-th of N parts only.")
+    ] = "1/1",
+    case_limit: Annotated[
+        float | None,
+        typer.Option(min=0.001, metavar="SECONDS", help="Give a case up that takes longer."),
+    ] = None,
+    *,
+    only_plan: Annotated[
+        bool, typer.Option("--plan", help="Say what it would take, and run nothing.")
+    ] = False,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at a failed case.")] = False,
+    pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
+    pdf: Pdf = False,
+    animate: Animate = False,
+    movie: Movie = "gif",
+    quiet: Quiet = False,
+) -> None:
+    """Grow, sense, localize, score and draw every case of a scenario.
+
+    A run that was interrupted goes on where it was.
+    """
+    from tiswarm import study
+    from tiswarm.scenario import load_scenario
+
+    watcher = ConsoleWatcher(quiet=quiet)
+    plan = load_scenario(scenario, overrides)
+    if only_plan:
+        typer.echo(study.forecast(study.plan(plan)))
+        return
+    dispatch = study.Dispatch(
+        workers=workers,
+        scheduler=scheduler,
+        shard=_shard(shard),
+        case_limit_s=case_limit,
+        fail_fast=fail_fast,
+    )
+    result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads, dispatch=dispatch)
+    if result.missing:
+        watcher.say(f"part {shard} is done; {result.missing} cases of other parts are missing")
+    else:
+        _show(result, watcher, pictures=pictures, pdf=pdf, movie=movie if animate else None)
+    if result.failed:
+        first = result.failed[0]
+        msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
+        raise CasesFailedError(msg)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """Read I/N."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    number, count = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= number <= count:
+        msg = "is no part of a whole; give it as 2/8, from 1/8 to 8/8"
+        raise InputError(msg, key=f"--shard {text}")
+    return number, count
+
+
+def _show(
+    result: "study.RunResult",
+    watcher: ConsoleWatcher,
+    *,
+    pictures: bool,
+    pdf: bool,
+    movie: Literal["gif", "mp4"] | None,
+) -> None:
+    """Draw what a run came to and say it in a few lines."""
+    from tiswarm import study
+
+    some_done = len(result.failed) < result.computed + result.found
+    there = (result.folder / "report.html").exists()
+    drawn = pictures and (pdf or result.computed > 0 or not there)
+    if drawn:
+        draw_figures_of(result.folder, watcher, pdf=pdf)
+        if some_done:
+            draw_renders_of(result.folder, watcher)
+    if movie and some_done:
+        animate_first(result.folder, watcher, movie)
+    if drawn or movie:
+        write_page_of(result.folder, watcher)
+    if not watcher.quiet:
+        typer.echo(study.headline(result.folder))
+
+
+@app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")
+def tune(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    trials: Annotated[int, typer.Option(min=1, help="Trials, those of the record included.")] = 200,
+    training_seeds: Annotated[
+        int, typer.Option(min=1, help="Structures of each sweep point, from seed 1000 on.")
+    ] = 25,
+    condition: Annotated[
+        list[str], typer.Option(help="Condition that counts; may be given often; all if not.")
+    ] = [],  # noqa: B006 - typer never changes it
+    out: Annotated[Path, typer.Option(help="Record of the fit.")] = Path("fit.json"),
+    arch: OneArch = "cpu",
+    threads: Threads = None,
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Fit the gains of virtual-force on structures that the scenario does not report on.
+
+    A fit that was interrupted goes on where it was.
+    """
+    from tiswarm import study
+    from tiswarm.scenario import load_scenario
+
+    record = study.tune(
+        load_scenario(scenario, overrides), out,
+        trials=trials, training_seeds=training_seeds, conditions=condition,
+        watcher=ConsoleWatcher(quiet=quiet), arch=arch, threads=threads,
+    )  # fmt: skip
+    if not quiet:
+        for name in ("best", "chosen"):
+            gains = {key: value for key, value in record[name].items() if key in record["ranges"]}
+            told = ", ".join(f"{key} {value:.3g}" for key, value in gains.items())
+            typer.echo(f"{name}: RMSE {record[name]['rmse_R']:.3f} R with {told}")
+        typer.echo(f"record in {out}")
