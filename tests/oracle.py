@@ -1,6 +1,7 @@
 """The paper's equations and a flip's geometry, written out slowly in NumPy."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 FINE = 4000
 
@@ -156,3 +157,15 @@ def joint_force(log, known, position, tolerance, width):
                         force[j] -= (2.0 - length) * apart / length
     known_well = tolerance**2 * known.precision
     return force + known_well / (1.0 + known_well) * (known.place - position)
+
+
+def flip_paths(walk, step, body, k):
+    """Dock paths of a flip about dock `k`, the short and the long way round, (60, 3, 3) each."""
+    before = matrix(walk.orientation_wxyz[step])
+    after = matrix(walk.orientation_wxyz[step + 1])
+    pivot = walk.center[step] + before @ body[k]
+    turn = Rotation.from_matrix(after @ before.T).as_rotvec()
+    angle = np.linalg.norm(turn)
+    for end in (angle, angle - 2.0 * np.pi):
+        spin = Rotation.from_rotvec(np.linspace(0.0, end, 60)[:, None] * turn / angle)
+        yield pivot + np.array([spin.apply(before @ (b - body[k])) for b in body]).swapaxes(0, 1)

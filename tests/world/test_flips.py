@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
@@ -95,7 +94,7 @@ def test_no_dock_passes_through_another_on_the_way(towers):
         walk = history.walks[j]
         others = np.concatenate([_docks(history, i) for i in range(j)])
         for step, k in enumerate(walk.pivot_dock):
-            paths = _ways(walk, step, body, k)
+            paths = oracle.flip_paths(walk, step, body, k)
 
             assert max(_clearance(docks, others) for docks in paths) > -1e-9
 
@@ -118,15 +117,3 @@ def _clearance(docks, others):
     """Least gap to the structure and the ground along a path of docks, (steps, 3, 3)."""
     gap = np.linalg.norm(docks[:, :, None] - others, axis=3).min() - 2.0
     return min(gap, docks[..., 2].min() - 1.0)
-
-
-def _ways(walk, step, body, k):
-    """Dock paths of a flip about dock `k`, the short and the long way round, (60, 3, 3) each."""
-    before = oracle.matrix(walk.orientation_wxyz[step])
-    after = oracle.matrix(walk.orientation_wxyz[step + 1])
-    pivot = walk.center[step] + before @ body[k]
-    turn = Rotation.from_matrix(after @ before.T).as_rotvec()
-    angle = np.linalg.norm(turn)
-    for end in (angle, angle - FULL_TURN):
-        spin = Rotation.from_rotvec(np.linspace(0.0, end, 60)[:, None] * turn / angle)
-        yield pivot + np.array([spin.apply(before @ (b - body[k])) for b in body]).swapaxes(0, 1)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from tests import oracle, oracle_terrain
 from tests.strategies import unit_vectors
@@ -197,19 +196,6 @@ def test_far_from_edges_a_slab_is_a_plane(axis, x, tilt):
     np.testing.assert_allclose(slab, plane, atol=1e-12)
 
 
-def _paths(walk, step):
-    """Dock paths of a flip, the short and the long way round, shape (60, 3, 3) each."""
-    body, k = ROBOT.dock_offset_body, walk.pivot_dock[step]
-    before = oracle.matrix(walk.orientation_wxyz[step])
-    after = oracle.matrix(walk.orientation_wxyz[step + 1])
-    pivot = walk.center[step] + before @ body[k]
-    turn = Rotation.from_matrix(after @ before.T).as_rotvec()
-    angle = np.linalg.norm(turn)
-    for end in (angle, angle - FULL_TURN):
-        spin = Rotation.from_rotvec(np.linspace(0.0, end, 60)[:, None] * turn / angle)
-        yield pivot + np.array([spin.apply(before @ (b - body[k])) for b in body]).swapaxes(0, 1)
-
-
 @pytest.mark.parametrize("kind", ["cantilevers", "bridges", "chains"])
 def test_no_dock_passes_through_the_ground_on_the_way(kind, request):
     """One of the two ways round each flip, sampled, is free of ground and structure."""
@@ -223,7 +209,9 @@ def test_no_dock_passes_through_the_ground_on_the_way(kind, request):
                         np.linalg.norm(path.reshape(-1, 1, 3) - others, axis=2).min(initial=9.0)
                         - 2.0,
                     )
-                    for path in _paths(walk, step)
+                    for path in oracle.flip_paths(
+                        walk, step, ROBOT.dock_offset_body, walk.pivot_dock[step]
+                    )
                 ]
 
                 assert max(clear) > -1e-9

@@ -151,6 +151,15 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         raise EnvironmentTroubleError(msg)
 
 
+def faulty_driver() -> EnvironmentTroubleError:
+    """Error of a device that came back without having done a kernel's work."""
+    msg = (
+        f"backend {current().arch} returned without placing every robot; "
+        "its driver is faulty: use --arch cpu"
+    )
+    return EnvironmentTroubleError(msg)
+
+
 def _missing(arch: Arch) -> str:
     return f"backend {arch} is not available on this machine; use --arch cpu"
 

@@ -3,6 +3,12 @@
 from tiswarm.compute.dialect import Reals1, ti
 
 
+@ti.func
+def vector_at(rows: ti.template(), i):
+    """Read row `i` of a table with three columns."""
+    return ti.Vector([rows[i, 0], rows[i, 1], rows[i, 2]])
+
+
 @ti.kernel
 def probe_arithmetic(value: Reals1):
     """Replace each value by sqrt(cos^2 + sin^2) of it times it: the same value, to rounding.

@@ -17,6 +17,7 @@ from tiswarm.compute.dialect import (
     Reals3,
     ti,
 )  # fmt: skip
+from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.neighbor_kernels import list_structure
 from tiswarm.compute.rotations import rotate
 from tiswarm.engine.force_kernels import TINY, capped, pull_of
@@ -76,7 +77,7 @@ def step_robot(
     position: ti.template(),
 ):
     """Move a robot by its forces; return its squared step and distance from its list's place."""
-    here = ti.Vector([position[robot, 0], position[robot, 1], position[robot, 2]])
+    here = vector_at(position, robot)
     force = virtual_force(grid, law, ramp, half, robot, entries, dock, row)
     if law.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if height[robot] != UNKNOWN:

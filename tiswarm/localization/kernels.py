@@ -5,13 +5,8 @@ Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 
 from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.dialect import ti
+from tiswarm.compute.kernels import vector_at
 from tiswarm.engine.force_kernels import dock_pair_force
-
-
-@ti.func
-def vector_at(array: ti.template(), i):
-    """Row of an (n, 3) array."""
-    return ti.Vector([array[i, 0], array[i, 1], array[i, 2]])
 
 
 @ti.func

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from tiswarm.compute import backend
 from tiswarm.compute.cells import CellChains
 from tiswarm.compute.rotations import dock_offsets
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
 from tiswarm.localization.params import BackPropagation, VirtualForceParams
@@ -97,12 +96,7 @@ def check_placed(position: NDArray[np.floating]) -> None:
         EnvironmentTroubleError: there are some.
     """
     if np.isnan(position).any():
-        running = backend.current()
-        msg = (
-            f"backend {running.arch} returned without placing every robot; "
-            "its driver is faulty: use --arch cpu"
-        )
-        raise EnvironmentTroubleError(msg)
+        raise backend.faulty_driver()
 
 
 def gains(params: VirtualForceParams) -> list[float]:

@@ -21,6 +21,7 @@ from tiswarm.compute.dialect import (
     kernel_struct,
     ti,
 )
+from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.rotations import axis_rotation, quaternion_product, rotate
 from tiswarm.world.meeting import ClimbLaw, ground_kind, meeting_angles, row
 
@@ -243,7 +244,7 @@ def climb(
         if i % GRAIN == 0:
             m = movers[i // GRAIN]
             s = structure_of[m]
-            target = ti.Vector([goal[m, 0], goal[m, 1], goal[m, 2]])
+            target = vector_at(goal, m)
             stance = first_stance[m]
             best_stance = 0
             best_distance = (row(center, m, 0) - target).norm()

@@ -10,7 +10,6 @@ from tiswarm.compute import backend, random
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.kernels import SPACING, sort_rows, take_step
 from tiswarm.localization.params import JointParams
@@ -131,8 +130,7 @@ class Swarm:
                 self.step(t, min(t / annealing, 1.0), is_held=t >= annealing)
         last = self.positions()
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
-            msg = f"backend {backend.current().arch} returned without placing every robot; "
-            raise EnvironmentTroubleError(msg + "its driver is faulty: use --arch cpu")
+            raise backend.faulty_driver()
         mean = self.total.to_numpy().reshape(self.chains, -1, 3).astype(np.float64) / holding
         square = self.square_total.to_numpy().reshape(self.chains, -1).astype(np.float64) / holding
         spread = np.maximum(square - (mean**2).sum(axis=2), 0.0)

@@ -8,6 +8,7 @@ order. Lengths in R.
 """
 
 from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, Reals2, Reals3, ti
+from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.random import mixed
 
 SPACING = 2.0
@@ -20,12 +21,6 @@ MOST_STIFFNESS = 4.0
 FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 TINY = 1e-12
-
-
-@ti.func
-def vector_at(rows: ti.template(), i):
-    """Row of an (n, 3) array."""
-    return ti.Vector([rows[i, 0], rows[i, 1], rows[i, 2]])
 
 
 @ti.func

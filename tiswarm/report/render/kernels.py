@@ -1,14 +1,9 @@
 """The kernel of the `taichi` renderer."""
 
 from tiswarm.compute.dialect import Ints1, Reals1, Reals2, ti
+from tiswarm.compute.kernels import vector_at
 
 FAR = 1e30
-
-
-@ti.func
-def vector_at(rows: ti.template(), i):
-    """Read row `i` of a table with three columns."""
-    return ti.Vector([rows[i, 0], rows[i, 1], rows[i, 2]])
 
 
 @ti.func
