@@ -28,10 +28,15 @@ def matrix(wxyz):
 
 
 def localize(log, params):
-    """Algorithm 1, robot by robot, dock by dock; everything in units of the dock radius."""
+    """Algorithm 1, robot by robot, dock by dock; everything in units of the dock radius.
+
+    Returns:
+        Positions, and how far robots were turned about the vertical [rad].
+    """
     turn = [matrix(q) for q in log.orientation_wxyz]
     dock = [[r @ b for b in log.dock_offset_body] for r in turn]
     position = [np.array(log.anchor_position)]
+    yaw = np.zeros(log.robot_count)
     rows = {tuple(row) for row in log.contacts}
     rows |= {(j, b, i, a) for i, a, j, b in rows}
     rounds = params.back_propagation
@@ -42,19 +47,33 @@ def localize(log, params):
         position.append(start + params.initial_offset * up)
         for t in range(1, params.iterations + 1):
             ramp = t / params.iterations
-            position[j] = position[j] + step(log, params, position, dock, rows, j, ramp)
+            move, angle = step(log, params, position, dock, rows, j, ramp, yaw[j])
+            position[j] = position[j] + move
+            turn_docks(dock, yaw, j, angle)
         if rounds and (j + 1 == log.robot_count or (j + 1) % rounds.every == 0):
             for t in range(1, rounds.sweeps + 1):
                 ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
-                for i in range(1, j + 1):
-                    move = step(log, params, position, dock, rows, i, ramp, rounds.gain)
-                    position[i] = position[i] + move
-    return np.array(position)
+                for i in range(j + 1):
+                    move, angle = step(
+                        log, params, position, dock, rows, i, ramp, yaw[i], rounds.gain
+                    )
+                    position[i] = position[i] + (move if i else 0.0)
+                    turn_docks(dock, yaw, i, angle)
+    return np.array(position), yaw
 
 
-def step(log, params, position, dock, rows, robot, ramp, gain=1.0):
-    """A share of the forces on a robot by all that have a position, no longer than the cap."""
-    force = np.zeros(3)
+def turn_docks(dock, yaw, robot, angle):
+    """Turn the docks of a robot about the vertical, and count the angle."""
+    yaw[robot] += angle
+    dock[robot] = [turned(arm, np.array([0, 0, 1.0]), angle) for arm in dock[robot]]
+
+
+def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0):
+    """A share of the forces on a robot by all that have a position, no longer than the cap.
+
+    And of their torque about the vertical, against the pull of the yaw that is sensed.
+    """
+    force, torque = np.zeros(3), 0.0
     for i, other_position in enumerate(position):
         if i == robot:
             continue
@@ -62,12 +81,21 @@ def step(log, params, position, dock, rows, robot, ramp, gain=1.0):
         for a, own in enumerate(dock[robot]):
             for b, other in enumerate(dock[i]):
                 offset = other_position + other - position[robot] - own
-                force += pair_force(offset, (i, b, robot, a) in rows, near, params, ramp)
+                pull = pair_force(offset, (i, b, robot, a) in rows, near, params, ramp)
+                force += pull
+                torque += np.cross(own, pull)[2]
     if params.z_correction:
         force[2] += params.height_gain * (log.flip_height[robot] - position[robot][2])
     force = gain * force
     length = np.linalg.norm(force)
-    return force * min(1.0, params.max_step / length if length else 1.0)
+    move = force * min(1.0, params.max_step / length if length else 1.0)
+    law = params.virtual_torque
+    if not law:
+        return move, 0.0
+    sd = np.radians(np.hypot(log.noise.yaw_deg, log.noise.yaw_bias_deg))
+    hold = params.attraction_gain * law.tolerance**2 / sd**2
+    turn = gain * law.gain * (torque - hold * yaw) / (1.0 + gain * law.gain * hold)
+    return move, np.clip(turn, -np.radians(law.max_turn_deg), np.radians(law.max_turn_deg))
 
 
 def pair_force(offset, connected, near, params, ramp):

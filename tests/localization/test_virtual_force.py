@@ -14,9 +14,9 @@ from tiswarm.compute import backend
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
-from tiswarm.localization.params import BackPropagation, VirtualForceParams
+from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
 SHORT = VirtualForceParams(  # gentle gains, for stronger ones make rounding grow without bound
@@ -37,13 +37,20 @@ CUES = [
     dataclasses.replace(
         SHORT, back_propagation=BackPropagation(every=5, sweeps=12, repulsion_share=0.7)
     ),
+    dataclasses.replace(SHORT, virtual_torque=VirtualTorque(tolerance=0.03, max_turn_deg=0.3)),
+    dataclasses.replace(
+        SHORT,
+        back_propagation=BackPropagation(every=5, sweeps=12),
+        virtual_torque=VirtualTorque(tolerance=0.03),
+    ),
 ]
 
 
 @pytest.fixture(scope="module")
 def log(towers) -> SensingLog:
-    """What the robots of a small tower sensed."""
-    return _first(observe(towers[0], SensingParams(tilt_noise_deg=1.0)), 12)
+    """What the robots of a small tower sensed, said to be biased."""
+    log = _first(observe(towers[0], SensingParams(tilt_noise_deg=1.0)), 12)
+    return dataclasses.replace(log, noise=SensingNoise(tilt_deg=1.0, yaw_deg=3.0, yaw_bias_deg=4.0))
 
 
 def _first(log: SensingLog, count: int) -> SensingLog:
@@ -66,7 +73,11 @@ def test_algorithm_1_matches_the_paper_written_out_slowly(log, params):
     estimate = localize(log, params)
 
     # Docks that just overlap or just do not make rounding grow, to some 1e-8 by robot 11.
-    np.testing.assert_allclose(estimate.position, oracle.localize(log, params), atol=1e-6)
+    place, yaw = oracle.localize(log, params)
+    np.testing.assert_allclose(estimate.position, place, atol=1e-6)
+    if params.virtual_torque:
+        np.testing.assert_allclose(estimate.yaw, yaw, atol=1e-6)
+        assert np.abs(yaw).max() > 0.01
 
 
 def test_a_wrong_reference_would_be_noticed(log):
@@ -107,6 +118,42 @@ def test_turning_the_world_turns_the_estimate(log, turn):
     estimate = rotation.inv().apply(localize(turned, params).position)
 
     np.testing.assert_allclose(estimate, localize(log, params).position, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=10)
+@given(angle=st.floats(-4.0, 4.0))
+def test_turning_the_world_about_the_vertical_turns_all_robots_alike(log, angle):
+    """Docks, forces and torques turn with it; how far robots are turned does not change."""
+    rotation = Rotation.from_rotvec([0.0, 0.0, angle])
+    orientation = rotation * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
+    turned = dataclasses.replace(
+        log,
+        anchor_position=rotation.apply(log.anchor_position),
+        orientation_wxyz=orientation.as_quat(scalar_first=True),
+    )
+
+    estimate = localize(turned, CUES[-1])
+
+    expected = localize(log, CUES[-1])
+    np.testing.assert_allclose(
+        rotation.inv().apply(estimate.position), expected.position, atol=1e-6
+    )
+    np.testing.assert_allclose(estimate.yaw, expected.yaw, atol=1e-6)
+
+
+def test_robots_that_fit_are_not_turned():
+    """Where docks touch as they should there is no torque, whatever the prior would allow."""
+    params = VirtualForceParams(
+        initial_offset=2.0, virtual_torque=VirtualTorque(gain=1.0, tolerance=0.0)
+    )
+    noise = SensingNoise(tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=30.0)
+    fitting = dataclasses.replace(_pair(contacts=[[0, 1, 1, 1]]), noise=noise)
+    unfit = dataclasses.replace(_pair(contacts=[[0, 1, 1, 2]]), noise=noise)
+
+    assert localize(fitting, params).yaw.tolist() == [0.0, 0.0]
+    assert localize(unfit, params).yaw[1] != 0.0
+    silent = dataclasses.replace(unfit, noise=None)
+    assert localize(silent, params).yaw is None
 
 
 @settings(deadline=None, max_examples=10)

@@ -48,10 +48,13 @@ def test_the_table_looks_as_documented(tmp_path):
     )
     assert read_positions(path)[0].tolist() == [7, 3]
 
-    write_positions(path, np.array([7, 3]), position, known=["yes", "loose"])
+    write_positions(
+        path, np.array([7, 3]), position, known=["yes", "loose"], yaw=np.radians([0, -9])
+    )
 
     assert path.read_text() == (
-        "robot,x_R,y_R,z_R,known\n7,0.0,1.0,-2.5,yes\n3,1e-09,0.3333333333333333,1e+22,loose\n"
+        "robot,x_R,y_R,z_R,known,yaw_deg\n7,0.0,1.0,-2.5,yes,0.0\n"
+        "3,1e-09,0.3333333333333333,1e+22,loose,-9.0\n"
     )
     assert read_positions(path)[0].tolist() == [7, 3]
 
@@ -65,7 +68,8 @@ def test_another_unit_is_not_taken_for_ours(tmp_path):
 
     assert names.tolist() == [0]
     with pytest.raises(
-        InputError, match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]\[,known\]; rename"
+        InputError,
+        match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]\[,known\]\[,yaw_deg\]; rename",
     ):
         read_positions(path)
 
@@ -79,10 +83,13 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known]; rename them"),
+        (
+            "",
+            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg]; rename them",
+        ),
         (
             "robot,x,y,z\n",
-            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known]; rename them",
+            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg]; rename them",
         ),
         ("robot,x_R,y_R,z_R\n", "{path}:2: there are no robots; add a row for each"),
         ("robot,x_R,y_R,z_R\n1,0,0\n", "{path}:2: has 3 cells; 4 are needed"),
@@ -93,6 +100,7 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
         ("robot,x_R,y_R,z_R\n1,0,nan,0\n", "{path}:2: y_R: 'nan' is not a finite number; write"),
         ("robot,x_R,y_R,z_R\n1,0,0,x\n", "{path}:2: z_R: 'x' is not a finite number; write"),
         ("robot,x_R,y_R,z_R,sd_R\n1,0,0,0,inf\n", "{path}:2: sd_R: 'inf' is not a finite"),
+        ("robot,x_R,y_R,z_R,known,yaw_deg\n1,0,0,0,,?\n", "{path}:2: yaw_deg: '?' is not a finite"),
         ('robot,x_R,y_R,z_R\n"1,0,0,0\n', "{path}:2: not a row of a table: "),
     ],
 )

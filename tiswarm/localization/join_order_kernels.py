@@ -56,13 +56,46 @@ def record(trace: ti.template(), step_length: ti.template(), frame, robot, place
 
 
 @ti.func
+def step_of(law: ti.template(), force, gain):
+    """How far a robot goes by a share of the force on it, no farther than it may."""
+    return capped(gain * ti.Vector([force[0], force[1], force[2]]), law.max_step)
+
+
+@ti.func
+def turn_of(law: ti.template(), torque, gain, turned):
+    """How far a robot turns [rad]: by the virtual torque, and back to what it senses.
+
+    Args:
+        law: Gains of the structure.
+        torque: Of the forces at its docks.
+        gain: Share of it to follow.
+        turned: How far it has been turned from what it senses.
+    """
+    pace = gain * law.torque_gain
+    turn = pace * (torque - law.hold * turned) / (1.0 + pace * law.hold)
+    return ti.min(ti.max(turn, -law.max_turn), law.max_turn)
+
+
+@ti.func
+def turn_dock(turn, robot, k, dock_offset: ti.template()):
+    """Turn dock `k` of a robot about the vertical through its centre."""
+    if turn != 0.0:
+        c, s = ti.cos(turn), ti.sin(turn)
+        x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
+        dock_offset[robot, k, 0] = c * x - s * y
+        dock_offset[robot, k, 1] = s * x + c * y
+
+
+@ti.func
 def move(
     law: ti.template(),
     robot,
     base,
     structure,
     step,
+    turn,
     dock_offset: ti.template(),
+    yaw: ti.template(),
     position: ti.template(),
     head: ti.template(),
     following: ti.template(),
@@ -70,9 +103,11 @@ def move(
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     for k in range(dock_offset.shape[1]):
         item = (robot - base) * dock_offset.shape[1] + k
-        here = dock_at(position, dock_offset, robot, k)
-        old = cube_of(here, 1.0 / law.spacing)
-        relink(head, following, structure, item, old, cube_of(here + step, 1.0 / law.spacing))
+        old = cube_of(dock_at(position, dock_offset, robot, k), 1.0 / law.spacing)
+        turn_dock(turn, robot, k, dock_offset)
+        new = cube_of(dock_at(position, dock_offset, robot, k) + step, 1.0 / law.spacing)
+        relink(head, following, structure, item, old, new)
+    yaw[robot] += turn
     write_row(position, robot, vector_at(position, robot) + step)
 
 
@@ -95,6 +130,7 @@ def localize_in_join_order(
     head: Ints2,
     following: Ints2,
     # out
+    yaw: Reals1,
     position: Reals2,
     trace: Reals3,
     step_length: Reals2,
@@ -110,16 +146,17 @@ def localize_in_join_order(
         sweeps: Steps of every robot in a round, 0 without back-propagation.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains: One row a structure, columns as `law_of` reads them, shape (S, 9).
+        gains: One row a structure, columns as `law_of` reads them, shape (S, 12).
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
         contact_start: First contact row of each robot, shape (N + 1,).
         contact: Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3).
-        dock_offset: Centre to dock, world frame [R], shape (N, docks, 3).
+        dock_offset: Centre to dock, world frame [R], turned with the robots, shape (N, docks, 3).
         initial_direction: Unit vector of the initial offset, shape (N, 3).
         flip_height: Height from the flips [R], NaN where unknown, shape (N,).
         head: Cell lists of the robots placed before, shape (S, buckets).
         following: Likewise, shape (S, most docks).
+        yaw: Read and written: how far each robot has been turned [rad], shape (N,).
         position: Those of anchors and of robots placed before are read, the rest written [R],
             shape (N, 3).
         trace: Written: position at each frame [R], shape (F, N, 3).
@@ -149,9 +186,13 @@ def localize_in_join_order(
                             contact_start, contact, dock_offset, flip_height, position,
                             head, following,
                         )  # fmt: skip
-                        step = capped(force, law.max_step)
+                        step = step_of(law, force, 1.0)
+                        turn = turn_of(law, force[3], 1.0, yaw[robot])
                         moved = step.norm()
                         here += step
+                        yaw[robot] += turn
+                        for k in range(dock_offset.shape[1]):
+                            turn_dock(turn, robot, k, dock_offset)
                 for k in range(dock_offset.shape[1]):
                     item = (robot - base) * dock_offset.shape[1] + k
                     point = dock_at(position, dock_offset, robot, k)
@@ -162,15 +203,17 @@ def localize_in_join_order(
                         left = 1.0 - (sweep + 1.0) / sweeps
                         ramp = 1.0 - law.sweep_repulsion * left
                         for j in range(base, base + placed):
-                            step = 0.0 * vector_at(position, j)
-                            if j > base:
-                                force = virtual_force(
-                                    law, j, base, s, placed, ramp,
-                                    contact_start, contact, dock_offset, flip_height, position,
-                                    head, following,
-                                )  # fmt: skip
-                                step = capped(law.sweep_gain * force, law.max_step)
-                            move(law, j, base, s, step, dock_offset, position, head, following)
+                            force = virtual_force(
+                                law, j, base, s, placed, ramp,
+                                contact_start, contact, dock_offset, flip_height, position,
+                                head, following,
+                            )  # fmt: skip
+                            step = step_of(law, force, ti.select(j > base, law.sweep_gain, 0.0))
+                            turn = turn_of(law, force[3], law.sweep_gain, yaw[j])
+                            move(
+                                law, j, base, s, step, turn,
+                                dock_offset, yaw, position, head, following,
+                            )  # fmt: skip
                             there = vector_at(position, j)
                             seen = frame + sweep // trace_every
                             record(trace, step_length, seen, j, there, step.norm())

@@ -15,7 +15,7 @@ from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force import check_placed, directions, gains
 from tiswarm.records.sensing_columns import SensingColumns
 from tiswarm.records.sensing_line import parse_header, parse_robot
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as what its JSON says."""
@@ -55,6 +55,7 @@ class Localizer:
         self._params = chosen
         self._unit = head.dock_radius
         self._columns = SensingColumns(head)
+        self._noise = None if head.noise is None else SensingNoise(**head.noise.model_dump())
         self._dock_body = np.array(head.dock_offsets, np.float64) / self._unit
         docks, dtype = len(self._dock_body), backend.current().dtype
         self._chains = CellChains.allocate(1, capacity * docks)
@@ -63,6 +64,7 @@ class Localizer:
         self._direction = np.zeros((capacity, 3), dtype)
         self._height = np.full(capacity, np.nan, dtype)
         self._position = np.full((capacity, 3), np.nan, dtype)
+        self._yaw = np.zeros(capacity, dtype)
         self._position[0] = np.array(head.anchor_position) / self._unit
         self._contact_start = np.zeros(capacity + 1, np.int32)
 
@@ -112,7 +114,7 @@ class Localizer:
             1,
             0,
             every,
-            np.array([gains(self._params)], dtype),
+            np.array([gains(self._params, self._noise)], dtype),
             np.array([0, count + 1], np.int32),
             np.array([count], np.int32),
             self._contact_start,
@@ -122,6 +124,7 @@ class Localizer:
             self._height,
             self._chains.head,
             self._chains.following,
+            self._yaw,
             self._position,
             np.empty((2, *self._position.shape), dtype),
             np.empty((2, len(self._position)), dtype),

@@ -1,4 +1,4 @@
-"""Virtual forces on one robot of a structure that grows, Eqs. (1) to (3).
+"""Virtual forces and torques on one robot of a structure that grows, Eqs. (1) to (3).
 
 Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 """
@@ -37,6 +37,9 @@ def law_of(gains: ti.template(), structure):
         sweep_repulsion=gains[structure, 6],
         spacing=gains[structure, 7],
         undocked=ti.cast(gains[structure, 8], ti.i32),
+        torque_gain=gains[structure, 9],
+        hold=gains[structure, 10],
+        max_turn=gains[structure, 11],
     )
 
 
@@ -61,6 +64,12 @@ def touches(contact: ti.template(), first, last, robot):
 
 
 @ti.func
+def with_torque(force, arm):
+    """A force and, as fourth component, its torque about the vertical where it acts at `arm`."""
+    return ti.Vector([force[0], force[1], force[2], arm[0] * force[1] - arm[1] * force[0]])
+
+
+@ti.func
 def connected_force(
     law: ti.template(),
     robot,
@@ -72,15 +81,17 @@ def connected_force(
     dock_offset: ti.template(),
     position: ti.template(),
 ):
-    """Sum of Eq. (1) over the robot's contacts with the first `placed` robots."""
-    force = 0.0 * vector_at(position, robot)
+    """Sum of Eq. (1) over the robot's contacts with the first `placed` robots, with its torque."""
+    here = vector_at(position, robot)
+    force = with_torque(0.0 * here, here)
     for row in range(contact_start[robot], contact_start[robot + 1]):
         if contact[row, 1] < placed:
             own = dock_at(position, dock_offset, robot, contact[row, 0])
             other = dock_at(position, dock_offset, base + contact[row, 1], contact[row, 2])
-            force += dock_pair_force(
+            pull = dock_pair_force(
                 other - own, law.attraction_gain, law.repulsion_gain, law.spacing, ramp
             )
+            force += with_torque(pull, own - here)
     return force
 
 
@@ -105,7 +116,8 @@ def undocked_force(
     """
     docks = dock_offset.shape[1]
     first, last = contact_start[robot], contact_start[robot + 1]
-    force = 0.0 * vector_at(position, robot)
+    here = vector_at(position, robot)
+    force = with_torque(0.0 * here, here)
     for k in range(docks):
         own = dock_at(position, dock_offset, robot, k)
         cube = cube_of(own, 1.0 / law.spacing)
@@ -118,7 +130,8 @@ def undocked_force(
                     if (
                         law.undocked == ALL_DOCKS or touches(contact, first, last, other)
                     ) and not is_connected(contact, first, last, k, other, item % docks):
-                        force += dock_pair_force(offset, 0.0, law.repulsion_gain, law.spacing, ramp)
+                        push = dock_pair_force(offset, 0.0, law.repulsion_gain, law.spacing, ramp)
+                        force += with_torque(push, own - here)
                 item = following[structure, item]
     return force
 
@@ -139,7 +152,10 @@ def virtual_force(
     head: ti.template(),
     following: ti.template(),
 ):
-    """Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure."""
+    """Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure.
+
+    Each force acts at a dock; the fourth component is their torque about the vertical.
+    """
     force = connected_force(
         law, robot, base, placed, ramp, contact_start, contact, dock_offset, position
     )

@@ -33,6 +33,25 @@ class BackPropagation:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualTorque:
+    """How robots whose log states that their yaw is biased turn by the forces at their docks.
+
+    With t the sum of the forces' torques about the vertical, A the gain of Eq. (1), y how far a
+    robot has been turned, w the yaw's standard deviation that the log states and
+    h = A (tolerance / w)^2, an iteration turns it by gain (t - h y) / (1 + gain h).
+    """
+
+    gain: Annotated[float, Field(ge=0.0)] = 0.1
+    """Turn per torque [rad R^-2]."""
+
+    tolerance: Annotated[float, Field(ge=0.0)] = 0.5
+    """How far contacts may be stretched to turn a robot by its standard deviation [R]."""
+
+    max_turn_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 5.0
+    """A robot turns no farther than this in one iteration [deg]."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualForceParams:
     """Gains of Eqs. (1)-(3) and the schedule that applies them.
 
@@ -56,6 +75,9 @@ class VirtualForceParams:
 
     back_propagation: BackPropagation | None = None
     """Correct earlier robots by later ones, the paper's proposal for future work; off if null."""
+
+    virtual_torque: VirtualTorque | None = None
+    """Turn robots whose yaw is biased, the paper's other proposal; off if null."""
 
     attraction_gain: Annotated[float, Field(ge=0.0)] = 0.84
     """A in Eq. (1): step per unit of stretch [1]."""

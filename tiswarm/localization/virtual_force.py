@@ -3,7 +3,8 @@
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; a
 robot stops after T steps, since the error that the paper's loop tests is unknown to it. Of
-back-propagation the paper says no more than that it would follow every ten joins.
+back-propagation the paper says no more than that it would follow every ten joins, of a virtual
+torque that it would align yaw by dock geometry and neighbours.
 """
 
 from collections.abc import Hashable, Sequence
@@ -16,13 +17,14 @@ from tiswarm.compute.cells import CellChains
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
-from tiswarm.localization.params import BackPropagation, VirtualForceParams
+from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
 NO_SWEEPS = BackPropagation(sweeps=0)
+NO_TORQUE = VirtualTorque(gain=0.0)
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
@@ -59,6 +61,7 @@ def localize_batch(
     )
     position = np.full((start[-1], 3), np.nan, dtype)
     position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
+    yaw = np.zeros(start[-1], dtype)
     trace = np.empty((len(frames), start[-1], 3), dtype)
     step_length = np.empty((len(frames), start[-1]), dtype)
     localize_in_join_order(
@@ -66,7 +69,7 @@ def localize_batch(
         rounds.every,
         rounds.sweeps,
         every,
-        np.array([gains(p) for p in params], dtype),
+        np.array([gains(p, log.noise) for log, p in zip(logs, params, strict=True)], dtype),
         start,
         np.zeros(len(logs), np.int32),
         contact_start,
@@ -78,14 +81,21 @@ def localize_batch(
         np.concatenate([log.flip_height / log.dock_radius for log in logs]).astype(dtype),
         chains.head,
         chains.following,
+        yaw,
         position,
         trace,
         step_length,
     )
     check_placed(position)
     return [
-        _estimate(log, frames, trace[:, a:b], step_length[:, a:b])
-        for log, a, b in zip(logs, start[:-1], start[1:], strict=True)
+        _estimate(
+            log,
+            frames,
+            trace[:, a:b],
+            step_length[:, a:b],
+            yaw[a:b] if torque_of(p, log.noise).gain else None,
+        )
+        for log, p, a, b in zip(logs, params, start[:-1], start[1:], strict=True)
     ]
 
 
@@ -99,9 +109,16 @@ def check_placed(position: NDArray[np.floating]) -> None:
         raise backend.faulty_driver()
 
 
-def gains(params: VirtualForceParams) -> list[float]:
+def torque_of(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
+    """Say how robots turn, if they do: where yaw is not known to be biased, their senses stand."""
+    is_biased = noise is not None and noise.yaw_bias_deg
+    return params.virtual_torque or NO_TORQUE if is_biased else NO_TORQUE
+
+
+def gains(params: VirtualForceParams, noise: SensingNoise | None) -> list[float]:
     """Columns of the kernel's `gains`; lengths in R, so D is 2."""
-    rounds = params.back_propagation or NO_SWEEPS
+    rounds, torque = params.back_propagation or NO_SWEEPS, torque_of(params, noise)
+    yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return [
         params.attraction_gain,
@@ -113,6 +130,9 @@ def gains(params: VirtualForceParams) -> list[float]:
         rounds.repulsion_share,
         2.0,
         float(ALL_DOCKS if params.undocked_repulsion else undocked),
+        torque.gain,
+        params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
+        np.radians(torque.max_turn_deg),
     ]
 
 
@@ -150,6 +170,7 @@ def _estimate(
     frames: NDArray[np.int64],
     trace: NDArray[np.floating],
     step_length: NDArray[np.floating],
+    yaw: NDArray[np.floating] | None,
 ) -> Estimate:
     """Bring one structure's results back to the log's unit."""
     scaled = trace.astype(np.float64) * log.dock_radius
@@ -158,6 +179,7 @@ def _estimate(
         robot_id=log.robot_id,
         position=scaled[-1],
         located=located(log),
+        yaw=None if yaw is None else yaw.astype(np.float64),
         iteration=frames,
         trace=scaled,
         residual=np.sqrt(np.mean(steps**2, axis=1)),

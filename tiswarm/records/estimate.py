@@ -24,6 +24,10 @@ class Estimate:
     sd: NDArray[np.float64] | None = None
     """Standard deviation of each position where the method knows it, shape (N,)."""
 
+    yaw: NDArray[np.float64] | None = None
+    """Turn about the vertical to be added to each sensed orientation [rad], shape (N,); None where
+    the method takes them as they are."""
+
     notes: tuple[str, ...] = ()
     """What else the method has to say about the log, a line each."""
 

@@ -1,4 +1,4 @@
-"""Positions as a table: `robot,x_R,y_R,z_R` and, of an estimate, `sd_R` and `known`."""
+"""Positions as a table: `robot,x_R,y_R,z_R` and, of an estimate, `sd_R`, `known`, `yaw_deg`."""
 
 import csv
 import io
@@ -15,6 +15,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.lines import numbered_lines, placed
 
 KNOWN = "known"
+YAW = "yaw_deg"
 _ID_LIMIT = 2**63
 
 
@@ -24,6 +25,7 @@ def write_positions(
     position: NDArray[np.float64],
     sd: NDArray[np.float64] | None = None,
     known: Sequence[str] | None = None,
+    yaw: NDArray[np.float64] | None = None,
     *,
     length_unit: str = "R",
 ) -> None:
@@ -35,6 +37,7 @@ def write_positions(
         position: Centres, finite, shape (N, 3).
         sd: Standard deviation of each position, NaN where unknown, shape (N,).
         known: Whether each position can be known, in a word, shape (N,).
+        yaw: Turn about the vertical to be added to what each robot senses [rad], shape (N,).
         length_unit: Unit of all lengths; part of the column names.
 
     Raises:
@@ -48,7 +51,9 @@ def write_positions(
     if sd is not None:
         columns[header[4]] = ["" if math.isnan(value) else value for value in sd.tolist()]
     if known is not None:
-        columns[header[5]] = list(known)
+        columns[KNOWN] = list(known)
+    if yaw is not None:
+        columns[YAW] = np.degrees(yaw).tolist()
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -60,7 +65,13 @@ def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") ->
     """Write an estimate with all that is known of its certainty."""
     known = None if estimate.certainty is None else estimate.certainty.known
     write_positions(
-        path, estimate.robot_id, estimate.position, estimate.sd, known, length_unit=length_unit
+        path,
+        estimate.robot_id,
+        estimate.position,
+        estimate.sd,
+        known,
+        estimate.yaw,
+        length_unit=length_unit,
     )
 
 
@@ -104,7 +115,7 @@ def read_length_unit(path: Path) -> str:
 
 
 def _header(length_unit: str) -> list[str]:
-    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN]
+    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN, YAW]
 
 
 def read_cells(line: str) -> list[str]:
@@ -136,8 +147,9 @@ def _rows(
                 raise InputError(problem, key="robot")
             seen.add(robot)
             position = [read_number(cells[k], header[k]) for k in (1, 2, 3)]
-            if header[4:] and header[4] != KNOWN and cells[4]:
-                read_number(cells[4], header[4])
+            for name, cell in zip(header[4:], cells[4:], strict=True):
+                if name != KNOWN and cell:
+                    read_number(cell, name)
         yield robot, position
 
 
