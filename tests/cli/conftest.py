@@ -1,5 +1,6 @@
 """The command line as a user calls it: in a process of its own."""
 
+import filecmp
 import os
 import subprocess
 import sys
@@ -9,7 +10,19 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
+MEASURED = {"manifest.json", "cost.json", "report.html"}
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def assert_same_results(a: Path, b: Path) -> None:
+    """Compare every byte that does not depend on the machine, but hidden locks."""
+    found = [
+        {p.relative_to(run) for p in run.rglob("[!.]*") if p.is_file() and p.name not in MEASURED}
+        for run in (a, b)
+    ]
+    assert found[0] == found[1]
+    assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
+    assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
 
 
 @pytest.fixture(scope="session")

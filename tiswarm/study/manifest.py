@@ -19,6 +19,7 @@ from tiswarm.compute.backend import Backend
 from tiswarm.records.atomic import write_text
 from tiswarm.study.costs import Cost, total
 
+FILE = "manifest.json"
 LIBRARIES = (
     "matplotlib",
     "numpy",
@@ -63,7 +64,7 @@ def machine() -> dict[str, object]:
 
 def write_manifest(folder: Path, content: dict[str, object]) -> None:
     """Write the manifest, keeping entries of an earlier one that `content` does not name."""
-    path = folder / "manifest.json"
+    path = folder / FILE
     try:
         kept = json.loads(path.read_text())
     except (OSError, ValueError):

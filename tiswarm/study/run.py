@@ -20,6 +20,9 @@ from tiswarm.study.work import Job, Outcome, Watcher, failure
 
 PLAIN = Dispatch()
 
+WHOLE = (manifest.FILE, "report.html")
+"""Files that tell of a whole run, which it is not while cases are computed."""
+
 CHUNKS_EACH = 4
 """Chunks for each process of a pool, so that all end at about the same time."""
 
@@ -66,7 +69,7 @@ def run(
     Raises:
         CasesFailedError: a case failed and the run was to stop there.
     """
-    if dispatch.scheduler is None:  # a device that is not there is told before anything is written
+    if not dispatch.is_remote:  # a device that is not there is told before anything is written
         backend.start(arch, threads=threads)
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
@@ -81,6 +84,8 @@ def run(
             watcher.say(f"{found} of {len(mine)} cases are already stored")
         used = None
         if missing:
+            for name in WHOLE:
+                (folder.path / name).unlink(missing_ok=True)
             with opened(dispatch, threads, watcher) as pool:
                 for outcome in _compute(missing, folder, pool, arch, dispatch, watcher):
                     records |= {record.case: record for record in outcome.records}
@@ -97,10 +102,10 @@ def run(
             missing=len(cases) - len(records),
         )
         if not result.missing:
-            if used is not None:
+            if used is not None or not (folder.path / manifest.FILE).exists():
                 costs = [folder.cost(case.name) for case in cases]
-                described = manifest.describe(used, costs) | {"cases": len(cases)}
-                manifest.write_manifest(folder.path, described)
+                described = manifest.describe(used or backend.current(), costs)
+                manifest.write_manifest(folder.path, described | {"cases": len(cases)})
             write_tables(folder, scenario, cases, [records[case.name] for case in cases])
     return result
 

@@ -152,7 +152,7 @@ class RunFolder:
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write by stage what a stored case has cost, which no run repeats."""
-        write_text(self.cases / name / COST, json.dumps(cost, indent=1) + "\n")
+        self._write_cost(self.cases / name, cost)
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -166,6 +166,7 @@ class RunFolder:
         log: SensingLog,
         estimate: Estimate,
         tables: Mapping[str, pd.DataFrame],
+        cost: Mapping[str, Cost],
     ) -> CaseRecord:
         """Write a case and make it appear at once; return its record with the digests.
 
@@ -175,6 +176,7 @@ class RunFolder:
             log: What they sensed.
             estimate: Where they are thought to be.
             tables: By name, each of `TABLES`.
+            cost: By stage what it has cost so far.
         """
         work = self._workplace(record.case)
         write_sensing_log(log, work / "sensing.jsonl")
@@ -183,9 +185,14 @@ class RunFolder:
         for name in TABLES:
             write_table(tables[name], work / f"{name}.csv")
         files = {path.name: _digest(path) for path in sorted(work.iterdir())}
+        self._write_cost(work, cost)
         complete = CaseRecord(**{**asdict(record), "files": files})
         self._publish(complete, work)
         return complete
+
+    @staticmethod
+    def _write_cost(place: Path, cost: Mapping[str, Cost]) -> None:
+        write_text(place / COST, json.dumps(cost, indent=1) + "\n")
 
     def _workplace(self, name: str) -> Path:
         """Make an empty folder that a killed run may leave behind without harm."""

@@ -185,6 +185,7 @@ class _Bench:
                 "growth": growth.by_join(history),
                 "relative": by_hops_apart(truth, log, estimate),
             },
+            cost=self.costs.of(case.name),
         )
 
 
