@@ -49,6 +49,29 @@ def test_version_is_told(tiswarm):
         (("run", "scenarios/tower.yaml", "--set", "robtos=3"), "did you mean robots"),
         (("run", "scenarios/tower.yaml", "--threads", "0"), "give 1 or more"),
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "--shard 3/2: is no part of a whole"),
+        (
+            ("run", "scenarios/tower.yaml", "--slurm", "jobs=two,cores=1,memory=1GB"),
+            '--slurm jobs: "two" is not a whole number',
+        ),
+        (
+            ("run", "scenarios/tower.yaml", "--slurm", "jobs=2,cores=1"),
+            "--slurm memory: is missing",
+        ),
+        (
+            ("run", "scenarios/tower.yaml", "--plan", "--slurm", "jobs=2,cores=1,memory=much"),
+            "--slurm memory: 'much' is no size",
+        ),
+        (
+            (
+                "run",
+                "scenarios/tower.yaml",
+                "--slurm",
+                "jobs=1,cores=1,memory=1GB",
+                "--workers",
+                "2",
+            ),
+            "--slurm: are different places to compute in",
+        ),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
         (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),

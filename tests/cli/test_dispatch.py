@@ -1,43 +1,33 @@
 """Studies in pieces: interrupted, broken, sharded, in processes and on clusters."""
 
 import fcntl
-import filecmp
 import json
 import os
 import signal
 import textwrap
+import time
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
-from tests.cli.conftest import REPOSITORY
+from tests.cli.conftest import REPOSITORY, assert_same_results
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
 from tiswarm.scenario import load_scenario
-from tiswarm.study import Dispatch, run
+from tiswarm.study import Dispatch, Slurm, run
 from tiswarm.study import work as work_room
 
 pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
-MEASURED = {"manifest.json", "cost.json"}
 QUIET = ConsoleWatcher(quiet=True)
 
 
 def _run(out, *overrides, **dispatch):
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [*SMALL, *overrides])
     return run(scenario, out, watcher=QUIET, dispatch=Dispatch(**dispatch))
-
-
-def _assert_same_results(a: Path, b: Path) -> None:
-    """Compare every byte that does not depend on the machine, but hidden locks."""
-    found = [
-        {p.relative_to(run) for p in run.rglob("[!.]*") if p.is_file() and p.name not in MEASURED}
-        for run in (a, b)
-    ]
-    assert found[0] == found[1]
-    assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
-    assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +54,7 @@ def test_processes_side_by_side_change_no_byte(whole, tmp_path):
     result = _run(tmp_path, workers=2)
 
     assert result.computed == 8
-    _assert_same_results(whole, result.folder)
+    assert_same_results(whole, result.folder)
 
 
 def test_shards_make_the_same_run_together(whole, tmp_path):
@@ -73,7 +63,7 @@ def test_shards_make_the_same_run_together(whole, tmp_path):
 
     assert [part.missing for part in parts] == [6, 2, 0]
     assert sum(part.computed for part in parts) == 8
-    _assert_same_results(whole, parts[0].folder)
+    assert_same_results(whole, parts[0].folder)
 
 
 @pytest.mark.slow
@@ -86,7 +76,67 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
         result = _run(tmp_path, scheduler=cluster.scheduler_address)
 
     assert result.computed == 8
-    _assert_same_results(whole, result.folder)
+    assert_same_results(whole, result.folder)
+
+
+@pytest.fixture
+def slurm(tmp_path, monkeypatch):
+    """Have jobs run in the background of this machine, each in a group of processes."""
+    pytest.importorskip("dask_jobqueue")
+    commands = tmp_path / "bin"
+    commands.mkdir()
+    log = tmp_path / "jobs.txt"
+    # Submitted scripts are deleted at once; the first job never becomes a worker.
+    (commands / "sbatch").write_text(f"""#!/bin/sh
+        if [ "$1" = --test-only ]; then ! grep -- '-p nowhere' "$2" >&2; exit; fi
+        cp "$1" {tmp_path}/job-$$.sh
+        if mkdir {tmp_path}/first 2>/dev/null; then setsid sleep 1 &
+        else setsid bash {tmp_path}/job-$$.sh > {tmp_path}/$$.out 2>&1 & fi
+        echo $! >> {log}
+        echo "Submitted batch job $!"
+    """)
+    (commands / "scancel").write_text('#!/bin/sh\nkill -- "-$1"\n')
+    for command in commands.iterdir():
+        command.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
+    return log
+
+
+def _alive(groups) -> list[int]:
+    """Processes of some groups."""
+    found = []
+    for process in psutil.pids():
+        with suppress(ProcessLookupError):
+            if os.getpgid(process) in groups:
+                found.append(process)
+    return found
+
+
+def test_jobs_of_slurm_change_no_byte(slurm, whole, tmp_path):
+    """Of the jobs one never begins to work; nothing is left running."""
+    result = _run(tmp_path, slurm=Slurm(jobs=2, cores=1, memory="1GB", interface="lo"))
+
+    assert result.computed == 8
+    assert_same_results(whole, result.folder)
+    jobs = {int(job) for job in slurm.read_text().split()}
+    for _ in range(100):
+        if not _alive(jobs):
+            return
+        time.sleep(0.1)
+    pytest.fail("jobs outlive their run")
+
+
+def test_a_job_that_slurm_does_not_take_is_told(slurm, tmp_path):
+    """Nobody waits for jobs that were never queued."""
+    with pytest.raises(EnvironmentTroubleError, match="takes no such job: #SBATCH -p nowhere"):
+        _run(tmp_path, slurm=Slurm(jobs=1, cores=1, memory="1GB", queue="nowhere"))
+
+
+def test_a_machine_without_slurm_is_told(tmp_path):
+    """Before anything is computed."""
+    pytest.importorskip("dask_jobqueue")
+    with pytest.raises(EnvironmentTroubleError, match="needs sbatch, which is not here"):
+        _run(tmp_path, slurm=Slurm(jobs=1, cores=1, memory="1GB"))
 
 
 def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
@@ -159,7 +209,7 @@ def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
     assert [(record.case, record.reason) for record in result.failed] == [("2-b", "MemoryError")]
     monkeypatch.undo()
     assert _run(tmp_path).computed == 1
-    _assert_same_results(whole, result.folder)
+    assert_same_results(whole, result.folder)
 
 
 def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
@@ -198,7 +248,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject
 
     assert killed.returncode == -signal.SIGKILL
     assert (resumed.found, resumed.computed) == (3, 5)
-    _assert_same_results(whole, resumed.folder)
+    assert_same_results(whole, resumed.folder)
 
 
 def test_a_folder_takes_one_run_at_a_time(whole):

@@ -3,6 +3,7 @@
 import filecmp
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,13 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.cli.conftest import REPOSITORY
+from tests.cli.conftest import MEASURED, REPOSITORY
 from tiswarm import study
 from tiswarm.console import ConsoleWatcher
 from tiswarm.scenario import load_scenario
+from tiswarm.study import tables
+from tiswarm.study.storage import RunFolder
+from tiswarm.study.work import failure
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
@@ -25,7 +29,7 @@ def _files(folder: Path) -> set[Path]:
         path.relative_to(folder)
         for path in folder.rglob("*")
         if path.is_file()
-        and path.name not in {"manifest.json", "cost.json"}
+        and path.name not in MEASURED
         and not {"figures", "renders"} & set(path.parts)
     }
 
@@ -41,7 +45,7 @@ def _assert_same_bytes(a: Path, b: Path) -> None:
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_every_shipped_scenario_runs(tmp_path, scenario):
     """At small size each one finishes every case."""
-    sizes = ["sweep.robots=[6, 7, 8]"] if scenario.stem == "scaling" else ["robots=8"]
+    sizes = ["sweep={robots: [6, 7, 8]}"] if scenario.stem == "scaling" else ["robots=8"]
     small = load_scenario(scenario, [*sizes, "seeds=1"])
 
     result = study.run(small, tmp_path, watcher=ConsoleWatcher(quiet=True))
@@ -74,16 +78,37 @@ def test_a_run_leaves_everything_behind(small_run):
     assert len(summary) == 6
     assert summary["rmse_R"].between(0, 50).all()
     assert table["condition"].tolist() == ["baseline", "no-z", "no-z-no-undock"]
-    assert table["paper_rmse_radii"].tolist() == [1.64, 1.84, 2.36]
-    np.testing.assert_allclose(
-        table["rmse_R_to_paper"] * table["paper_rmse_radii"], table["rmse_R_mean"]
-    )
+    assert table["paper_rmse_radii"].isna().all()  # it has no structures of 12 robots
     np.testing.assert_allclose(
         table["rmse_R_mean"], summary.groupby("condition", sort=False)["rmse_R"].mean()
     )
     assert set(manifest["stages"]) == {"grow", "sense", "localize", "evaluate and store"}
     assert {"tiswarm", "backend", "machine", "libraries", "peak_memory_MB"} <= set(manifest)
     assert {"structure.png", "truth-and-estimate.png"} <= set(manifest["renders"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "published"),
+    [
+        ("description=the same", [1.64, 1.84, 2.36, 2.36, np.nan, 3.91, 5.26, 5.12, 5.12, np.nan]),
+        ("structure.climb.settle=true", [1.64]),  # the paper leaves open how flips end
+        ("robots=99", [np.nan]),
+        ("structure.movers=2", [np.nan]),
+        ("sensing.yaw_noise_deg=1", [np.nan]),
+        ("localization.method=joint", [np.nan]),
+    ],
+)
+def test_published_numbers_stand_beside_their_own_setting_only(changed, published):
+    """Every row of the paper's table has its own; a row of anything else has none."""
+    only = () if len(published) > 1 else ("sweep={}", "conditions={baseline: {}}")
+    paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=1", *only, changed])
+    cases = study.plan(paper)
+    records = [replace(failure(case, ""), scores={"rmse_R": 3.0}) for case in cases]
+
+    table = tables.table(records, [case.settings for case in cases])
+
+    np.testing.assert_equal(table["paper_rmse_radii"].to_numpy(), published)
+    np.testing.assert_allclose(table["rmse_R_to_paper"], 3.0 / np.array(published))
 
 
 def test_what_a_case_says_is_what_its_files_say(small_run):
@@ -211,6 +236,22 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "3 of 6 cases are already stored" in done.stderr
     _assert_same_bytes(run, small_run)
+    assert not (run / "report.html").exists()  # it showed another state
+
+
+def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
+    """Every case was stored, but not all that it cost, nor the manifest."""
+    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=6", "seeds=1"])
+    watcher = ConsoleWatcher(quiet=True)
+    monkeypatch.setattr(RunFolder, "store_cost", lambda *_: None)
+    folder = study.run(small, tmp_path, watcher=watcher).folder
+    (folder / "manifest.json").unlink()
+
+    again = study.run(small, tmp_path, watcher=watcher)
+
+    assert again.computed == 0
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert set(manifest["stages"]) == {"grow", "sense", "localize"}
 
 
 def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):

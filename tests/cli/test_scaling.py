@@ -20,9 +20,10 @@ SIZES = (6, 9, 14)
 @pytest.fixture(scope="module")
 def scaled(tmp_path_factory):
     """Folder of a run of three sizes, two seeds and two conditions."""
+    rows = {"robots, structure.movers": [[size, size // 6] for size in SIZES]}
     small = load_scenario(
         REPOSITORY / "scenarios" / "scaling.yaml",
-        [f"sweep.robots={list(SIZES)}", "seeds=2", "conditions.joint.localization.steps=20"],
+        [f"sweep={rows}", "seeds=2", "conditions.joint.localization.steps=20"],
     )
     out = tmp_path_factory.mktemp("scaled")
     return study.run(small, out, watcher=ConsoleWatcher(quiet=True)).folder

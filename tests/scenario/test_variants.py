@@ -54,6 +54,49 @@ def test_conditions_run_at_every_point_of_the_sweep():
     ]
 
 
+def test_keys_of_one_entry_change_together():
+    """Row by row, and the first key alone names the point, so that the others may follow it."""
+    base = scenario(
+        sweep={
+            "robots, structure.movers": ([100, 1], [1000, 10]),
+            "precision": ("f64", "f32"),
+        },
+        conditions={"joint": {"localization.method": "joint"}},
+    )
+
+    cases = variants(base)
+
+    assert [case.label for case in cases] == [
+        "robots=100,precision=f64,joint",
+        "robots=100,precision=f32,joint",
+        "robots=1000,precision=f64,joint",
+        "robots=1000,precision=f32,joint",
+    ]
+    assert [case.settings.structure.movers for case in cases] == [1, 1, 10, 10]
+    assert cases[2].point == {"robots": 1000, "precision": "f64"}
+
+
+@pytest.mark.parametrize(
+    ("sweep", "problem"),
+    [
+        ("{'robots, structure.movers': [[10, 1], [20]]}", "is no row of 2 values"),
+        ("{'robots, structure.movers': [10]}", "is no row of 2 values"),
+        ("{'robots, structure.movers': [[10, 1], [20, 0]]}", "must be at least 1"),
+        ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "robots is swept already"),
+        ("{'robots, seeds': [[10, 1]]}", "this cannot be swept"),
+    ],
+)
+def test_rows_that_do_not_fit_are_told_with_their_line(tmp_path, sweep, problem):
+    """So are a key in two places, and a value that is wrong in itself."""
+    path = tmp_path / "rows.yaml"
+    path.write_text(f"name: rows\nstructure: {{kind: tower}}\nsweep: {sweep}\n")
+
+    (mistake,) = find_mistakes(path)
+
+    assert problem in mistake.problem
+    assert mistake.line == 3
+
+
 def test_a_case_is_settled_to_the_last_value():
     """Swept values and conditions are applied; nothing is left to vary."""
     base = scenario(

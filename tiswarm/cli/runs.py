@@ -28,6 +28,14 @@ def run(
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
     ] = None,
+    slurm: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY=VALUE,...",
+            help="SLURM jobs to compute in: jobs, cores, memory, and if need be walltime, queue, "
+            "account, interface.",
+        ),
+    ] = None,
     shard: Annotated[
         str, typer.Option(metavar="I/N", help="Compute the I-th of N parts only.")
     ] = "1/1",
@@ -55,12 +63,19 @@ def run(
 
     watcher = ConsoleWatcher(quiet=quiet)
     plan = load_scenario(scenario, overrides)
+    jobs = None if slurm is None else _slurm(slurm)
     if only_plan:
         typer.echo(study.forecast(study.plan(plan)))
+        if jobs is not None:
+            typer.echo(study.job_script(jobs, threads or 1))
         return
+    if len([place for place in (workers, scheduler, slurm) if place is not None]) > 1:
+        msg = "are different places to compute in; give one of them"
+        raise InputError(msg, key="--workers, --scheduler, --slurm")
     dispatch = study.Dispatch(
         workers=workers,
         scheduler=scheduler,
+        slurm=jobs,
         shard=_shard(shard),
         case_limit_s=case_limit,
         fail_fast=fail_fast,
@@ -84,6 +99,22 @@ def _shard(text: str) -> tuple[int, int]:
         msg = "is no part of a whole; give it as 2/8, from 1/8 to 8/8"
         raise InputError(msg, key=f"--shard {text}")
     return number, count
+
+
+def _slurm(text: str) -> "study.Slurm":
+    """Read KEY=VALUE,..."""
+    from pydantic import TypeAdapter, ValidationError
+
+    from tiswarm.records.wording import explain
+    from tiswarm.study import Slurm
+
+    settings = dict(setting.partition("=")[::2] for setting in text.split(","))
+    try:
+        return TypeAdapter(Slurm).validate_strings(settings)
+    except ValidationError as found:
+        first = found.errors(include_url=False)[0]
+        allowed = Slurm.__dataclass_fields__
+        raise InputError(explain(first, allowed), key=f"--slurm {first['loc'][-1]}") from found
 
 
 def _show(

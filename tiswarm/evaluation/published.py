@@ -19,6 +19,9 @@ class Published:
     """Procrustes disparity [1]."""
 
 
+PAPER_ROBOTS = 100
+"""Robots in each of its structures."""
+
 PAPER = {
     ("tower", True, True): Published(rmse_radii=1.64, disparity=0.045),
     ("tower", False, True): Published(rmse_radii=1.84, disparity=0.051),

@@ -16,6 +16,7 @@ _MAPPING = ("a mapping", "write keys with values")
 _WANTED = {
     "int_type": _WHOLE,
     "int_from_float": _WHOLE,
+    "int_parsing": _WHOLE,
     "int_parsing_size": _WHOLE,
     "float_type": _NUMBER,
     "finite_number": ("a finite number", "nan and inf are not allowed"),

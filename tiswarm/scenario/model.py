@@ -38,11 +38,16 @@ def _condition_key(key: str) -> str:
     return key
 
 
-def _sweep_key(key: str) -> str:
-    if key.partition(".")[0] not in SWEEP_SECTIONS:
+def swept_keys(entry: str) -> list[str]:
+    """Keys that an entry of the sweep sets: one, or several that change together."""
+    return [key.strip() for key in entry.split(",")]
+
+
+def _sweep_key(entry: str) -> str:
+    if any(key.partition(".")[0] not in SWEEP_SECTIONS for key in swept_keys(entry)):
         message = f"this cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or what is in them"
         raise ValueError(message)
-    return key
+    return entry
 
 
 def _distinct(values: _Values) -> _Values:
@@ -112,7 +117,9 @@ class Scenario:
     sweep: dict[Annotated[str, AfterValidator(_sweep_key)], SweepValues] = field(
         default_factory=dict
     )
-    """By dotted key, values to be run one after another, in all combinations."""
+    """By dotted key, values to be run one after another, in all combinations. Keys that change
+    together stand in one entry, as `robots, structure.movers: [[100, 1], [1000, 10]]`: a row a
+    point, which the first key names."""
 
     scorecard: Literal["none", "reactivebuild-laws"] = "none"
     """What the finished structures are held against: nothing, or the laws that ReactiveBuild's

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from tiswarm.errors import InputError
 from tiswarm.records.wording import Part, dotted
 from tiswarm.scenario.check import CHOICES, SMALLEST, Mistake, validated
-from tiswarm.scenario.model import Plain, Scenario, plain
+from tiswarm.scenario.model import Plain, Scenario, plain, swept_keys
 
 MAX_VARIANTS = 10_000
 MAX_LABEL = 150
@@ -34,7 +34,7 @@ class Variant:
     """Name of the condition."""
 
     point: Mapping[str, Any]
-    """Swept values by dotted key."""
+    """Swept values by dotted key, without those that follow another key."""
 
     settings: Scenario
     """The scenario as it holds here, without conditions and sweep."""
@@ -60,7 +60,10 @@ class _Change(NamedTuple):
 class _Case(NamedTuple):
     condition: str
     point: tuple[_Change, ...]
+    """What names it."""
+
     overrides: tuple[_Change, ...]
+    """What follows the sweep, then what the condition says."""
 
     @property
     def label(self) -> str:
@@ -92,6 +95,8 @@ def settle(
     if count > MAX_VARIANTS:
         problem = f"makes {count} cases; {MAX_VARIANTS} is the most: give fewer values"
         return [], [Mistake(("sweep",), problem)]
+    if misshapen := _misshapen(sweep):
+        return [], misshapen
     base = {key: value for key, value in base.items() if key not in {"conditions", "sweep"}}
     found: dict[str, Variant] = {}
     mistakes: dict[Mistake, None] = {}
@@ -111,14 +116,42 @@ def settle(
 
 
 def _cases(conditions: Conditions, sweep: Sweep) -> Iterator[_Case]:
-    axes = [
-        [_Change(key, value, ("sweep", key, place)) for place, value in enumerate(values)]
-        for key, values in sweep.items()
-    ]
-    for point in itertools.product(*axes):
+    axes = [list(_rows(entry, values)) for entry, values in sweep.items()]
+    for rows in itertools.product(*axes):
+        followers = [change for row in rows for change in row[1:]]
         for name, entries in conditions.items():
             overrides = [_Change(k, v, ("conditions", name, k)) for k, v in entries.items()]
-            yield _Case(name, point, tuple(overrides))
+            yield _Case(name, tuple(row[0] for row in rows), (*followers, *overrides))
+
+
+def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_Change]]:
+    """Changes of each point of an entry of the sweep, the one that names the point first."""
+    keys = swept_keys(entry)
+    for place, value in enumerate(values):
+        if len(keys) == 1:
+            yield [_Change(entry, value, ("sweep", entry, place))]
+        else:
+            cells = enumerate(zip(keys, value, strict=True))
+            yield [_Change(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
+
+
+def _misshapen(sweep: Sweep) -> list[Mistake]:
+    """Find rows that do not fit their keys, and keys of several entries."""
+    mistakes = []
+    seen: set[str] = set()
+    for entry, values in sweep.items():
+        keys = swept_keys(entry)
+        if twice := [key for n, key in enumerate(keys) if key in seen or key in keys[:n]]:
+            problem = f"{twice[0]} is swept already; keep one of its places"
+            mistakes.append(Mistake(("sweep", entry), problem))
+        seen.update(keys)
+        problem = f"is no row of {len(keys)} values; give one value for each key of {entry}"
+        mistakes += [
+            Mistake(("sweep", entry, place), problem)
+            for place, row in enumerate(values)
+            if len(keys) > 1 and not (isinstance(row, list) and len(row) == len(keys))
+        ]
+    return mistakes
 
 
 def _resolve(base: Plain, case: _Case) -> Scenario | list[Mistake]:

@@ -7,6 +7,7 @@ from tiswarm.study.cases import plan
 from tiswarm.study.forecast import forecast
 from tiswarm.study.pool import Dispatch
 from tiswarm.study.run import RunResult, run, tabulate
+from tiswarm.study.slurm import Slurm, job_script
 from tiswarm.study.tables import headline
 from tiswarm.study.tuning import tune
 from tiswarm.study.work import Watcher
@@ -14,9 +15,11 @@ from tiswarm.study.work import Watcher
 __all__ = [
     "Dispatch",
     "RunResult",
+    "Slurm",
     "Watcher",
     "forecast",
     "headline",
+    "job_script",
     "plan",
     "run",
     "tabulate",

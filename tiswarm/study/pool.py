@@ -20,6 +20,7 @@ from typing import IO, Any, cast
 
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.study.slurm import Slurm, submitted
 from tiswarm.study.work import Job, Outcome, Watcher, work_off
 
 CONNECT_S = 30
@@ -39,6 +40,9 @@ class Dispatch:
     scheduler: str | None = None
     """Address of a Dask scheduler whose workers see the same folders."""
 
+    slurm: Slurm | None = None
+    """Jobs of SLURM to compute in, which see the same folders."""
+
     shard: tuple[int, int] = (1, 1)
     """Which part of how many this run computes."""
 
@@ -47,6 +51,11 @@ class Dispatch:
 
     fail_fast: bool = False
     """Whether the first case that fails ends the run."""
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether cases are computed on other machines."""
+        return self.scheduler is not None or self.slurm is not None
 
 
 class WorkError(Exception):
@@ -77,15 +86,16 @@ def opened(dispatch: Dispatch, threads: int | None, watcher: Watcher) -> Iterato
         watcher: Told of jobs that are done here how they go on.
     """
     limit = dispatch.case_limit_s
-    if dispatch.scheduler is not None:
+    if dispatch.slurm is not None:
+        slurm, each = dispatch.slurm, threads or 1
+        with submitted(slurm, each) as cluster, _connected(cluster) as client:
+            watcher.say(f"asked SLURM for {slurm.jobs} jobs; cases begin as these do")
+            width = slurm.jobs * max(1, slurm.cores // each)
+            yield Pool(submit=_submit(client, limit), width=width, threads=each)
+    elif dispatch.scheduler is not None:
         with _connected(dispatch.scheduler) as client:
-            cluster = client.get_executor(pure=False)
             width = max(1, sum(client.nthreads().values()))
-            yield Pool(
-                submit=lambda job: cluster.submit(_in_own_process, job, limit),
-                width=width,
-                threads=threads or 1,
-            )
+            yield Pool(submit=_submit(client, limit), width=width, threads=threads or 1)
     elif dispatch.workers is not None or limit is not None:
         width = dispatch.workers or 1
         with _threads(width) as executor:
@@ -118,8 +128,13 @@ def _threads(count: int) -> Iterator[ThreadPoolExecutor]:
             _end_all()
 
 
+def _submit(client: Any, limit_s: float | None) -> Callable[[Job], "Future[Outcome]"]:  # noqa: ANN401 - untyped
+    cluster = client.get_executor(pure=False)
+    return lambda job: cluster.submit(_in_own_process, job, limit_s)
+
+
 @contextmanager
-def _connected(address: str) -> Iterator[Any]:
+def _connected(address: Any) -> Iterator[Any]:  # noqa: ANN401 - a text, or a cluster without types
     try:
         from distributed import Client  # noqa: PLC0415 - an extra, and slow to import
     except ImportError as error:

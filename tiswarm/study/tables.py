@@ -8,6 +8,7 @@ robots that are alike.
 import itertools
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,10 +16,12 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.evaluation.profiles import error_profile, relative_profile
-from tiswarm.evaluation.published import PAPER
+from tiswarm.evaluation.published import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.localization.params import VirtualForceParams
+from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
+from tiswarm.sensing import SensingParams
 from tiswarm.study.scorecard import summed_up
 from tiswarm.study.storage import DONE, CaseRecord
 
@@ -157,13 +160,27 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
     )
 
 
+def _published(setting: Scenario) -> Published | None:
+    """The paper's numbers where the setting is the paper's.
+
+    It leaves open how flips end and how robots walk, and all gains.
+    """
+    method, structure = setting.localization, setting.structure
+    usual = type(structure)()
+    if (
+        setting.robots != PAPER_ROBOTS
+        or replace(structure, climb=usual.climb) != usual
+        or (setting.robot, setting.sensing) != (RobotGeometry(), SensingParams())
+        or not isinstance(method, VirtualForceParams)
+        or method.back_propagation
+    ):
+        return None
+    return PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
+
+
 def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, object]:
-    """The paper's numbers for its method, structures and cues, and ours divided by them."""
-    method = setting.localization
-    cell = None
-    if isinstance(method, VirtualForceParams) and not method.back_propagation:
-        key = (setting.structure.kind, method.z_correction, method.undocked_repulsion)
-        cell = PAPER.get(key)
+    """The paper's numbers for its own setting, and ours divided by them."""
+    cell = _published(setting)
     rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
     return {
         "paper_rmse_radii": rmse,
