@@ -36,7 +36,7 @@ def test_forces_match_the_energies_written_out_slowly(log, robust):
     swarm = anneal.Swarm([log], [params], [known])
     before = swarm.positions()
 
-    swarm.step(0, 0.0, is_held=False)
+    swarm.advance(1)
 
     forces = swarm.force.to_numpy().reshape(before.shape)
     width = 3.0 if robust else np.inf
@@ -77,6 +77,24 @@ def test_company_threads_names_and_order_do_not_change_a_byte(towers):
     for a, b, c in zip(together, alone, single, strict=True):
         assert a.trace.tobytes() == b.trace.tobytes() == c.trace.tobytes()
         assert a.sd.tobytes() == b.sd.tobytes() == c.sd.tobytes()
+
+
+def test_steps_are_the_same_however_threads_share_them(towers):
+    """A thread for each structure, or all for each step: the same bits, lists of any length."""
+    logs = [observe(history, NOISY) for history in towers]
+    params = [dataclasses.replace(SHORT, steps=60, hold_steps=20)] * 3
+    known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
+    swarms = [anneal.Swarm(logs, params, known, by_block=by_block) for by_block in (True, False)]
+    rows = swarms[0].neighbors
+    rows.lengthen(1)  # too short a row is made longer on the way
+
+    runs = [swarm.run() for swarm in swarms]
+
+    assert rows.capacity > 2
+    for a, b in zip(*runs, strict=True):
+        assert a.trace.tobytes() == b.trace.tobytes()
+        assert a.mean.tobytes() == b.mean.tobytes()
+        assert a.spread.tobytes() == b.spread.tobytes()
 
 
 def test_the_unit_of_length_does_not_matter(log):

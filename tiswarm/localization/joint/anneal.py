@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +12,11 @@ from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.joint.equations import Equations
-from tiswarm.localization.joint.kernels import SPACING, sort_rows, take_step
+from tiswarm.localization.joint.force_kernels import SOLID_BELOW, SPACING
+from tiswarm.localization.joint.kernels import SKIN, note_places, sort_rows, take_steps
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 
-SKIN = 0.5
-"""How much farther than D rows of neighbors reach [D]."""
-LIST_REACH = 0.7
-"""Rows are kept for this part of a dock radius over the tolerance, in steps: robots are the
-faster the greater the tolerance."""
-LIST_STEPS = 16
-"""But for no more steps than this."""
-SOLID_BELOW = 0.5
-"""Docks pass through each other while the tolerance is greater [R]; they would jam."""
 WIDTH = 3.0
 """Standard deviations at which a robust contact begins to give way."""
 FRAMES = 24
@@ -67,38 +60,53 @@ class Swarm:
     """All chains of all structures on the device."""
 
     def __init__(
-        self, logs: Sequence[SensingLog], params: Sequence[JointParams], known: Sequence[Equations]
+        self,
+        logs: Sequence[SensingLog],
+        params: Sequence[JointParams],
+        known: Sequence[Equations],
+        *,
+        by_block: bool | None = None,
     ) -> None:
-        memory = Memory(backend.current(), on_host=False)
+        """Put every chain where it begins.
+
+        Args: as `anneal` has them.
+            by_block: Whether one thread takes all steps of a structure in one chain; else all
+                take each step together. By what is quicker if None; no bit depends on it.
+        """
+        running = backend.current()
+        memory = Memory(running, on_host=False)
         self.chains = params[0].chains
         self.schedule = params[0]
         self.size = [log.robot_count for log in logs]
         self.start = np.cumsum([0, *self.size])
-        robots, docks = self.start[-1], len(logs[0].dock_offset_body)
-        copies = self.chains * robots
+        copies, blocks = self.chains * self.start[-1], self.chains * len(logs)
+        if by_block is None:
+            by_block = running.arch == "cpu" and blocks >= running.threads
+        self.by_block = by_block
+        first_of_block = np.cumsum([0, *self.size * self.chains])
         arm = np.concatenate(
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
         )
         first = np.concatenate(
             [_first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
         )
-        structure = np.repeat(np.arange(len(logs)), self.size)
-        structure = (np.arange(self.chains)[:, None] * len(logs) + structure).ravel()
-        dock = np.empty((1, copies, docks, 4))
-        dock[0, ..., :3] = (first[:, :, None] + arm).reshape(copies, docks, 3)
-        dock[0, ..., 3] = structure[:, None]
+        listed = np.zeros((1, copies, 4))
+        listed[0, :, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
         self.neighbors = NeighborList(
             memory,
             first.reshape(-1, 3),
-            self._touching(logs, robots),
-            docks=docks,
-            reach=float(np.linalg.norm(arm, axis=2).max()),
-            cutoff=(1.0 + SKIN) * SPACING,
+            np.empty((0, 4), np.int64),
+            docks=1,
+            reach=0.0,
+            cutoff=2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING + SKIN,
+            start=first_of_block if by_block else None,
         )
-        self.dock = memory.upload(dock.reshape(1, -1, 4))
+        self.listed = memory.upload(listed)
+        self.tolerance = self._tolerances()
         self.equations = [
             memory.upload(values)
             for values in (
+                self.tolerance,
                 np.concatenate([np.arange(size) for size in self.size]),
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
@@ -114,20 +122,19 @@ class Swarm:
         for array in (self.velocity, self.force, self.total, self.square_total):
             array.fill(0.0)
         self.mass.fill(1.0)
-        self.neighbors.row_count.fill(0)
-        self.stale = 0
+        self.first_of_block = memory.upload(first_of_block)
+        self.taken, self.stale = memory.ints(blocks), memory.ints(blocks)
+        self.taken.fill(0)
+        self.stale.fill(1)
 
     def run(self) -> list[Annealed]:
         """Take all steps."""
-        annealing, holding = self.schedule.steps, self.schedule.hold_steps
-        steps = annealing + holding
+        steps, holding = len(self.tolerance), self.schedule.hold_steps
         frames = np.unique(np.linspace(0, steps, FRAMES).astype(np.int64))
         trace = []
-        for t in range(steps + 1):
-            if t in frames:
-                trace.append(self.positions()[0])
-            if t < steps:
-                self.step(t, min(t / annealing, 1.0), is_held=t >= annealing)
+        for frame in frames.tolist():
+            self.advance(frame)
+            trace.append(self.positions()[0])
         last = self.positions()
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
             raise backend.faulty_driver()
@@ -145,40 +152,50 @@ class Swarm:
             for a, b in zip(self.start[:-1], self.start[1:], strict=True)
         ]
 
-    def step(self, t: int, progress: float, *, is_held: bool) -> None:
-        """Take one step, the first of an annealing at progress 0, the last at 1."""
-        begin, end = self.schedule.start_tolerance, self.schedule.end_tolerance
+    def advance(self, until: int) -> None:
+        """Take steps until so many have been taken."""
         rows = self.neighbors
-        tolerance = begin * (end / begin) ** progress
-        if tolerance < SOLID_BELOW and t >= self.stale:
-            rows.build(self.dock, 0)
-            sort_rows(*rows.strides, rows.row, rows.row_count)
-            self.stale = t + min(max(int(LIST_REACH / tolerance), 1), LIST_STEPS)
-        take_step(
-            rows.docks, rows.own_bits, *rows.strides, self.schedule.seed, t, tolerance,
-            int(is_held), *self.equations, rows.row, rows.row_count, self.position, self.velocity,
-            self.force, self.mass, self.dock, self.total, self.square_total,
-        )  # fmt: skip
+        while (
+            t := int(self.taken.to_numpy().min()) if self.by_block else int(self.taken[0])
+        ) < until:
+            if not self.by_block and self.stale[0] and self.tolerance[t] < SOLID_BELOW:
+                note_places(self.position, self.listed)
+                rows.build(self.listed, 0)
+                sort_rows(*rows.strides, rows.row, rows.row_count)
+                self.stale.fill(0)
+            take_steps(
+                self.by_block, rows.own_bits, *rows.strides, rows.capacity, rows.cutoff,
+                self.schedule.seed, until, self.schedule.steps, *self.equations, rows.table,
+                rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start, rows.contact,
+                rows.row, rows.row_count, rows.longest, self.first_of_block, self.taken,
+                self.stale, self.listed, self.position, self.velocity, self.force, self.mass,
+                self.total, self.square_total,
+            )  # fmt: skip
+            if self.by_block and (longest := int(rows.longest.max())) > rows.capacity:
+                rows.lengthen(longest)
+                self.stale.fill(1)
+
+    def _tolerances(self) -> NDArray[np.float64]:
+        """Tolerance of each step, shape (T,)."""
+        begin, end = self.schedule.start_tolerance, self.schedule.end_tolerance
+        cooled = begin * (end / begin) ** (np.arange(self.schedule.steps) / self.schedule.steps)
+        return np.concatenate([cooled, np.full(self.schedule.hold_steps, end)])
 
     def positions(self) -> NDArray[np.float64]:
         """Positions of every chain, shape (chains, N, 3)."""
         position: NDArray[np.float64] = self.position.to_numpy().astype(np.float64)
         return position.reshape(self.chains, -1, 3)
 
-    def _touching(self, logs: Sequence[SensingLog], robots: int) -> NDArray[np.int64]:
-        """Contacts of all chains, rows of (robot i, dock, robot j, dock)."""
-        shifts = [np.array([a, 0, a, 0]) for a in self.start[:-1]]
-        rows = [log.contacts + shift for log, shift in zip(logs, shifts, strict=True)]
-        copies = np.arange(self.chains)[:, None, None] * np.array([robots, 0, robots, 0])
-        return np.asarray((np.concatenate(rows)[None] + copies).reshape(-1, 4), np.int64)
 
+def _by_robot(known: Sequence[Equations], start: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
+    """Every contact from both its sides, robot after robot.
 
-def _by_robot(
-    known: Sequence[Equations], start: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Every contact from both its sides, robot after robot: start, partner, shift, variance."""
+    Returns:
+        Start of each robot's, partner, whether it is final, shift and variance.
+    """
     robot = np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])
     other = np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])
+    is_final = np.concatenate([e.is_final for e in known]).astype(np.int64)
     shift = np.concatenate([e.shift for e in known])
     variance = np.concatenate([e.variance for e in known])
     order = np.argsort(np.concatenate([robot, other]), kind="stable")
@@ -188,6 +205,7 @@ def _by_robot(
     return (
         np.concatenate([[0], count.cumsum()]),
         np.pad(partner, (0, room)),
+        np.pad(np.tile(is_final, 2)[order], (0, room)),
         np.pad(np.concatenate([shift, -shift])[order], ((0, room), (0, 0))),
         np.pad(np.tile(variance, 2)[order], (0, room), constant_values=1.0),
     )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.equations import Equations, equations
-from tiswarm.localization.joint.kernels import SPACING
+from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
