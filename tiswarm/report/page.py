@@ -80,7 +80,6 @@ def write_page(folder: Path, tell: Tell) -> Path:
         InputError: where the folder holds no run or a file is damaged.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
-    from plotly.offline import get_plotlyjs
 
     environment = Environment(
         loader=PackageLoader("tiswarm.report"),
@@ -91,13 +90,12 @@ def write_page(folder: Path, tell: Tell) -> Path:
     )
     template = environment.get_template("report.html")
     page = _gather(folder)
-    plotly = get_plotlyjs()
-    room = LARGEST - len(template.render(page=page, plotly=plotly).encode())
+    room = LARGEST - len(template.render(page=page).encode())
     page.figures.extend(_pictures(folder / "figures", room, lossless=True))
     room -= sum(len(picture.source) for picture in page.figures)
     page.renders.extend(_pictures(folder / "renders", room, lossless=False))
     path = folder / "report.html"
-    write_text(path, template.render(page=page, plotly=plotly) + "\n")
+    write_text(path, template.render(page=page) + "\n")
     tell(path.name)
     return path
 

@@ -247,7 +247,7 @@ def _differences(paired: pd.DataFrame) -> Table:
                 Cell(labels[row["measure"]]),
                 _mean(row, "difference", 3, sign="+"),
                 Cell(f"{row['smaller']} of {row['structures']}", float(row["smaller"])),
-                _number(row["wilcoxon_p"], 4),
+                _chance(row["wilcoxon_p"]),
             ]
             for row in chosen.to_dict("records")
         ],
@@ -307,6 +307,11 @@ def _mean(row: Row, name: str, digits: int, *, sign: str = "") -> Cell:
         return Cell("")
     interval = f" ± {width:.{digits}f}" if width >= 0.0 else ""
     return Cell(f"{mean:{sign}.{digits}f}{interval}", float(mean))
+
+
+def _chance(p: float) -> Cell:
+    """A p value, as far as it is worth telling."""
+    return Cell("< 0.0001", p) if p < 1e-4 else _number(p, 4)  # noqa: PLR2004 - four digits
 
 
 def _number(value: float, digits: int) -> Cell:

@@ -35,36 +35,34 @@ for (const table of document.querySelectorAll("table.sortable")) {
 
 // --- truth and estimate in space ---
 
-const ERROR_COLORS = [[0, "#fcf0c3"], [0.35, "#f9b64c"], [0.7, "#e4572e"], [1, "#8c0d2f"]];
-const TRUE_COLOR = "#6aa9d8";
-const ROUND = 250; // robots that are drawn with finer spheres than more of them
-const SOLID = 3000; // robots that are drawn as spheres at all
+const ERROR_COLORS = [[0, [252, 240, 195]], [0.35, [249, 182, 76]], [0.7, [228, 87, 46]], [1, [140, 13, 47]]];
+const TRUE_COLOR = [106, 169, 216], ESTIMATE_ARM = [176, 128, 48];
+const SOLID = 3000; // robots that are drawn with docks and arms at all
+const SHADES = 48; // colors of errors
+const NEARBY = 12; // a robot is pointed at from so far [pixels]
+const SIDES = [0, 1, 2]; // x, y, z
+const START = { turn: -1.0, tilt: 0.22, zoom: 1 };
 
-// Corners and faces of a sphere of radius 1: an icosahedron, its faces cut in four or not.
-function sphere(fine) {
-  const t = (1 + Math.sqrt(5)) / 2;
-  let corners = [[-1, t, 0], [1, t, 0], [-1, -t, 0], [1, -t, 0], [0, -1, t], [0, 1, t],
-    [0, -1, -t], [0, 1, -t], [t, 0, -1], [t, 0, 1], [-t, 0, -1], [-t, 0, 1]];
-  let faces = [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4],
-    [11, 10, 2], [10, 7, 6], [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9],
-    [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]];
-  if (fine) {
-    const middles = new Map();
-    const middle = (a, b) => {
-      const name = a < b ? `${a},${b}` : `${b},${a}`;
-      if (!middles.has(name)) {
-        middles.set(name, corners.length);
-        corners.push(corners[a].map((x, k) => x + corners[b][k]));
-      }
-      return middles.get(name);
-    };
-    faces = faces.flatMap(([a, b, c]) => {
-      const [ab, bc, ca] = [middle(a, b), middle(b, c), middle(c, a)];
-      return [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]];
-    });
-  }
-  corners = corners.map((corner) => corner.map((x) => x / Math.hypot(...corner)));
-  return { corners, faces };
+const rgb = (color) => `rgb(${color.map(Math.round).join(" ")})`;
+const mixed = (a, b, share) => a.map((value, k) => value + share * (b[k] - value));
+
+function errorColor(share) {
+  const n = Math.max(1, ERROR_COLORS.findIndex(([end]) => share <= end));
+  const [[low, a], [high, b]] = ERROR_COLORS.slice(n - 1, n + 1);
+  return mixed(a, b, (share - low) / (high - low));
+}
+
+// A picture of a ball that light falls on from the upper left.
+function ball(color) {
+  const picture = new OffscreenCanvas(64, 64), pen = picture.getContext("2d");
+  const light = pen.createRadialGradient(23, 20, 2, 32, 32, 32);
+  light.addColorStop(0, rgb(mixed(color, [255, 255, 255], 0.5)));
+  light.addColorStop(0.5, rgb(color));
+  light.addColorStop(1, rgb(mixed(color, [0, 0, 0], 0.45)));
+  pen.fillStyle = light;
+  pen.arc(32, 32, 31, 0, 7);
+  pen.fill();
+  return picture;
 }
 
 // The docks of a robot: its centre and each offset, turned by a quaternion (w, x, y, z).
@@ -75,120 +73,190 @@ function docksOf([x, y, z], [w, a, b, c], offsets) {
   });
 }
 
-function spheres(docks, radius, ball, look) {
-  const mesh = { type: "mesh3d", x: [], y: [], z: [], i: [], j: [], k: [], ...look,
-    lighting: { ambient: 0.6, diffuse: 0.6, specular: 0.15, roughness: 0.6, fresnel: 0.1 },
-    lightposition: { x: -2000, y: -4000, z: 8000 } };
-  for (const robot of docks) for (const dock of robot) {
-    const first = mesh.x.length;
-    for (const corner of ball.corners) {
-      mesh.x.push(dock[0] + radius * corner[0]);
-      mesh.y.push(dock[1] + radius * corner[1]);
-      mesh.z.push(dock[2] + radius * corner[2]);
-    }
-    for (const [a, b, c] of ball.faces) {
-      mesh.i.push(first + a); mesh.j.push(first + b); mesh.k.push(first + c);
-    }
-  }
-  return mesh;
-}
-
-function lines(pairs, look) {
-  const trace = { type: "scatter3d", mode: "lines", x: [], y: [], z: [], hoverinfo: "skip", ...look };
-  for (const [from, to] of pairs) {
-    trace.x.push(from[0], to[0], null);
-    trace.y.push(from[1], to[1], null);
-    trace.z.push(from[2], to[2], null);
-  }
-  return trace;
-}
-
-function markers(centers, look, text) {
-  return { type: "scatter3d", mode: "markers", text, hoverinfo: "text",
-    x: centers.map((p) => p[0]), y: centers.map((p) => p[1]), z: centers.map((p) => p[2]), ...look };
-}
-
-function tracesOf(shown, count, ball, offsets, wanted) {
-  const bar = { title: { text: "error [R]" }, thickness: 14, len: 0.6 };
-  const scale = { colorscale: ERROR_COLORS, cmin: 0, cmax: shown.worst };
-  const truth = shown.true.slice(0, count), estimate = shown.estimate.slice(0, count);
-  const error = shown.error.slice(0, count);
-  const text = error.map((e, n) => `robot ${shown.robot[n]}, join ${n}<br>error ${e} R`);
-  const traces = [];
-  const robots = (poses, turns, radius, solid, small) => {
-    if (shown.robot.length > SOLID) {
-      traces.push(markers(poses, { ...small, marker: { size: 3, ...small.marker } }, text));
-      return;
-    }
-    const docks = poses.map((center, n) => docksOf(center, turns[n], offsets));
-    const arms = docks.flatMap((own, n) => own.map((dock) => [poses[n], dock]));
-    traces.push(spheres(docks, radius, ball, solid));
-    traces.push(lines(arms, { line: { color: small.arm, width: 5 } }));
-    traces.push(markers(poses, { marker: { size: 5, ...small.marker, showscale: false } }, text));
-  };
-  if (wanted.truth) {
-    robots(truth, shown.turn, 0.72, { color: TRUE_COLOR, hoverinfo: "skip" },
-      { arm: TRUE_COLOR, marker: { color: TRUE_COLOR } });
-  }
-  if (wanted.estimate) {
-    const each = ball.corners.length * offsets.length;
-    const intensity = error.flatMap((e) => Array(each).fill(e));
-    robots(estimate, shown.sensed, 0.6,
-      { intensity, ...scale, colorbar: bar, hoverinfo: "skip" },
-      { arm: "#b08030", marker: { color: error, ...scale, colorbar: bar, showscale: true } });
-  }
-  if (wanted.error) {
-    const pairs = truth.map((center, n) => [center, estimate[n]]);
-    traces.push(lines(pairs, { line: { color: "#222", width: 2.5 } }));
-  }
-  return traces;
-}
-
+// The box around all robots, and round numbers along its sides [R].
 function boxOf(shown) {
-  const axes = {}, sides = {};
-  ["x", "y", "z"].forEach((name, k) => {
-    const places = [...shown.true, ...shown.estimate].map((center) => center[k]);
-    const reach = 3; // a robot's docks lie within this
-    const range = [Math.min(...places) - reach, Math.max(...places) + reach];
-    axes[`${name}axis`] = { range, title: { text: `${name} [R]` }, backgroundcolor: "#fff",
-      gridcolor: "#dde2e8", showbackground: true, zeroline: false, showspikes: false };
-    sides[name] = range[1] - range[0];
+  const reach = 3; // a robot's docks lie within this
+  const low = SIDES.map((k) => shown.true.concat(shown.estimate).reduce((m, p) => Math.min(m, p[k]), Infinity) - reach);
+  const high = SIDES.map((k) => shown.true.concat(shown.estimate).reduce((m, p) => Math.max(m, p[k]), -Infinity) + reach);
+  const middle = mixed(low, high, 0.5), radius = Math.hypot(...low.map((l, k) => high[k] - l)) / 2;
+  const power = 10 ** Math.floor(Math.log10(radius / 2));
+  const step = [1, 2, 5, 10].find((times) => times * power >= radius / 3) * power;
+  const ticks = SIDES.map((k) => {
+    const first = Math.ceil(low[k] / step);
+    return Array.from({ length: Math.floor(high[k] / step) - first + 1 }, (_, n) => (first + n) * step);
   });
-  const mean = Math.cbrt(sides.x * sides.y * sides.z);
-  const longest = Math.max(sides.x, sides.y, sides.z) / mean;
-  const away = 0.75 + 0.85 * longest;
-  return { ...axes, aspectmode: "manual",
-    aspectratio: { x: sides.x / mean, y: sides.y / mean, z: sides.z / mean },
-    camera: { eye: { x: 0.55 * away, y: -0.85 * away, z: 0.2 * away },
-      center: { x: 0, y: 0, z: -0.08 * sides.z / mean } } };
+  return { low, high, middle, radius, ticks };
 }
 
-function showSpace() {
+// Where points of space come to lie on the canvas: x, y, pixels for one R there, nearness.
+function cameraOf(box, { turn, tilt, zoom }, fit, width, height) {
+  const [ct, st, ce, se] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
+  const eye = [ce * ct, ce * st, se], away = 4 * box.radius;
+  const place = (point) => {
+    const [x, y, z] = point.map((value, k) => value - box.middle[k]);
+    const near = eye[0] * x + eye[1] * y + eye[2] * z;
+    const scale = (zoom * fit * away) / Math.max(away - near, 0.05 * away);
+    return [width / 2 + scale * (ct * y - st * x), height / 2 - scale * (ce * z - se * (ct * x + st * y)), scale, near];
+  };
+  return { eye, place };
+}
+
+// Pixels for one R with which the whole box is seen at first.
+function fitOf(box, width, height) {
+  const { place } = cameraOf(box, START, 1, 0, 0);
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => place(SIDES.map((k) => (n >> k & 1 ? box.high : box.low)[k])));
+  const reach = (k) => Math.max(...corners.map((corner) => Math.abs(corner[k])));
+  return Math.min((width / 2 - 90) / reach(0), (height / 2 - 40) / reach(1));
+}
+
+// The far sides of the box with a grid, and numbers along the edges that nothing hides.
+function drawBox(pen, box, { eye, place }) {
+  const far = SIDES.map((k) => (eye[k] > 0 ? box.low : box.high)[k]);
+  const near = SIDES.map((k) => (eye[k] > 0 ? box.high : box.low)[k]);
+  const at = (k, value, others) => SIDES.map((n) => (n === k ? value : others[n]));
+  const line = (from, to) => { pen.moveTo(...place(from).slice(0, 2)); pen.lineTo(...place(to).slice(0, 2)); };
+  pen.beginPath();
+  for (const k of SIDES) for (const tick of [box.low[k], ...box.ticks[k], box.high[k]]) {
+    for (const m of SIDES.filter((other) => other !== k)) {
+      line(at(m, box.low[m], at(k, tick, far)), at(m, box.high[m], at(k, tick, far)));
+    }
+  }
+  pen.strokeStyle = "#dde2e8";
+  pen.lineWidth = 1;
+  pen.stroke();
+  const upright = [[near[0], far[1], far[2]], [far[0], near[1], far[2]]].sort((a, b) => place(a)[0] - place(b)[0])[0];
+  const edges = [[far[0], near[1], far[2]], [near[0], far[1], far[2]], upright];
+  const [x, y] = place(box.middle);
+  pen.fillStyle = "#1c2430";
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  for (const k of SIDES) {
+    const write = (text, point, gap) => {
+      const [px, py] = place(point), away = Math.hypot(px - x, py - y) || 1;
+      const [dx, dy] = k === 2 ? [-1, 0] : [(px - x) / away, (py - y) / away];
+      pen.fillText(text, px + gap * dx, py + gap * dy);
+    };
+    pen.font = "12px system-ui, sans-serif";
+    for (const tick of box.ticks[k]) write(String(tick), at(k, tick, edges[k]), 16);
+    pen.font = "600 13px system-ui, sans-serif";
+    write(`${"xyz"[k]} [R]`, at(k, box.middle[k], edges[k]), 44);
+  }
+}
+
+// What the colors of the estimate mean.
+function drawScale(pen, worst, width) {
+  const [left, top, wide, tall] = [width - 62, 44, 14, 220];
+  const colors = pen.createLinearGradient(0, top + tall, 0, top);
+  ERROR_COLORS.forEach(([share, color]) => colors.addColorStop(share, rgb(color)));
+  pen.fillStyle = colors;
+  pen.fillRect(left, top, wide, tall);
+  pen.fillStyle = "#1c2430";
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  pen.font = "600 13px system-ui, sans-serif";
+  pen.fillText("error [R]", left - 12, top - 20);
+  pen.font = "12px system-ui, sans-serif";
+  for (const share of [0, 0.25, 0.5, 0.75, 1]) pen.fillText((share * worst).toPrecision(2), left + wide + 6, top + tall * (1 - share));
+}
+
+// Everything that is drawn of the robots, the farthest first.
+function shapesOf(shown, count, offsets, wanted, place, balls) {
+  const shapes = [];
+  const robots = (poses, turns, radius, armColor, ballOf) => poses.slice(0, count).forEach((center, n) => {
+    const middle = place(center), docks = shown.robot.length > SOLID ? [] : docksOf(center, turns[n], offsets);
+    for (const dock of docks.map(place)) {
+      shapes.push({ near: (middle[3] + dock[3]) / 2, from: middle, to: dock, color: armColor, wide: 0.3 * middle[2] });
+      shapes.push({ near: dock[3], from: dock, ball: ballOf(n), radius: radius * dock[2] });
+    }
+    if (!docks.length) shapes.push({ near: middle[3], from: middle, ball: ballOf(n), radius: Math.max(1.5, middle[2]) });
+  });
+  if (wanted.truth) robots(shown.true, shown.turn, 0.78, rgb(TRUE_COLOR), () => balls.truth);
+  if (wanted.estimate) {
+    const shade = (n) => balls.errors[Math.round((SHADES - 1) * Math.min(1, shown.error[n] / shown.worst))];
+    robots(shown.estimate, shown.sensed, 0.66, rgb(ESTIMATE_ARM), shade);
+  }
+  for (let n = 0; wanted.error && n < count; n++) {
+    const [from, to] = [place(shown.true[n]), place(shown.estimate[n])];
+    shapes.push({ near: (from[3] + to[3]) / 2, from, to, color: "#222", wide: 1.5 });
+  }
+  return shapes.sort((a, b) => a.near - b.near);
+}
+
+function drawShape(pen, { from, to, color, wide, ball: picture, radius }) {
+  if (picture) {
+    pen.drawImage(picture, from[0] - radius, from[1] - radius, 2 * radius, 2 * radius);
+    return;
+  }
+  pen.strokeStyle = color;
+  pen.lineWidth = wide;
+  pen.beginPath();
+  pen.moveTo(from[0], from[1]);
+  pen.lineTo(to[0], to[1]);
+  pen.stroke();
+}
+
+function showSpace(view) {
   const data = JSON.parse(document.getElementById("data").textContent);
   const [picker, slider, joined] = ["case", "joins", "joined"].map((id) => document.getElementById(id));
   const boxes = ["truth", "estimate", "error"].map((id) => [id, document.getElementById(`show-${id}`)]);
-  data.cases.forEach((shown, place) => picker.add(new Option(shown.name, place)));
+  const told = document.getElementById("told"), pen = view.getContext("2d");
+  const shades = Array.from({ length: SHADES }, (_, n) => ball(errorColor(n / (SHADES - 1))));
+  const balls = { truth: ball(TRUE_COLOR), errors: shades };
+  let look = { ...START }, shown, box, place, due = 0;
+  data.cases.forEach((each, n) => picker.add(new Option(each.name, n)));
+
   const draw = () => {
-    const shown = data.cases[picker.value];
-    const wanted = Object.fromEntries(boxes.map(([id, box]) => [id, box.checked]));
-    const traces = tracesOf(shown, Number(slider.value), sphere(shown.robot.length <= ROUND),
-      data.offsets, wanted);
+    due = 0;
+    const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
+    view.width = width * dense;
+    view.height = height * dense;
+    pen.scale(dense, dense);
+    pen.lineCap = "round";
+    const wanted = Object.fromEntries(boxes.map(([id, check]) => [id, check.checked]));
+    const camera = cameraOf(box, look, fitOf(box, width, height), width, height);
+    place = camera.place;
+    drawBox(pen, box, camera);
+    shapesOf(shown, slider.value, data.offsets, wanted, place, balls).forEach((shape) => drawShape(pen, shape));
+    if (wanted.estimate) drawScale(pen, shown.worst, width);
     joined.textContent = `${slider.value} of ${shown.robot.length}`;
-    const layout = { scene: boxOf(shown), showlegend: false, uirevision: picker.value,
-      margin: { l: 0, r: 0, t: 0, b: 0 } };
-    Plotly.react("view", traces, layout, { responsive: true, displaylogo: false });
   };
-  let due = 0;
-  const soon = () => { clearTimeout(due); due = setTimeout(draw, 0); };
+  const soon = () => { due ||= requestAnimationFrame(draw); };
   const choose = () => {
-    slider.max = data.cases[picker.value].robot.length; // before the value, which it bounds
+    shown = data.cases[picker.value];
+    box = boxOf(shown);
+    look = { ...START };
+    slider.max = shown.robot.length; // before the value, which it bounds
     slider.value = slider.max;
     draw();
   };
+  // The robot whose true or estimated centre is nearest to the pointer.
+  const tell = ({ offsetX, offsetY }) => {
+    let found = -1, nearest = NEARBY;
+    for (let n = 0; n < slider.value; n++) for (const poses of [shown.true, shown.estimate]) {
+      const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
+      if (distance < nearest) [found, nearest] = [n, distance];
+    }
+    told.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join ${found}: error ${shown.error[found]} R.`;
+  };
+  view.addEventListener("pointerdown", (event) => view.setPointerCapture(event.pointerId));
+  view.addEventListener("pointermove", (event) => {
+    if (!event.buttons) { tell(event); return; }
+    look.turn -= 0.008 * event.movementX;
+    look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt + 0.008 * event.movementY));
+    soon();
+  });
+  view.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    look.zoom *= Math.exp(-0.001 * event.deltaY);
+    soon();
+  }, { passive: false });
+  view.addEventListener("dblclick", () => { look = { ...START }; soon(); });
   picker.addEventListener("change", choose);
   slider.addEventListener("input", soon);
-  boxes.forEach(([, box]) => box.addEventListener("change", soon));
+  boxes.forEach(([, check]) => check.addEventListener("change", soon));
   choose();
+  new ResizeObserver(soon).observe(view);
 }
 
-if (document.getElementById("view")) showSpace();
+const view = document.getElementById("view");
+if (view) showSpace(view);
