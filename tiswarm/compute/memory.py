@@ -38,13 +38,18 @@ class Memory:
 
     def upload(self, values: NDArray[Any]) -> DeviceArray:
         """Copy an array, in the precision of the backend if its numbers are real."""
-        dtype = np.int32 if np.issubdtype(values.dtype, np.integer) else self.running.dtype
-        copy = np.array(values, dtype, order="C")
-        if self.on_host:
-            return copy
-        array = self._reserve(dtype, copy.shape)
-        array.from_numpy(copy)
+        integer = np.issubdtype(values.dtype, np.integer)
+        array = self.ints(*values.shape) if integer else self.reals(*values.shape)
+        self.refill(array, values)
         return array
+
+    def refill(self, array: DeviceArray, values: NDArray[Any]) -> None:
+        """Copy values into an array that is there; reserving one takes a millisecond."""
+        if self.on_host:
+            array[...] = values
+        else:
+            real = array.dtype != ti.i32
+            array.from_numpy(np.array(values, self.running.dtype if real else np.int32, order="C"))
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Copy an array back to the host."""

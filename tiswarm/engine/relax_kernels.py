@@ -108,7 +108,7 @@ def take_step(
     max_step: Float,
     stray_limit: Float,
     t: I32,
-    ramp: Reals1,
+    ramp: Float,
     dock: Reals3,
     row: Ints1,
     row_count: Ints1,
@@ -124,7 +124,7 @@ def take_step(
     Args:
         stray_limit: How far a robot may be from where its row was made.
         t: Which step.
-        ramp: Ramp of each step, shape (T,).
+        ramp: Share of attraction in this step.
         dock: Places of docks, read from half `t % 2`, shape (2, M, 4).
         row: Rows of the neighbor list.
         row_count: Length of each, shape (N,).
@@ -133,7 +133,7 @@ def take_step(
         reference: Positions for which the rows were made, shape (N, 3).
         position: Read and written, shape (N, 3).
         control: Steps taken, and whether rows are stale; read and written.
-        largest_move: Written: largest step of a robot in step t [R], shape (T,).
+        largest_move: Written: largest step of a robot in step t [R], shape (T,) or longer.
     """
     grid = ti.Struct(
         docks=docks, own_bits=own_bits, robot_stride=robot_stride, entry_stride=entry_stride
@@ -147,7 +147,7 @@ def take_step(
     for robot in range(row_count.shape[0]):
         if control[STALE] == 0:
             step, way = step_robot(
-                grid, law, ramp[t], t % 2, robot, row_count[robot],
+                grid, law, ramp, t % 2, robot, row_count[robot],
                 dock, row, arm, height, reference, position,
             )  # fmt: skip
             ti.atomic_max(moved, step)
