@@ -4,6 +4,7 @@
     python -m benchmarks.swarm_step --full             # all scenes, 100 to 1,000,000 robots
     python -m benchmarks.swarm_step --engines tiswarm-f64 numba-f64 --sizes 1e5
 
+What the folder holds of other scenes and sizes stays: a long table can be measured in parts.
 Engines take turns, each in a process of its own, and go through the whole run: from the start
 of the scene, lists and all. Needs `pip install '.[bench]'`; what is missing is named.
 """
@@ -43,16 +44,26 @@ def main() -> None:
     options = _options()
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "machine.json").write_text(json.dumps(describe(), indent=1) + "\n")
-    rows: list[dict[str, Any]] = []
+    file = options.out / "swarm_step.csv"
+    table = pd.read_csv(file, keep_default_na=False, na_values=[""]) if file.exists() else None
     for scene in options.scenes:
         for robots in options.sizes:
-            rows += measure(scene, robots, options, rows)
-            table = pd.DataFrame(rows)
-            table.to_csv(options.out / "swarm_step.csv", index=False, float_format="%.4g")
-            here = table[(table["scene"] == scene) & (table["robots"] == robots)]
+            known = [] if table is None else table.to_dict("records")
+            here = pd.DataFrame(measure(scene, robots, options, known))
+            table = _put(here, table)
+            table.to_csv(file, index=False, float_format="%.4g")
             print(here.to_string(index=False, float_format="{:.3g}".format), "\n", flush=True)
-    draw(pd.DataFrame(rows), options.out / "swarm_step.png")
-    sys.exit(any(row.get("note") == "WRONG" for row in rows))
+    draw(table, options.out / "swarm_step.png")
+    sys.exit(int((table["note"] == "WRONG").any()))
+
+
+def _put(new: pd.DataFrame, table: pd.DataFrame | None) -> pd.DataFrame:
+    """Replace what was measured of a scene of one size before, and keep the rest."""
+    place = ["scene", "robots"]
+    if table is None:
+        return new
+    kept = table[~table.set_index(place).index.isin(new.set_index(place).index)]
+    return pd.concat([kept, new]).sort_values(place, kind="stable")
 
 
 def _options() -> argparse.Namespace:
@@ -93,7 +104,7 @@ def measure(
         file = Path(folder) / "scene.npz"
         np.savez(file, **vars(scene), **wanted)
         for engine, row in rows.items():
-            row["note"] = _too_slow(engine, name, robots * steps, options.limit_s, earlier)
+            row["note"] = _too_slow(engine, name, robots, steps, options.limit_s, earlier)
             if not row["note"]:
                 children[engine] = Child(engine, file)
                 row["note"] = children[engine].missing
@@ -146,13 +157,17 @@ def _summary(
 
 
 def _too_slow(
-    engine: str, scene: str, robot_steps: int, limit_s: float, earlier: list[dict[str, Any]]
+    engine: str, scene: str, robots: int, steps: int, limit_s: float, earlier: list[dict[str, Any]]
 ) -> str:
     """Say so where a run would take longer than wanted, judging by the last smaller one."""
-    known = [row for row in earlier if row["scene"] == scene and row["engine"] == engine]
-    expected = 1e-9 * robot_steps * known[-1].get("wall_ns", 0.0) if known else 0.0
-    if known and "wall_ns" not in known[-1]:
-        return known[-1]["note"]
+    known = [
+        row
+        for row in earlier
+        if row["scene"] == scene and row["engine"] == engine and row["robots"] < robots
+    ]
+    expected = 1e-9 * robots * steps * known[-1].get("wall_ns", 0.0) if known else 0.0
+    if known and not known[-1].get("wall_ns", 0.0) > 0.0:
+        return str(known[-1]["note"])
     return f"left out: a run would take about {expected:.0f} s" if expected > limit_s else ""
 
 

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-MARKERS = {"f64": "o", "f32": "^", "all": "s"}
-LINES = {"f64": "-", "f32": "--", "all": ":"}
+MARKERS = {"f64": "o", "f32": "^", "all": "s", "call": "D"}
+LINES = {"f64": "-", "f32": "--", "all": ":", "call": "-."}
 
 
 def _library(engine: str) -> str:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from benchmarks.swarm_step import reference, scenes
@@ -65,9 +66,12 @@ def test_engines_pass_the_check(engine, name):
 
 
 def test_the_benchmark_runs_from_the_command_line(tmp_path):
-    """A small size of the engine alone: measured, checked and drawn."""
-    command = [sys.executable, "-m", "benchmarks.swarm_step", "--engines", "tiswarm-f64"]
+    """Small sizes of the engine alone: measured, checked and drawn; what is there is kept."""
+    engines = ["--engines", "tiswarm-f64", "tiswarm-f64-call"]
+    command = [sys.executable, "-m", "benchmarks.swarm_step", *engines]
     sizes = ["--sizes", "100", "--scenes", "batch", "--repeats", "1", "--out", str(tmp_path)]
+    earlier = "scene,robots,engine,note,cpu_ns,step_cpu_ns\nblock,100,c-f64,,7.0,5.0\n"
+    (tmp_path / "swarm_step.csv").write_text(earlier)
 
     done = subprocess.run([*command, *sizes], capture_output=True, text=True, check=False)
 
@@ -75,3 +79,6 @@ def test_the_benchmark_runs_from_the_command_line(tmp_path):
     assert {file.name for file in tmp_path.iterdir()} == {
         "machine.json", "swarm_step.csv", "swarm_step.png",
     }  # fmt: skip
+    table = pd.read_csv(tmp_path / "swarm_step.csv")
+    assert list(table["engine"]) == ["tiswarm-f64", "tiswarm-f64-call", "c-f64"]
+    assert (table["cpu_ns"] > 0.0).all()

@@ -86,7 +86,7 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     swarms = [anneal.Swarm(logs, params, known, by_block=by_block) for by_block in (True, False)]
     rows = swarms[0].neighbors
-    rows.lengthen(1)  # too short a row is made longer on the way
+    rows.make_room(0)  # what does not fit is given room on the way
 
     runs = [swarm.run() for swarm in swarms]
 

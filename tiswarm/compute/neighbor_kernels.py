@@ -13,11 +13,13 @@ What functions are given as `grid`:
 - stride_y, stride_z: from a bucket to that of the next cell along y and z; 1 along x
 - buckets: size of the hash table, a power of two
 - table, slot: where the table starts in `begin`, and its docks in `sorted_dock`
-- robot_stride, entry_stride: from one row to the next in `row`, and from one entry to the next
-- capacity: entries that a row can hold, beside a last one that holds nothing
+- entry_stride: from one entry of a row to the next in `row`
+
+`dock` holds places of docks and, last, the number of their structure: rows of four numbers, of
+which `base` is where the current ones start.
 """
 
-from tiswarm.compute.dialect import I32, Float, Ints1, Reals2, Reals3, ti
+from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, ti
 
 STRIDE_STRUCTURE = 1_779_033_703
 CELL_LENGTH = 0.25
@@ -28,14 +30,17 @@ LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
 REACH_MARGIN = 1e-3
 """What a reach is taken longer by [cutoff], so that rounding cannot shorten it."""
+BLOCK = 16
+"""Sorted docks that are compared at a time."""
 SCAN_BLOCK = 512
 """Buckets that one thread sums up at a time."""
 
 
 @ti.func
-def dock_at(dock: ti.template(), half, m):
+def dock_at(dock: ti.template(), base, m):
     """Place of dock `m` and, last, the number of its structure."""
-    return ti.Vector([dock[half, m, 0], dock[half, m, 1], dock[half, m, 2], dock[half, m, 3]])
+    at = base + 4 * m
+    return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
 
 
 @ti.func
@@ -67,22 +72,22 @@ def own_bucket(grid: ti.template(), at):
 
 
 @ti.func
-def count_dock(grid: ti.template(), half, m, dock: ti.template(), begin: ti.template()):
+def count_dock(grid: ti.template(), base, m, dock: ti.template(), begin: ti.template()):
     """Count a dock in its bucket, two places on: there scan and scatter will leave the start."""
-    ti.atomic_add(begin[grid.table + own_bucket(grid, dock_at(dock, half, m)) + 2], 1)
+    ti.atomic_add(begin[grid.table + own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
 
 
 @ti.func
 def scatter_dock(
     grid: ti.template(),
-    half,
+    base,
     m,
     dock: ti.template(),
     begin: ti.template(),
     sorted_dock: ti.template(),
 ):
     """Put a dock into the next free slot of its bucket."""
-    bucket = own_bucket(grid, dock_at(dock, half, m))
+    bucket = own_bucket(grid, dock_at(dock, base, m))
     slot = grid.slot + ti.atomic_add(begin[grid.table + bucket + 1], 1)
     sorted_dock[slot] = m
 
@@ -90,7 +95,7 @@ def scatter_dock(
 @ti.func
 def sort_bucket(
     grid: ti.template(),
-    half,
+    base,
     bucket,
     dock: ti.template(),
     begin: ti.template(),
@@ -108,9 +113,9 @@ def sort_bucket(
             to -= 1
         sorted_dock[to] = m
     for slot in range(first, last):
-        at = dock_at(dock, half, sorted_dock[slot])
+        at = dock_at(dock, base, sorted_dock[slot])
         for c in ti.static(range(4)):
-            sorted_at[slot, c] = at[c]
+            sorted_at[slot + c * (sorted_at.shape[0] // 4)] = at[c]
 
 
 @ti.func
@@ -122,9 +127,33 @@ def nearer_side(value, index, per_width):
 
 
 @ti.func
+def near_slots(here, square_cutoff, first, sorted_at: ti.template()):
+    """Which of the BLOCK sorted docks from `first` on are near, a bit each.
+
+    Nothing is written and all are looked at, wanted or not, so that compilers compare many
+    docks at a time.
+    """
+    near = 0
+    docks = sorted_at.shape[0] // 4
+    for k in range(BLOCK):
+        to_x = sorted_at[first + k] - here[0]
+        to_y = sorted_at[first + k + docks] - here[1]
+        to_z = sorted_at[first + k + 2 * docks] - here[2]
+        square = to_x * to_x + to_y * to_y + to_z * to_z
+        near |= ti.cast(square < square_cutoff, ti.i32) << k
+    return near
+
+
+@ti.func
+def structure_at(slot, sorted_at: ti.template()):
+    """Structure of a sorted dock."""
+    return sorted_at[slot + sorted_at.shape[0] // 4 * 3]
+
+
+@ti.func
 def fill_row(
     grid: ti.template(),
-    half,
+    base,
     robot,
     dock: ti.template(),
     begin: ti.template(),
@@ -133,15 +162,17 @@ def fill_row(
     contact_start: ti.template(),
     contact: ti.template(),
     row: ti.template(),
+    place,
+    room,
 ):
     """List a robot's contacts, then all other docks near its own; return how many there are.
 
+    The row starts at `place`, where there is room for `room` entries and one that holds nothing.
     What does not fit is counted, not written.
     """
     own_first = robot * grid.docks
-    place = robot * grid.robot_stride
     contacts = contact_start[robot + 1] - contact_start[robot]
-    for c in range(ti.min(contacts, grid.capacity)):
+    for c in range(ti.min(contacts, room)):
         row[place + c * grid.entry_stride] = contact[contact_start[robot] + c]
     count = contacts
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
@@ -149,7 +180,7 @@ def fill_row(
     square_cutoff = grid.cutoff * grid.cutoff
     end = begin[grid.table + grid.buckets]
     for own in range(grid.docks):
-        here = dock_at(dock, half, own_first + own)
+        here = dock_at(dock, base, own_first + own)
         y = cell(here[1], per_width)
         z = cell(here[2], per_width)
         side_y, gap_y = nearer_side(here[1], y, per_width)
@@ -169,35 +200,67 @@ def fill_row(
                 length = begin[grid.table + ti.min(past, grid.buckets)] - first
                 if past > grid.buckets:  # the run goes round the end of the table
                     length += begin[grid.table + past - grid.buckets]
-                for step in range(length):
-                    slot = first + step
-                    if slot >= end:
-                        slot -= end
-                    slot += grid.slot
-                    other = sorted_dock[slot]
-                    to_x = sorted_at[slot, 0] - here[0]
-                    to_y = sorted_at[slot, 1] - here[1]
-                    to_z = sorted_at[slot, 2] - here[2]
-                    near = (
-                        ti.cast(to_x * to_x + to_y * to_y + to_z * to_z < square_cutoff, ti.i32)
-                        & ti.cast(sorted_at[slot, 3] == here[3], ti.i32)
-                        & ti.cast((other < own_first) | (other >= own_first + grid.docks), ti.i32)
-                    )
-                    # Written always and kept if near, since which it is cannot be predicted.
-                    place_free = ti.min(count, grid.capacity)
-                    row[place + place_free * grid.entry_stride] = (
-                        other << (grid.own_bits + 1)
-                    ) | own
-                    count += near
-    if count <= grid.capacity:
+                # The run may go round the end of the sorted docks too.
+                ends = ti.Vector([ti.min(first + length, end), first + length - end])
+                for part in ti.static(range(2)):
+                    at = first * (1 - part)
+                    while at < ends[part]:
+                        wanted = (1 << ti.min(ends[part] - at, BLOCK)) - 1
+                        near = wanted & near_slots(here, square_cutoff, grid.slot + at, sorted_at)
+                        while near != 0:
+                            slot = grid.slot + at + ti.math.popcnt((near & -near) - 1)
+                            near &= near - 1
+                            other = sorted_dock[slot]
+                            # Written always and kept if a neighbor: that cannot be predicted.
+                            row[place + ti.min(count, room) * grid.entry_stride] = (
+                                other << (grid.own_bits + 1)
+                            ) | own
+                            count += ti.cast(
+                                (other < own_first) | (other >= own_first + grid.docks), ti.i32
+                            ) & ti.cast(structure_at(slot, sorted_at) == here[3], ti.i32)
+                        at += BLOCK
+    if count <= room:
         flag = 1 << grid.own_bits
         for c in range(contacts):
             same = row[place + c * grid.entry_stride] ^ flag
+            found = -1
             for e in range(contacts, count):
-                if row[place + e * grid.entry_stride] == same:
-                    count -= 1
-                    row[place + e * grid.entry_stride] = row[place + count * grid.entry_stride]
+                found = ti.max(found, ti.select(row[place + e * grid.entry_stride] == same, e, -1))
+            if found >= 0:
+                count -= 1
+                row[place + found * grid.entry_stride] = row[place + count * grid.entry_stride]
     return count
+
+
+@ti.func
+def fill_rows_of(
+    grid: ti.template(),
+    base,
+    first_robot,
+    last_robot,
+    dock: ti.template(),
+    begin: ti.template(),
+    sorted_dock: ti.template(),
+    sorted_at: ti.template(),
+    contact_start: ti.template(),
+    contact: ti.template(),
+    row: ti.template(),
+    row_first: ti.template(),
+    row_count: ti.template(),
+    place,
+    room,
+):
+    """Write rows of successive robots, one behind the other; return how many entries they have."""
+    used = 0
+    for robot in range(first_robot, last_robot):
+        free = ti.min(used, room)
+        row_first[robot] = place + free
+        row_count[robot] = fill_row(
+            grid, base, robot, dock, begin, sorted_dock, sorted_at, contact_start, contact,
+            row, place + free, room - free,
+        )  # fmt: skip
+        used += row_count[robot]
+    return used
 
 
 @ti.func
@@ -213,7 +276,7 @@ def scan_block(grid: ti.template(), block, begin: ti.template()):
 @ti.func
 def list_structure(
     grid: ti.template(),
-    half,
+    base,
     first_robot,
     last_robot,
     dock: ti.template(),
@@ -223,26 +286,26 @@ def list_structure(
     contact_start: ti.template(),
     contact: ti.template(),
     row: ti.template(),
+    row_first: ti.template(),
     row_count: ti.template(),
+    place,
+    room,
 ):
-    """Write the rows of one small structure, on one thread; return the longest."""
+    """Write the rows of one small structure, on one thread; return how many entries they have."""
     for k in range(grid.buckets + 2):
         begin[grid.table + k] = 0
     for m in range(first_robot * grid.docks, last_robot * grid.docks):
-        count_dock(grid, half, m, dock, begin)
+        count_dock(grid, base, m, dock, begin)
     for k in range(1, grid.buckets):
         begin[grid.table + k + 2] += begin[grid.table + k + 1]
     for m in range(first_robot * grid.docks, last_robot * grid.docks):
-        scatter_dock(grid, half, m, dock, begin, sorted_dock)
+        scatter_dock(grid, base, m, dock, begin, sorted_dock)
     for bucket in range(grid.buckets):
-        sort_bucket(grid, half, bucket, dock, begin, sorted_dock, sorted_at)
-    longest = 0
-    for robot in range(first_robot, last_robot):
-        row_count[robot] = fill_row(
-            grid, half, robot, dock, begin, sorted_dock, sorted_at, contact_start, contact, row
-        )
-        longest = ti.max(longest, row_count[robot])
-    return longest
+        sort_bucket(grid, base, bucket, dock, begin, sorted_dock, sorted_at)
+    return fill_rows_of(
+        grid, base, first_robot, last_robot, dock, begin, sorted_dock, sorted_at, contact_start,
+        contact, row, row_first, row_count, place, room,
+    )  # fmt: skip
 
 
 @ti.kernel
@@ -251,24 +314,25 @@ def sort_docks(
     cutoff: Float,
     stride_y: I32,
     stride_z: I32,
-    half: I32,
-    dock: Reals3,
+    base: I32,
+    dock: Reals1,
     begin: Ints1,
     block_total: Ints1,
     sorted_dock: Ints1,
-    sorted_at: Reals2,
+    sorted_at: Reals1,
 ):
     """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
 
     Args:
         docks: Docks of a robot.
         cutoff: Edge of a cell.
-        half: Which half of `dock` is current.
-        dock: Places, last the structure, shape (2, M, 4).
+        base: Where the current docks start in `dock`.
+        dock: Places, last the structure, rows of four.
         begin: Written: first slot of each bucket and, last, M; shape (buckets + 2,).
         block_total: Scratch, shape (ceil(buckets / SCAN_BLOCK),).
         sorted_dock: Written: docks in the order of their buckets, shape (M,).
-        sorted_at: Written: the same docks' places, shape (M, 4).
+        sorted_at: Written: the same docks' x, then all y, all z, all structures,
+            each followed by room for BLOCK more, shape (4 (M + BLOCK),).
     """
     grid = ti.Struct(
         docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
@@ -277,7 +341,7 @@ def sort_docks(
     for k in range(begin.shape[0]):
         begin[k] = 0
     for m in range(sorted_dock.shape[0]):
-        count_dock(grid, half, m, dock, begin)
+        count_dock(grid, base, m, dock, begin)
     for block in range(block_total.shape[0]):
         block_total[block] = scan_block(grid, block, begin)
     ti.loop_config(serialize=True)
@@ -286,9 +350,9 @@ def sort_docks(
     for k in range(SCAN_BLOCK, begin.shape[0] - 2):
         begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
     for m in range(sorted_dock.shape[0]):
-        scatter_dock(grid, half, m, dock, begin, sorted_dock)
+        scatter_dock(grid, base, m, dock, begin, sorted_dock)
     for bucket in range(begin.shape[0] - 2):
-        sort_bucket(grid, half, bucket, dock, begin, sorted_dock, sorted_at)
+        sort_bucket(grid, base, bucket, dock, begin, sorted_dock, sorted_at)
 
 
 @ti.kernel
@@ -298,39 +362,47 @@ def fill_rows(
     cutoff: Float,
     stride_y: I32,
     stride_z: I32,
-    robot_stride: I32,
     entry_stride: I32,
-    capacity: I32,
-    half: I32,
-    dock: Reals3,
+    run: I32,
+    run_stride: I32,
+    room: I32,
+    base: I32,
+    dock: Reals1,
     begin: Ints1,
     sorted_dock: Ints1,
-    sorted_at: Reals2,
+    sorted_at: Reals1,
     contact_start: Ints1,
     contact: Ints1,
     row: Ints1,
+    row_first: Ints1,
     row_count: Ints1,
     longest: Ints1,
 ):
     """Write every robot's row; arguments as above and as `sort_docks` has them.
 
     Args:
+        run: Robots whose rows one thread writes one behind the other.
+        run_stride: From where one run's rows start to where those of the next do.
+        room: Entries that a run's rows may have in all.
         contact_start: First contact of each robot, shape (N + 1,).
         contact: Contacts as row entries, connected, shape (C,).
-        row: Written, shape (N * capacity,).
+        row: Written.
+        row_first: Written: where each robot's row starts, shape (N,).
         row_count: Written: entries of each row, those that did not fit included, shape (N,).
-        longest: Written: the longest row, shape (1,).
+        longest: Written: most entries of a run, shape (1,).
     """
     grid = ti.Struct(
-        docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y,
-        stride_z=stride_z, buckets=begin.shape[0] - 2,
-        robot_stride=robot_stride, entry_stride=entry_stride, capacity=capacity, table=0, slot=0,
+        docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
+        buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
     )  # fmt: skip
     most = 0
-    for robot in range(row_count.shape[0]):
-        count = fill_row(
-            grid, half, robot, dock, begin, sorted_dock, sorted_at, contact_start, contact, row
-        )
-        row_count[robot] = count
-        ti.atomic_max(most, count)
+    robots = row_count.shape[0]
+    for first in range(robots):
+        if first % run == 0:
+            used = fill_rows_of(
+                grid, base, first, ti.min(first + run, robots), dock, begin, sorted_dock,
+                sorted_at, contact_start, contact, row, row_first, row_count,
+                first // run * run_stride, room,
+            )  # fmt: skip
+            ti.atomic_max(most, used)
     longest[0] = most

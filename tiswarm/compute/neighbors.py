@@ -1,9 +1,9 @@
 """The neighbor list: for each robot, the docks of others near its own.
 
 Docks are sorted into cells by a counting sort, with a linear hash for a table, so that no box
-has to be small; each robot's neighbors then stand in a row of fixed length (a Verlet list),
-which holds until a robot has moved by half the skin. A row that is too short is counted, made
-longer and written again: no neighbor is ever dropped.
+has to be small; each robot's neighbors then stand in a row (a Verlet list), which holds until a
+robot has moved by half the skin. Rows for which there is too little room are counted, given more
+and written again: no neighbor is ever dropped.
 """
 
 from itertools import pairwise
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tiswarm.compute.dialect import DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbor_kernels import (
+    BLOCK,
     CELL_LENGTH,
     CELL_WIDTH,
     LONGEST_RUN,
@@ -28,10 +29,12 @@ MOST_ITEMS = 2**31 - 1
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
 BUCKETS_PER_DOCK = 1
-FIRST_CAPACITY = 16
-"""Entries of a row to begin with, for each of the robot's docks."""
+FIRST_CAPACITY = 8
+"""Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
+RUN = 512
+"""Robots whose rows a core writes one behind the other, so that they lie close in memory."""
 ROOM = 1.25
-"""How much longer than the longest row rows are made."""
+"""How much more room is made than was needed."""
 
 
 def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -176,7 +179,10 @@ class NeighborList:
         self.robots, self.docks = len(position), docks
         self.own_bits = own_bits_for(self.docks)
         self.cutoff = cutoff
-        self.capacity = FIRST_CAPACITY * self.docks
+        on_cpu = memory.running.arch == "cpu"
+        self.run = RUN if on_cpu else 1
+        # A row of its own has to hold more than what rows need on average.
+        self.capacity = FIRST_CAPACITY * self.docks * (1 if on_cpu else 2)
         bounds = np.array([0, self.robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
@@ -190,59 +196,69 @@ class NeighborList:
         self.begin = seldom.ints(self.table_size)
         self.block_total = seldom.ints(-(-self.table_size // SCAN_BLOCK))
         self.sorted_dock = seldom.ints(self.robots * self.docks)
-        self.sorted_at = seldom.reals(self.robots * self.docks, 4)
-        self.longest = seldom.ints(len(tables))
-        self.row_count = memory.ints(self.robots)
-        self.row = memory.ints(self.robots * (self.capacity + 1))
+        self.sorted_at = seldom.reals(4 * (self.robots * self.docks + BLOCK))
+        self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
+        self.row_first, self.row_count = memory.ints(self.robots), memory.ints(self.robots)
+        self.row = memory.ints(self._row_size())
         self.builds = 0
 
     @property
-    def strides(self) -> tuple[int, int]:
-        """From one robot's row to the next, and from one entry to the next.
+    def entry_stride(self) -> int:
+        """From one entry of a row to the next.
 
         A core reads along a row, a graphics card reads the same entry of many rows at once.
         """
-        return (self.capacity + 1, 1) if self.memory.running.arch == "cpu" else (1, self.robots)
+        return 1 if self.run > 1 else self.robots
 
-    def build(self, dock: DeviceArray, half: int) -> None:
+    def build(self, dock: DeviceArray, base: int) -> None:
         """Write all rows anew, as long as they need to be.
 
         Args:
-            dock: Places of docks and, last, their structure, shape (2, N * docks, 4).
-            half: Which half of them is current.
+            dock: Places of docks and, last, their structure: rows of four.
+            base: Where in `dock` the current ones start.
         """
         sort_docks(
-            self.docks, self.cutoff, self.stride_y, self.stride_z, half, dock,
+            self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock,
             self.begin, self.block_total, self.sorted_dock, self.sorted_at,
         )  # fmt: skip
         while True:
+            room = self.run * self.capacity
+            run_stride = room + 1 if self.run > 1 else 1
             fill_rows(
                 self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
-                *self.strides, self.capacity, half, dock, self.begin, self.sorted_dock,
-                self.sorted_at, self.contact_start, self.contact, self.row, self.row_count,
-                self.longest,
+                self.entry_stride, self.run, run_stride, room, base, dock, self.begin,
+                self.sorted_dock, self.sorted_at, self.contact_start, self.contact, self.row,
+                self.row_first, self.row_count, self.longest,
             )  # fmt: skip
-            longest = int(self.longest[0])
-            if longest <= self.capacity:
+            used = int(self.longest[0])
+            if used <= room:
                 break
-            self.lengthen(longest)
+            self.make_room(used / self.run)
         self.builds += 1
 
-    def lengthen(self, longest: int) -> None:
-        """Make rows that hold `longest` entries, and some more.
+    def fullest(self) -> float:
+        """Entries a robot that rows need, of the structure that needs most."""
+        return float((self.longest / self.size).max())
+
+    def make_room(self, entries: float) -> None:
+        """Make room for `entries` a robot, and some more.
 
         Raises:
             InputError: where that is more than can be numbered.
         """
-        self.capacity = int(ROOM * longest) + 1
+        self.capacity = int(ROOM * entries) + 1
         self._check_size()
-        self.row = self.memory.ints(self.robots * (self.capacity + 1))
+        self.row = self.memory.ints(self._row_size())
+
+    def _row_size(self) -> int:
+        runs = max(-(-self.robots // self.run), 1) if self.run > 1 else self.robots
+        return max(runs * (self.run * self.capacity + 1), self.robots * (self.capacity + 1))
 
     def _check_size(self) -> None:
         """Refuse what the kernels' integers cannot count."""
         largest = max(
             self.robots * self.docks << (self.own_bits + 1),
-            self.robots * (self.capacity + 1),
+            self._row_size(),
             self.table_size,
             8 * self.robots * self.docks,
         )

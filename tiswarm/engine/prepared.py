@@ -13,12 +13,14 @@ from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList, morton_order
 from tiswarm.engine.relax_kernels import (
     STALE,
+    STEPS_A_LAUNCH,
     TAKEN,
     UNKNOWN,
     place_docks,
     relax_structures,
     start_interval,
-    take_step,
+    take_steps,
+    turn_docks,
 )
 from tiswarm.engine.swarm import Swarm, resolved
 from tiswarm.errors import EnvironmentTroubleError, InputError
@@ -27,8 +29,8 @@ SKIN = 0.25
 """How much farther than D rows of neighbors reach [D]."""
 SMALL = 2_000
 """Structures of at most so many robots are relaxed by one thread each, without a pause."""
-LAUNCHES = 8
-"""Steps that are sent to the device before it is asked whether rows are stale."""
+LAUNCHES = 2
+"""How often steps are sent to the device before it is asked whether rows are stale."""
 NO_LIMIT = 1e30
 LARGEST_GAIN = 1e12
 
@@ -94,15 +96,14 @@ class PreparedSwarm:
             start=self.start if self.by_structure else None,
         )
         self.arm = memory.reals(robots * docks, 3)
-        self.dock = memory.reals(2, robots * docks, 4)
+        self.dock = memory.reals(2 * robots * docks * 4)
         self.position, self.reference = memory.reals(robots, 3), memory.reals(robots, 3)
         self.control, self.moves = memory.ints(2), memory.reals(1)
+        self.ramp = memory.reals(1)
         seldom = memory.for_seldom_used()
-        self.body = (
-            seldom.upload(swarm.orientation_wxyz[self.order]),
-            seldom.upload(swarm.dock_offset_body),
-            seldom.upload(swarm.structure[self.order]),
-        )
+        self.structure = seldom.upload(swarm.structure[self.order])
+        orientation = seldom.upload(swarm.orientation_wxyz[self.order])
+        turn_docks(orientation, seldom.upload(swarm.dock_offset_body), self.arm)
         height = np.zeros(1) if swarm.height is None else swarm.height[self.order]
         self.height = memory.upload(np.nan_to_num(height, nan=UNKNOWN))
 
@@ -139,29 +140,31 @@ class PreparedSwarm:
 
     def _go_to_start(self) -> None:
         self.memory.refill(self.position, self.first_position)
-        place_docks(*self.body, self.position, self.arm, self.dock)
+        place_docks(self.structure, self.position, self.arm, self.dock)
 
     def _all_at_once(self, law: Law, ramp: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
         """Step by step, each with all threads, rows made anew where they have gone stale."""
         rows, control, steps = self.neighbors, self.control, len(ramp)
-        if self.moves.shape[0] < steps:
-            self.moves = self.memory.reals(steps)
-        taken, builds_before = 0, rows.builds
+        if self.moves.shape[0] != steps:
+            self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
+        self.memory.refill(self.ramp, ramp)
+        taken, builds_before, half = 0, rows.builds, self.dock.shape[0] // 2
         control[TAKEN] = 0
         while taken < steps:
-            rows.build(self.dock, taken % 2)
+            rows.build(self.dock, taken % 2 * half)
             start_interval(self.position, self.reference, control)
-            while taken < steps and not control[STALE]:
-                with loose_arithmetic():
-                    for t in range(taken, min(taken + LAUNCHES, steps)):
-                        take_step(
-                            rows.docks, rows.own_bits, *rows.strides, *law,
-                            0.5 * SKIN * law.spacing, t, ramp[t], self.dock, rows.row,
-                            rows.row_count, self.arm, self.height, self.reference, self.position,
-                            control, self.moves,
-                        )  # fmt: skip
+            while not control[STALE]:
                 taken = int(control[TAKEN])
-        moves = self.memory.download(self.moves)[:steps].astype(np.float64)
+                with loose_arithmetic():
+                    for t in range(taken, taken + LAUNCHES * STEPS_A_LAUNCH, STEPS_A_LAUNCH):
+                        take_steps(
+                            rows.docks, rows.own_bits, rows.entry_stride, *law,
+                            0.5 * SKIN * law.spacing, t, self.ramp, self.dock, rows.row,
+                            rows.row_first, rows.row_count, self.arm, self.height,
+                            self.reference, self.position, control, self.moves,
+                        )  # fmt: skip
+            taken = int(control[TAKEN])
+        moves = self.memory.download(self.moves).astype(np.float64)
         return moves, rows.builds - builds_before
 
     def _by_structure(self, law: Law, ramp: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
@@ -175,14 +178,13 @@ class PreparedSwarm:
                 relax_structures(
                     rows.docks, rows.own_bits, rows.cutoff, rows.capacity, *law, start,
                     ramps, self.dock, rows.table, rows.begin, rows.sorted_dock,
-                    rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_count,
-                    self.arm, self.height, self.reference, self.position, builds, rows.longest,
-                    moves,
+                    rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
+                    rows.row_count, self.arm, self.height, self.reference, self.position, builds,
+                    rows.longest, moves,
                 )  # fmt: skip
-            longest = int(rows.longest.max())
-            if longest <= rows.capacity:
+            if (entries := rows.fullest()) <= rows.capacity:
                 break
-            rows.lengthen(longest)
+            rows.make_room(entries)
             self._go_to_start()
         return moves.max(axis=0).astype(np.float64), int(builds.max())
 

@@ -1,9 +1,9 @@
 """One step of the whole swarm under the virtual forces, and many steps of small structures.
 
 A force is the step of a robot's center in one iteration [R]. It is gathered from a robot's row,
-never scattered, so runs repeat bit for bit. Docks are read from one half of `dock` and written
-to the other. `grid` is as in `tiswarm.compute.neighbor_kernels`; `law` holds the gains, D and the
-largest step.
+never scattered, so runs repeat bit for bit. Docks are read from the half of `dock` that starts at
+`base` and written to the one at `next_base`. `grid` is as in `tiswarm.compute.neighbor_kernels`;
+`law` holds the gains, D and the largest step.
 """
 
 from tiswarm.compute.dialect import (
@@ -14,7 +14,6 @@ from tiswarm.compute.dialect import (
     Ints2,
     Reals1,
     Reals2,
-    Reals3,
     ti,
 )  # fmt: skip
 from tiswarm.compute.kernels import vector_at
@@ -24,6 +23,7 @@ from tiswarm.engine.force_kernels import TINY, capped, pull_of
 
 TAKEN = 0
 STALE = 1
+STEPS_A_LAUNCH = 4
 UNKNOWN = -1e30
 
 
@@ -32,27 +32,27 @@ def virtual_force(
     grid: ti.template(),
     law: ti.template(),
     ramp,
-    half,
+    base,
     robot,
+    first,
     entries,
     dock: ti.template(),
     row: ti.template(),
 ):
     """Sum of Eqs. (1) and (2) over a robot's row."""
     force = ti.Vector([0.0, 0.0, 0.0])
-    place = robot * grid.robot_stride
     flag = 1 << grid.own_bits
     attraction = law.attraction_gain * ramp
     repulsion = law.repulsion_gain * (1.0 - ramp)
     for e in range(entries):
-        entry = row[place + e * grid.entry_stride]
-        own = robot * grid.docks + (entry & (flag - 1))
-        other = entry >> (grid.own_bits + 1)
+        entry = row[first + e * grid.entry_stride]
+        own = base + 4 * (robot * grid.docks + (entry & (flag - 1)))
+        other = base + 4 * (entry >> (grid.own_bits + 1))
         offset = ti.Vector(
             [
-                dock[half, other, 0] - dock[half, own, 0],
-                dock[half, other, 1] - dock[half, own, 1],
-                dock[half, other, 2] - dock[half, own, 2],
+                dock[other] - dock[own],
+                dock[other + 1] - dock[own + 1],
+                dock[other + 2] - dock[own + 2],
             ]
         )
         distance = offset.norm()
@@ -66,8 +66,10 @@ def step_robot(
     grid: ti.template(),
     law: ti.template(),
     ramp,
-    half,
+    base,
+    next_base,
     robot,
+    first,
     entries,
     dock: ti.template(),
     row: ti.template(),
@@ -78,7 +80,7 @@ def step_robot(
 ):
     """Move a robot by its forces; return its squared step and distance from its list's place."""
     here = vector_at(position, robot)
-    force = virtual_force(grid, law, ramp, half, robot, entries, dock, row)
+    force = virtual_force(grid, law, ramp, base, robot, first, entries, dock, row)
     if law.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if height[robot] != UNKNOWN:
             force[2] += law.height_gain * (height[robot] - here[2])
@@ -88,18 +90,16 @@ def step_robot(
     for c in ti.static(range(3)):
         position[robot, c] = here[c]
         strayed += (here[c] - reference[robot, c]) ** 2
-    first = robot * grid.docks
-    for k in range(grid.docks):
+    for m in range(robot * grid.docks, (robot + 1) * grid.docks):
         for c in ti.static(range(3)):
-            dock[1 - half, first + k, c] = here[c] + arm[first + k, c]
+            dock[next_base + 4 * m + c] = here[c] + arm[m, c]
     return step.norm_sqr(), strayed
 
 
 @ti.kernel
-def take_step(
+def take_steps(
     docks: I32,
     own_bits: I32,
-    robot_stride: I32,
     entry_stride: I32,
     attraction_gain: Float,
     repulsion_gain: Float,
@@ -107,10 +107,11 @@ def take_step(
     spacing: Float,
     max_step: Float,
     stray_limit: Float,
-    t: I32,
-    ramp: Float,
-    dock: Reals3,
+    first_t: I32,
+    ramp: Reals1,
+    dock: Reals1,
     row: Ints1,
+    row_first: Ints1,
     row_count: Ints1,
     arm: Reals2,
     height: Reals1,
@@ -119,75 +120,86 @@ def take_step(
     control: Ints1,
     largest_move: Reals1,
 ):
-    """Move every robot once, unless the list has gone stale.
+    """Move every robot a few times, as long as the list has not gone stale.
+
+    One launch for several steps, since each takes as long as a thousand robots do.
 
     Args:
         stray_limit: How far a robot may be from where its row was made.
-        t: Which step.
-        ramp: Share of attraction in this step.
-        dock: Places of docks, read from half `t % 2`, shape (2, M, 4).
+        first_t: Which step comes first.
+        ramp: Share of attraction in each step, shape (T,).
+        dock: Places of docks, two halves of M rows of four; in step t the half `t % 2` is read.
         row: Rows of the neighbor list.
+        row_first: Where each starts, shape (N,).
         row_count: Length of each, shape (N,).
         arm: Center to dock, world frame [R], shape (M, 3).
         height: Height that is pulled toward, or UNKNOWN [R], shape (N,) or (1,) if unused.
         reference: Positions for which the rows were made, shape (N, 3).
         position: Read and written, shape (N, 3).
-        control: Steps taken, and whether rows are stale; read and written.
+        control: Steps taken, and whether rows are stale or no step is left; read and written.
         largest_move: Written: largest step of a robot in step t [R], shape (T,) or longer.
     """
-    grid = ti.Struct(
-        docks=docks, own_bits=own_bits, robot_stride=robot_stride, entry_stride=entry_stride
-    )
+    grid = ti.Struct(docks=docks, own_bits=own_bits, entry_stride=entry_stride)
     law = ti.Struct(
         attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
         spacing=spacing, max_step=max_step,
     )  # fmt: skip
-    moved = 0.0
-    strayed = 0.0
-    for robot in range(row_count.shape[0]):
+    half = dock.shape[0] // 2
+    for k in ti.static(range(STEPS_A_LAUNCH)):
+        t = first_t + k
+        moved = 0.0
+        strayed = 0.0
+        for robot in range(row_count.shape[0]):
+            if control[STALE] == 0:
+                base = (first_t + k) % 2 * half
+                step, way = step_robot(
+                    grid, law, ramp[first_t + k], base, half - base, robot, row_first[robot],
+                    row_count[robot], dock, row, arm, height, reference, position,
+                )  # fmt: skip
+                ti.atomic_max(moved, step)
+                ti.atomic_max(strayed, way)
         if control[STALE] == 0:
-            step, way = step_robot(
-                grid, law, ramp, t % 2, robot, row_count[robot],
-                dock, row, arm, height, reference, position,
-            )  # fmt: skip
-            ti.atomic_max(moved, step)
-            ti.atomic_max(strayed, way)
-    if control[STALE] == 0:
-        control[TAKEN] = t + 1
-        control[STALE] = ti.cast(strayed > stray_limit * stray_limit, ti.i32)
-        largest_move[t] = ti.sqrt(moved)
+            control[TAKEN] = t + 1
+            gone = strayed > stray_limit * stray_limit or t + 1 == ramp.shape[0]
+            control[STALE] = ti.cast(gone, ti.i32)
+            largest_move[t] = ti.sqrt(moved)
 
 
 @ti.kernel
-def place_docks(
-    orientation_wxyz: Reals2,
-    dock_offset_body: Reals2,
-    structure: Ints1,
-    position: Reals2,
-    arm: Reals2,
-    dock: Reals3,
-):
+def turn_docks(orientation_wxyz: Reals2, dock_offset_body: Reals2, arm: Reals2):
     """Turn every robot's docks into the world.
 
     Args:
         orientation_wxyz: Body to world, shape (N, 4).
         dock_offset_body: Center to dock, body frame [R], shape (docks, 3).
-        structure: Number of each robot's structure, shape (N,).
-        position: Centers [R], shape (N, 3).
         arm: Written: center to dock, world frame [R], shape (N * docks, 3).
-        dock: Written: places of docks and, last, their structure, twice, shape (2, N * docks, 4).
     """
     docks = dock_offset_body.shape[0]
     for m in range(arm.shape[0]):
-        robot = m // docks
-        k = m % docks
-        turn = ti.Vector([orientation_wxyz[robot, c] for c in range(4)])
-        offset = rotate(turn, ti.Vector([dock_offset_body[k, c] for c in range(3)]))
+        turn = ti.Vector([orientation_wxyz[m // docks, c] for c in range(4)])
+        offset = rotate(turn, vector_at(dock_offset_body, m % docks))
         for c in ti.static(range(3)):
             arm[m, c] = offset[c]
-            for half in ti.static(range(2)):
-                dock[half, m, c] = position[robot, c] + offset[c]
-                dock[half, m, 3] = structure[robot]
+
+
+@ti.kernel
+def place_docks(structure: Ints1, position: Reals2, arm: Reals2, dock: Reals1):
+    """Place every robot's docks.
+
+    Args:
+        structure: Number of each robot's structure, shape (N,).
+        position: Centers [R], shape (N, 3).
+        arm: Center to dock, world frame [R], shape (N * docks, 3).
+        dock: Written: places of docks and, last, their structure, rows of four, all of them twice.
+    """
+    docks = arm.shape[0] // position.shape[0]
+    for m in range(arm.shape[0]):
+        place = vector_at(position, m // docks) + vector_at(arm, m)
+        for half in ti.static(range(2)):
+            at = 4 * (half * arm.shape[0] + m)
+            for c in ti.static(range(3)):
+                dock[at + c] = place[c]
+            dock[at + 3] = structure[m // docks]
 
 
 @ti.kernel
@@ -211,14 +223,15 @@ def relax_structures(
     max_step: Float,
     start: Ints1,
     ramp: Reals1,
-    dock: Reals3,
+    dock: Reals1,
     table: Ints2,
     begin: Ints1,
     sorted_dock: Ints1,
-    sorted_at: Reals2,
+    sorted_at: Reals1,
     contact_start: Ints1,
     contact: Ints1,
     row: Ints1,
+    row_first: Ints1,
     row_count: Ints1,
     arm: Reals2,
     height: Reals1,
@@ -235,7 +248,8 @@ def relax_structures(
         table: Where each structure's table starts, its buckets and strides, shape (S, 4).
         begin: Scratch: the tables.
         builds: Written: how often each structure's rows were made, shape (S,).
-        longest: Written: its longest row; above `capacity` its robots stopped there, shape (S,).
+        longest: Written: most entries of its rows; a structure stopped where they were more than
+            `capacity` a robot, shape (S,).
         largest_move: Written: largest step of a robot by structure and step [R], shape (S, T).
     """
     law = ti.Struct(
@@ -243,35 +257,38 @@ def relax_structures(
         spacing=spacing, max_step=max_step,
     )  # fmt: skip
     stray_limit = 0.5 * (cutoff - spacing)
+    half = dock.shape[0] // 2
     for i in range((start.shape[0] - 1) * GRAIN):
         if i % GRAIN == 0:
             s = i // GRAIN
             grid = ti.Struct(
                 docks=docks, own_bits=own_bits, cutoff=cutoff, table=table[s, 0],
                 buckets=table[s, 1], stride_y=table[s, 2], stride_z=table[s, 3],
-                slot=start[s] * docks, robot_stride=capacity + 1, entry_stride=1,
-                capacity=capacity,
+                slot=start[s] * docks, entry_stride=1,
             )  # fmt: skip
+            room = capacity * (start[s + 1] - start[s])
             stale = 1
             builds[s] = 0
             longest[s] = 0
             for t in range(ramp.shape[0]):
-                if stale == 1 and longest[s] <= capacity:
+                base = t % 2 * half
+                if stale == 1 and longest[s] <= room:
                     longest[s] = ti.max(longest[s], list_structure(
-                        grid, t % 2, start[s], start[s + 1], dock, begin, sorted_dock, sorted_at,
-                        contact_start, contact, row, row_count,
+                        grid, base, start[s], start[s + 1], dock, begin, sorted_dock, sorted_at,
+                        contact_start, contact, row, row_first, row_count,
+                        start[s] * capacity + s, room,
                     ))  # fmt: skip
                     builds[s] += 1
                     stale = 0
                     for robot in range(start[s], start[s + 1]):
                         for c in ti.static(range(3)):
                             reference[robot, c] = position[robot, c]
-                if longest[s] <= capacity:
+                if longest[s] <= room:
                     moved = 0.0
                     for robot in range(start[s], start[s + 1]):
                         step, way = step_robot(
-                            grid, law, ramp[t], t % 2, robot, row_count[robot],
-                            dock, row, arm, height, reference, position,
+                            grid, law, ramp[t], base, half - base, robot, row_first[robot],
+                            row_count[robot], dock, row, arm, height, reference, position,
                         )  # fmt: skip
                         moved = ti.max(moved, step)
                         if way > stray_limit * stray_limit:

@@ -90,8 +90,8 @@ class Swarm:
         first = np.concatenate(
             [_first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
         )
-        listed = np.zeros((1, copies, 4))
-        listed[0, :, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
+        listed = np.zeros((copies, 4))
+        listed[:, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
         self.neighbors = NeighborList(
             memory,
             first.reshape(-1, 3),
@@ -101,7 +101,7 @@ class Swarm:
             cutoff=2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING + SKIN,
             start=first_of_block if by_block else None,
         )
-        self.listed = memory.upload(listed)
+        self.listed = memory.upload(listed.ravel())
         self.tolerance = self._tolerances()
         self.equations = [
             memory.upload(values)
@@ -161,18 +161,18 @@ class Swarm:
             if not self.by_block and self.stale[0] and self.tolerance[t] < SOLID_BELOW:
                 note_places(self.position, self.listed)
                 rows.build(self.listed, 0)
-                sort_rows(*rows.strides, rows.row, rows.row_count)
+                sort_rows(rows.entry_stride, rows.row, rows.row_first, rows.row_count)
                 self.stale.fill(0)
             take_steps(
-                self.by_block, rows.own_bits, *rows.strides, rows.capacity, rows.cutoff,
+                self.by_block, rows.own_bits, rows.entry_stride, rows.capacity, rows.cutoff,
                 self.schedule.seed, until, self.schedule.steps, *self.equations, rows.table,
                 rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start, rows.contact,
-                rows.row, rows.row_count, rows.longest, self.first_of_block, self.taken,
-                self.stale, self.listed, self.position, self.velocity, self.force, self.mass,
-                self.total, self.square_total,
+                rows.row, rows.row_first, rows.row_count, rows.longest, self.first_of_block,
+                self.taken, self.stale, self.listed, self.position, self.velocity, self.force,
+                self.mass, self.total, self.square_total,
             )  # fmt: skip
-            if self.by_block and (longest := int(rows.longest.max())) > rows.capacity:
-                rows.lengthen(longest)
+            if self.by_block and (entries := rows.fullest()) > rows.capacity:
+                rows.make_room(entries)
                 self.stale.fill(1)
 
     def _tolerances(self) -> NDArray[np.float64]:

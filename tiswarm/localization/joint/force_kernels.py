@@ -62,6 +62,7 @@ def push_of_overlaps(
     grid: ti.template(),
     r,
     base,
+    first,
     entries,
     arm: ti.template(),
     row: ti.template(),
@@ -72,7 +73,7 @@ def push_of_overlaps(
     force = 0.0 * here
     stiffness = 0.0 * here[0]
     for e in range(entries):
-        other = row[r * grid.robot_stride + e * grid.entry_stride] >> (grid.own_bits + 1)
+        other = row[first + e * grid.entry_stride] >> (grid.own_bits + 1)
         between = here - vector_at(position, other)
         if between.norm_sqr() < grid.near * grid.near:
             for k in range(arm.shape[1]):
@@ -103,6 +104,7 @@ def pull_robot(
     precision: ti.template(),
     arm: ti.template(),
     row: ti.template(),
+    row_first: ti.template(),
     row_count: ti.template(),
     position: ti.template(),
     force: ti.template(),
@@ -117,7 +119,9 @@ def pull_robot(
         position,
     )  # fmt: skip
     if solid == 1:
-        push, hardness = push_of_overlaps(grid, r, r - i, row_count[r], arm, row, position)
+        push, hardness = push_of_overlaps(
+            grid, r, r - i, row_first[r], row_count[r], arm, row, position
+        )
         pull += push
         stiffness += hardness
     for c in ti.static(range(3)):

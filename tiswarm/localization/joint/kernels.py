@@ -67,7 +67,7 @@ def move_robot(
             speed = velocity[r, c] + STEP * force[r, c] / mass[r]
             velocity[r, c] = MEMORY * speed + heat * kick[c]
             position[r, c] += 0.5 * STEP * (speed + velocity[r, c])
-            strayed += (position[r, c] - listed[0, r, c]) ** 2
+            strayed += (position[r, c] - listed[4 * r + c]) ** 2
     if averaged:
         for c in ti.static(range(3)):
             total[r, c] += position[r, c]
@@ -76,10 +76,9 @@ def move_robot(
 
 
 @ti.func
-def sort_row(grid: ti.template(), r, row: ti.template(), row_count: ti.template()):
+def sort_row(grid: ti.template(), first, entries, row: ti.template()):
     """Sort the entries of a row, so that sums do not depend on the layout of the table."""
-    first = r * grid.robot_stride
-    for e in range(1, row_count[r]):
+    for e in range(1, entries):
         entry = row[first + e * grid.entry_stride]
         to = e
         while to > 0 and row[first + ti.max(to - 1, 0) * grid.entry_stride] > entry:
@@ -92,7 +91,6 @@ def sort_row(grid: ti.template(), r, row: ti.template(), row_count: ti.template(
 def take_steps(
     by_block: ti.template(),
     own_bits: I32,
-    robot_stride: I32,
     entry_stride: I32,
     capacity: I32,
     cutoff: Float,
@@ -116,17 +114,18 @@ def take_steps(
     table: Ints2,
     begin: Ints1,
     sorted_dock: Ints1,
-    sorted_at: Reals2,
+    sorted_at: Reals1,
     none_start: Ints1,
     none: Ints1,
     row: Ints1,
+    row_first: Ints1,
     row_count: Ints1,
     longest: Ints1,
     # state
     start: Ints1,
     taken: Ints1,
     stale: Ints1,
-    listed: Reals3,
+    listed: Reals1,
     position: Reals2,
     velocity: Reals2,
     force: Reals2,
@@ -140,9 +139,8 @@ def take_steps(
         by_block: Whether one thread takes all steps of a block, and makes its rows anew when they
             are stale. Else all threads take the next step together, unless rows are stale.
         own_bits: Bits of a row's entry that are of no use here.
-        robot_stride: From one row to the next.
         entry_stride: From one entry to the next.
-        capacity: Entries that a row can hold.
+        capacity: Entries that rows can hold, on average over a block.
         cutoff: How far rows reach [R].
         seed: Of the random numbers.
         until: Step before which to stop.
@@ -163,12 +161,13 @@ def take_steps(
         begin, sorted_dock, sorted_at: Scratch of the tables.
         none_start, none: No neighbors that need be in a row.
         row: Rows of the neighbor list.
+        row_first: Where each starts, shape (C N,).
         row_count: Length of each, shape (C N,).
-        longest: Written: longest row of a block; above `capacity` it stopped there, shape (B,).
+        longest: Written: entries of a block's rows; if too many, it stopped there, shape (B,).
         start: First robot of each block, shape (B + 1,).
         taken: Read and written: steps of a block so far, shape (B,).
         stale: Read and written: whether its rows are, shape (B,).
-        listed: Where robots were as rows were made and, last, their block [R], (1, C N, 4).
+        listed: Where robots were as rows were made and, last, their block [R], rows of four.
         position: Read and written [R], shape (C N, 3).
         velocity: Read and written, shape (C N, 3).
         force: Scratch, shape (C N, 3).
@@ -184,30 +183,31 @@ def take_steps(
                 grid = ti.Struct(
                     docks=1, own_bits=own_bits, cutoff=cutoff, near=cutoff - SKIN,
                     table=table[b, 0], buckets=table[b, 1], stride_y=table[b, 2],
-                    stride_z=table[b, 3], slot=start[b], robot_stride=robot_stride,
-                    entry_stride=entry_stride, capacity=capacity,
+                    stride_z=table[b, 3], slot=start[b], entry_stride=entry_stride,
                 )  # fmt: skip
+                room = capacity * (start[b + 1] - start[b])
                 longest[b] = 0
-                while taken[b] < until and longest[b] <= capacity:
+                while taken[b] < until and longest[b] <= room:
                     t = taken[b]
                     if stale[b] == 1 and tolerance[t] < SOLID_BELOW:
                         for r in range(start[b], start[b + 1]):
                             for c in ti.static(range(3)):
-                                listed[0, r, c] = position[r, c]
+                                listed[4 * r + c] = position[r, c]
                         longest[b] = list_structure(
                             grid, 0, start[b], start[b + 1], listed, begin, sorted_dock, sorted_at,
-                            none_start, none, row, row_count,
+                            none_start, none, row, row_first, row_count,
+                            start[b] * capacity + b, room,
                         )  # fmt: skip
                         stale[b] = 0
-                        if longest[b] <= capacity:
+                        if longest[b] <= room:
                             for r in range(start[b], start[b + 1]):
-                                sort_row(grid, r, row, row_count)
-                    if longest[b] <= capacity:
+                                sort_row(grid, row_first[r], row_count[r], row)
+                    if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
                                 grid, r, tolerance[t], non_overlap, robust, contact_start, partner,
-                                touching, shift, variance, place, precision, arm, row, row_count,
-                                position, force, mass,
+                                touching, shift, variance, place, precision, arm, row, row_first,
+                                row_count, position, force, mass,
                             )  # fmt: skip
                         for r in range(start[b], start[b + 1]):
                             if limit < move_robot(
@@ -218,14 +218,12 @@ def take_steps(
                         taken[b] = t + 1
     else:
         now = taken[0]
-        grid = ti.Struct(
-            own_bits=own_bits, near=cutoff - SKIN, robot_stride=robot_stride,
-            entry_stride=entry_stride,
-        )  # fmt: skip
+        grid = ti.Struct(own_bits=own_bits, near=cutoff - SKIN, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
             pull_robot(
                 grid, r, tolerance[now], non_overlap, robust, contact_start, partner, touching,
-                shift, variance, place, precision, arm, row, row_count, position, force, mass,
+                shift, variance, place, precision, arm, row, row_first, row_count, position,
+                force, mass,
             )  # fmt: skip
         strayed = 0.0
         for r in range(row_count.shape[0]):
@@ -239,15 +237,15 @@ def take_steps(
 
 
 @ti.kernel
-def note_places(position: Reals2, listed: Reals3):
+def note_places(position: Reals2, listed: Reals1):
     """Remember where robots are as their rows are made; arguments as `take_steps` has them."""
     for r, c in ti.ndrange(position.shape[0], 3):
-        listed[0, r, c] = position[r, c]
+        listed[4 * r + c] = position[r, c]
 
 
 @ti.kernel
-def sort_rows(robot_stride: I32, entry_stride: I32, row: Ints1, row_count: Ints1):
+def sort_rows(entry_stride: I32, row: Ints1, row_first: Ints1, row_count: Ints1):
     """Sort the entries of every row."""
-    grid = ti.Struct(robot_stride=robot_stride, entry_stride=entry_stride)
+    grid = ti.Struct(entry_stride=entry_stride)
     for r in range(row_count.shape[0]):
-        sort_row(grid, r, row, row_count)
+        sort_row(grid, row_first[r], row_count[r], row)
