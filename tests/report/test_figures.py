@@ -8,6 +8,7 @@ from tests.report.conftest import write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import figures
 from tiswarm.report.accuracy_figure import draw_accuracy
+from tiswarm.report.canvas import png
 from tiswarm.report.case_figures import draw_convergence
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
@@ -110,6 +111,32 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     assert [len(axes.lines) for axes in drawn[0].axes] == [2, 2]
     along = [axes.get_xlabel() for axes in drawn[1].axes]
     assert along[:2] == ["True height [R]", "True distance out from the edge [R]"]
+
+
+def test_many_points_and_conditions_have_room(tmp_path):
+    """Each point of a sweep has its panel, and what is drawn says nothing twice."""
+    conditions = [f"condition-{number}" for number in range(8)]
+    names = [
+        f"0-structure.kind={kind},structure.climb.settle={settle},{condition}"
+        for kind in ("tower", "cantilever")
+        for settle in ("false", "true")
+        for condition in conditions
+    ]
+    for name in names:
+        write_case(tmp_path / "cases" / name, seed=0)
+    rows = [[name, "done", name.rpartition(",")[2]] for name in names]
+    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+    series = {case.series: [case] for case in read_cases(tmp_path)}
+
+    figure = draw_convergence(series, "")
+
+    assert png(figure)  # without a warning that axes have no room
+    assert [axes.get_title() for axes in figure.axes] == [
+        "tower, settle=false", "tower, settle=true",
+        "cantilever, settle=false", "cantilever, settle=true",
+    ]  # fmt: skip
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == conditions
+    assert all(len(axes.lines) == 8 for axes in figure.axes)
 
 
 def test_published_numbers_stand_beside_ours(tmp_path):

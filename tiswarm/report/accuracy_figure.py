@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.errors import InputError
-from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure
+from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure, shortened
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,9 +38,9 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
     """
     table = _read(folder / FILE)
     swept = list(table.columns[1 : table.columns.get_loc("cases")])
-    points = (
-        table[swept].astype(str).agg(", ".join, axis=1) if swept else pd.Series("", table.index)
-    )
+    told = [f"{name}=" + table[name].astype(str) for name in swept]
+    points = pd.Series([shortened(", ".join(point)) for point in zip(*told, strict=True)])
+    points = points if swept else pd.Series("", table.index)
     names = list(dict.fromkeys(table["condition"]))
     shown = list(dict.fromkeys(points))[: max(1, MAX_ROWS // len(names))]
     figure = new_figure(PAGE_WIDTH, 0.9 + 0.12 * len(names) * (1 + len(shown)))

@@ -1,6 +1,7 @@
 """What all figures share: colours, sizes, and how one becomes a file."""
 
 import io
+import re
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -42,6 +43,11 @@ def new_figure(width: float, height: float) -> "Figure":
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def shortened(name: str) -> str:
+    """Name of a point of a sweep without the sections of its keys, as `tower, settle=true`."""
+    return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name.replace("structure.kind=", ""))
 
 
 def add_note(figure: "Figure", note: str) -> None:

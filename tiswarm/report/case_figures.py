@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 from tiswarm.report.canvas import (
     COLUMN_WIDTH,
     ESTIMATE_ORANGE,
+    PAGE_WIDTH,
     PALETTE,
     TRUE_BLUE,
     add_note,
     new_figure,
+    shortened,
 )
 from tiswarm.report.folder import Case, Series, read_columns
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
@@ -26,27 +29,69 @@ Array = NDArray[np.float64]
 
 LINE_STYLES = ("-", "--", ":")
 MAX_PANELS = 9
+LEGEND_LINE = 0.14
+"""Height of a line of a legend or title [inch]."""
+
 MAX_POINTS = 20_000
 """Points drawn in one panel; of more, a fixed random choice."""
 
 
 def draw_convergence(series: Series, note: str) -> "Figure":
-    """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation."""
-    figure = new_figure(COLUMN_WIDTH, 2.5)
-    axes = figure.add_subplot()
-    top = plot_convergence(axes, series)
-    axes.set(ylabel="RMSE [R]", ylim=(0.0, 1.05 * top or 1.0))
+    """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
+
+    Each point of a sweep has its panel with a line for each condition.
+    """
+    points = _by_point(series)
+    shown = dict(list(points.items())[:MAX_PANELS])
+    names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
+    columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
+    rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
+    figure = new_figure(
+        COLUMN_WIDTH if columns == 1 else PAGE_WIDTH,
+        0.8 + 1.9 * rows + LEGEND_LINE * (len(names) // in_line),
+    )
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    legend: dict[str, Artist] = {}
+    top = 0.0
+    for axes, (title, of_point) in zip(panels.flat, shown.items(), strict=False):
+        top = max(top, _plot_convergence(axes, of_point, names))
+        axes.set_title(title, fontsize=8.0)
+        legend |= {str(line.get_label()): line for line in axes.lines}
+    for axes in panels.flat[len(shown) :]:
+        axes.set_axis_off()
+    panels.flat[0].set_ylim(0.0, 1.05 * top or 1.0)
+    figure.supylabel("RMSE [R]", fontsize=8.0)
     seeds = max(map(len, series.values()))
-    title = f"mean ± std, {seeds} seeds" if seeds > 1 else "1 seed"
-    axes.legend(title=title, title_fontsize=7.0, loc="best")
-    add_note(figure, note)
+    figure.legend(
+        legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
+        title=f"mean ± std, {seeds} structures" if seeds > 1 else "1 structure", title_fontsize=7.0,
+    )  # fmt: skip
+    left = len(points) - len(shown)
+    add_note(figure, "; ".join(filter(None, [f"{left} more points not shown" * (left > 0), note])))
     return figure
 
 
-def plot_convergence(axes: "Axes", series: Series) -> float:
-    """Draw mean and band of each series; returns how high they reach [R]."""
+def _by_point(series: Series) -> dict[str, Series]:
+    """Conditions by point of the sweep; all in one where points have one condition each."""
+    points: dict[str, Series] = {}
+    for name, cases in series.items():
+        points.setdefault(shortened(cases[0].point), {})[cases[0].condition or name] = cases
+    if len(points) == len(series) > 1:
+        return {"": {shortened(name): cases for name, cases in series.items()}}
+    return points
+
+
+def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
+    """Draw mean and band of each series; returns how high they reach [R].
+
+    Args:
+        axes: Where to draw.
+        series: Cases by name.
+        names: All names, which have a colour each.
+    """
     top = 0.0
-    for index, (name, cases) in enumerate(series.items()):
+    for name, cases in series.items():
+        index = names.index(name)
         color = PALETTE[index % len(PALETTE)]
         style = LINE_STYLES[index // len(PALETTE) % len(LINE_STYLES)]
         iteration, rmse = _traces(cases)
@@ -80,7 +125,8 @@ def draw_error_against_height(series: Series, note: str) -> "Figure":
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
-    figure = new_figure(width, 0.5 + 2.0 * rows)
+    lines = max(name.count(", ") for name, _ in shown)
+    figure = new_figure(width, 0.5 + (2.0 + LEGEND_LINE * lines) * rows)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     tables = [errors_at(cases, "z_R") for _, cases in shown]
     notes = [note] if note else []
@@ -88,7 +134,7 @@ def draw_error_against_height(series: Series, note: str) -> "Figure":
         dots = scatter_errors(axes, table, last_join(tables))
         if len(table) > MAX_POINTS:
             notes.append(f"{name}: {MAX_POINTS} of {len(table)} robots drawn")
-        axes.set_title(name, fontsize=8.0)
+        axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
     for axes in panels.flat[len(shown) :]:
         axes.set_axis_off()
     panels.flat[0].set_ylim(bottom=0.0)

@@ -70,7 +70,7 @@ def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[],
         name: partial(draw, series, note) for name, draw in FIGURES.items()
     }
     if kinds := by_kind(series):
-        painters = kind_painters(kinds, note)
+        painters = {"convergence": painters["convergence"], **kind_painters(kinds, note)}
     if has_scaling(folder):
         painters["scaling"] = partial(draw_scaling, folder, note)
     if has_table(folder):

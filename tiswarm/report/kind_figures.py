@@ -10,7 +10,6 @@ from tiswarm.report.case_figures import (
     draw_positions,
     errors_at,
     last_join,
-    plot_convergence,
     scatter_errors,
 )
 from tiswarm.report.folder import Series
@@ -44,31 +43,12 @@ def by_kind(series: Series) -> Kinds:
 def kind_painters(kinds: Kinds, note: str) -> dict[str, Callable[[], "Figure"]]:
     """By file name, what draws each figure."""
     return {
-        "convergence": partial(draw_convergence_by_kind, kinds, note),
         "error-along-growth": partial(draw_error_along_growth, kinds, note),
         **{
             f"positions-{kind}": partial(draw_positions, series, note)
             for kind, series in kinds.items()
         },
     }
-
-
-def draw_convergence_by_kind(kinds: Kinds, note: str) -> "Figure":
-    """Draw RMSE against iteration under each condition: mean, and a band of one std."""
-    figure = new_figure(PAGE_WIDTH, 3.0)
-    panels = figure.subplots(1, len(kinds), sharey=True)
-    top = 0.0
-    for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
-        top = max(top, plot_convergence(axes, series))
-        axes.set_title(kind, fontsize=8.0)
-    panels[0].set(ylabel="RMSE [R]", ylim=(0.0, 1.05 * top or 1.0))
-    seeds = max(len(cases) for series in kinds.values() for cases in series.values())
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3,
-        title=f"mean ± std, {seeds} structures of each kind", title_fontsize=7.0,
-    )  # fmt: skip
-    add_note(figure, note)
-    return figure
 
 
 def draw_error_along_growth(kinds: Kinds, note: str) -> "Figure":

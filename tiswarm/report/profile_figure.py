@@ -58,7 +58,7 @@ def draw_profiles(table: pd.DataFrame, note: str) -> "Figure":
         note: What to say below.
     """
     swept = list(table.columns[: table.columns.get_loc("by")])
-    figure = new_figure(PAGE_WIDTH, 3.6)
+    figure = new_figure(PAGE_WIDTH, 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10))
     panels = figure.subplots(2, 3).flat
     for axes, (name, label) in zip(panels, PANELS.items(), strict=False):
         part = table[table["by"] == name]
