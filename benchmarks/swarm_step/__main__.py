@@ -63,7 +63,8 @@ def _put(new: pd.DataFrame, table: pd.DataFrame | None) -> pd.DataFrame:
     if table is None:
         return new
     kept = table[~table.set_index(place).index.isin(new.set_index(place).index)]
-    return pd.concat([kept, new]).sort_values(place, kind="stable")
+    rows = [*kept.to_dict("records"), *new.to_dict("records")]
+    return pd.DataFrame(rows).sort_values(place, kind="stable")
 
 
 def _options() -> argparse.Namespace:

@@ -15,7 +15,8 @@ class Child:
 
     def __init__(self, engine: str, scene: Path) -> None:
         entry = ENGINES[engine]
-        threads = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": str(entry.threads)}
+        count = str(entry.threads)
+        threads = {"OMP_NUM_THREADS": count, "NUMBA_NUM_THREADS": count}
         self.process = subprocess.Popen(  # noqa: S603 - this very program
             [sys.executable, "-m", f"{__package__}.worker", engine, str(scene)],
             stdin=subprocess.PIPE,

@@ -13,15 +13,8 @@ from numpy.typing import NDArray
 
 from tiswarm.compute.dialect import DeviceArray
 from tiswarm.compute.memory import Memory
-from tiswarm.compute.neighbor_kernels import (
-    BLOCK,
-    CELL_LENGTH,
-    CELL_WIDTH,
-    LONGEST_RUN,
-    SCAN_BLOCK,
-    fill_rows,
-    sort_docks,
-)
+from tiswarm.compute.neighbor_kernels import LONGEST_RUN, fill_rows
+from tiswarm.compute.sort_kernels import BLOCK, CELL_LENGTH, CELL_WIDTH, SCAN_BLOCK, sort_docks
 from tiswarm.errors import InputError
 
 MOST_ITEMS = 2**31 - 1
