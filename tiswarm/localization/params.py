@@ -205,13 +205,13 @@ class JointParams(CueParams):
     chains: Annotated[int, Field(ge=1, le=1000)] = 8
     """Annealings from different starts; the estimate is their mean, `sd` their spread."""
 
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 1500
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 750
     """Steps at the end temperature, over which positions are averaged."""
 
-    start_tolerance: Annotated[float, Field(gt=0.0)] = 1.0
+    start_tolerance: Annotated[float, Field(gt=0.0)] = 0.6
     """How far equations may be missed, as a standard deviation, when annealing begins [R]."""
 
     end_tolerance: Annotated[float, Field(gt=0.0)] = 0.045

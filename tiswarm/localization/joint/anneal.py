@@ -12,7 +12,7 @@ from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.joint.equations import Equations
-from tiswarm.localization.joint.force_kernels import SOLID_BELOW, SPACING
+from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.joint.kernels import SKIN, note_places, sort_rows, take_steps
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -155,10 +155,8 @@ class Swarm:
     def advance(self, until: int) -> None:
         """Take steps until so many have been taken."""
         rows = self.neighbors
-        while (
-            t := int(self.taken.to_numpy().min()) if self.by_block else int(self.taken[0])
-        ) < until:
-            if not self.by_block and self.stale[0] and self.tolerance[t] < SOLID_BELOW:
+        while (self.taken.to_numpy().min() if self.by_block else self.taken[0]) < until:
+            if not self.by_block and self.stale[0]:
                 note_places(self.position, self.listed)
                 rows.build(self.listed, 0)
                 sort_rows(rows.entry_stride, rows.row, rows.row_first, rows.row_count)

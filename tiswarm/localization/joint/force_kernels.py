@@ -10,8 +10,6 @@ from tiswarm.compute.dialect import ti
 from tiswarm.compute.kernels import vector_at
 
 SPACING = 2.0
-SOLID_BELOW = 0.5
-"""Docks pass through each other while the tolerance is greater [R]; they would jam."""
 MOST_STIFFNESS = 4.0
 """Robots held more stiffly are given the mass to swing no faster."""
 FORGET = 0.99
@@ -113,12 +111,11 @@ def pull_robot(
     """Write the force on a robot, and the mass that it needs."""
     square = tolerance * tolerance
     i = r % non_overlap.shape[0]
-    solid = non_overlap[i] * ti.cast(tolerance < SOLID_BELOW, ti.i32)
     pull, stiffness = pull_of_contacts(
-        square, solid, robust[i], i, r - i, contact_start, partner, touching, shift, variance,
-        position,
+        square, non_overlap[i], robust[i], i, r - i, contact_start, partner, touching, shift,
+        variance, position,
     )  # fmt: skip
-    if solid == 1:
+    if non_overlap[i] == 1:
         push, hardness = push_of_overlaps(
             grid, r, r - i, row_first[r], row_count[r], arm, row, position
         )

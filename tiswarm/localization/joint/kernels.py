@@ -18,7 +18,7 @@ from tiswarm.compute.dialect import (
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import list_structure
 from tiswarm.compute.random import mixed
-from tiswarm.localization.joint.force_kernels import SOLID_BELOW, pull_robot
+from tiswarm.localization.joint.force_kernels import pull_robot
 
 SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
@@ -189,7 +189,7 @@ def take_steps(
                 longest[b] = 0
                 while taken[b] < until and longest[b] <= room:
                     t = taken[b]
-                    if stale[b] == 1 and tolerance[t] < SOLID_BELOW:
+                    if stale[b] == 1:
                         for r in range(start[b], start[b + 1]):
                             for c in ti.static(range(3)):
                                 listed[4 * r + c] = position[r, c]

@@ -18,6 +18,9 @@ CHANCE = 5.0
 sum got stuck, and does not count."""
 DOUBT = 5.0
 """Contacts farther off than so many standard deviations are judged wrong."""
+DISAGREEMENT = 0.35
+"""Part of the square of what chains disagree by that `sd` counts. Where they cool too fast to find
+the same place they disagree by more than their mean is off; fitted on training structures."""
 MOST_NAMED = 8
 """Robots or contacts that a note names."""
 
@@ -37,8 +40,9 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 
     Returns:
         One estimate a log: the mean over the end of all chains but those that got stuck, and as
-        `sd` the root mean square distance from it. The residual is the root mean square of what
-        docks in contact are nearer or farther than D.
+        `sd` the root of the mean square distance of each chain from its own mean plus a part of
+        that of these from the estimate. The residual is the root mean square of what docks in
+        contact are nearer or farther than D.
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
@@ -56,7 +60,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     mean = annealed.mean[sound]
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
-    sd = np.sqrt((between + annealed.spread[sound]).mean(axis=0))
+    sd = np.sqrt((DISAGREEMENT * between + annealed.spread[sound]).mean(axis=0))
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     return Estimate(
         robot_id=log.robot_id,
