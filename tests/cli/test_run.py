@@ -230,6 +230,8 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     (cases / "1-baseline" / "estimate.csv").write_text("robot,x_R,y_R,z_R\n")
     (cases / "0-no-z" / "case.json").write_text("{")
     (cases / ".1-no-z.part").mkdir()
+    (run / "renders" / ".scenes.tmp").mkdir()
+    (run / "renders" / ".structure.png.tmp").touch()
 
     done = tiswarm("run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path)
 
@@ -237,6 +239,7 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     assert "3 of 6 cases are already stored" in done.stderr
     _assert_same_bytes(run, small_run)
     assert not (run / "report.html").exists()  # it showed another state
+    assert not [*run.rglob(".*.part"), *run.rglob(".*.tmp")]
 
 
 def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):

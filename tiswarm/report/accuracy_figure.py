@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.errors import InputError
 from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure, shortened
+from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,9 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
     Raises:
         InputError: where the table is damaged.
     """
-    table = _read(folder / FILE)
+    table = read_table(
+        folder / FILE, ["condition", "cases", *(published for _, published, _ in PANELS)]
+    )
     swept = list(table.columns[1 : table.columns.get_loc("cases")])
     told = [f"{name}=" + table[name].astype(str) for name in swept]
     points = pd.Series([shortened(", ".join(point)) for point in zip(*told, strict=True)])
@@ -68,7 +70,13 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
     panels[0].set_ylim(len(names) - 0.5, -0.5)
     if table[[published for _, published, _ in PANELS]].notna().any(axis=None):
         panels[0].plot(
-            [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5, label="published"
+            [],
+            [],
+            "o",
+            color="0.35",
+            markerfacecolor="white",
+            markersize=3.5,
+            label="published (robot radii)",
         )
     if len(shown) > 1:
         handles, labels = panels[0].get_legend_handles_labels()
@@ -77,13 +85,3 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
     notes = [f"{left} more points are in {FILE}" if left else "", note]
     add_note(figure, "; ".join(text for text in notes if text))
     return figure
-
-
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path)
-        table[["condition", "cases", *(published for _, published, _ in PANELS)]]
-    except (OSError, ValueError, KeyError) as error:
-        problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
-        raise InputError(problem, path=path) from error
-    return table

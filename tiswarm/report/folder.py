@@ -2,14 +2,18 @@
 
 import csv
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _KIND = re.compile(r"structure(?:\.kind=|=kind-)([a-z]+)")
 
@@ -94,8 +98,15 @@ def choose_case(cases: list[Case], name: str | None, folder: Path) -> Case:
     raise InputError(msg, path=folder, key="--case")
 
 
-def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
-    """Read named columns of a table, shape (rows, names); what is empty is NaN.
+def read_table(
+    path: Path, columns: Sequence[str] = (), numbers: Sequence[str] = ()
+) -> "pd.DataFrame":
+    """Read a table.
+
+    Args:
+        path: Where it is.
+        columns: Columns that it must have.
+        numbers: Columns that it must have and that hold numbers; what is empty is NaN.
 
     Raises:
         InputError: the table or a column is missing or damaged.
@@ -103,10 +114,17 @@ def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
     import pandas as pd  # noqa: PLC0415 - slow to import
 
     try:
-        return pd.read_csv(path, usecols=names)[names].to_numpy(dtype=np.float64)
-    except (OSError, ValueError) as error:
+        table = pd.read_csv(path).astype(dict.fromkeys(numbers, float))
+        table[list(columns)]
+    except (OSError, ValueError, KeyError) as error:
         problem = f"cannot be read: {error}; run the scenario again to restore it"
         raise InputError(problem, path=path) from error
+    return table
+
+
+def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
+    """Read columns of numbers as `read_table` does, shape (rows, names)."""
+    return read_table(path, numbers=names)[names].to_numpy()
 
 
 def subfolder(folder: Path, name: str) -> Path:

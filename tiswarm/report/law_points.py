@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.errors import InputError
+from tiswarm.report.folder import read_table
 
 Array = NDArray[np.float64]
 
@@ -55,18 +55,9 @@ def read_law_points(folder: Path) -> LawPoints:
     Raises:
         InputError: the table or a column is missing or damaged.
     """
-    import pandas as pd  # noqa: PLC0415 - slow to import
-
-    path = folder / FILE
-    try:
-        table = pd.read_csv(path, keep_default_na=False, na_values={name: [""] for name in COLUMNS})
-        table[COLUMNS] = table[COLUMNS].astype(np.float64)
-        groups = table.groupby(["law", "series"], sort=False)
-    except (OSError, ValueError, KeyError) as error:
-        problem = f"cannot be read: {error}; run the scenario again to restore it"
-        raise InputError(problem, path=path) from error
+    table = read_table(folder / FILE, ["law", "series"], COLUMNS).fillna({"series": ""})
     found: LawPoints = {}
-    for (law, series), group in groups:
+    for (law, series), group in table.groupby(["law", "series"], sort=False):
         x, mean, std, structures, fitted = group[COLUMNS].to_numpy().T
         points = Points(
             x=x, mean=mean, std=np.nan_to_num(std), structures=structures, fitted=fitted

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tiswarm.errors import InputError
 from tiswarm.records.atomic import write_text
-from tiswarm.report.folder import Tell, read_cases
+from tiswarm.report.folder import Tell, read_cases, read_table
 from tiswarm.report.page_tables import (
     Table,
     case_table,
@@ -104,8 +104,8 @@ def _gather(folder: Path) -> Page:
     """Read everything but the pictures."""
     cases = read_cases(folder)
     scenario, manifest = _read_text(folder / "scenario.yaml"), _manifest(folder)
-    summary = _read_table(folder / "summary.csv")
-    table = _read_table(folder / "table.csv")
+    summary = read_table(folder / "summary.csv")
+    table = read_table(folder / "table.csv")
     said = _top_of(scenario)
     backend = manifest.get("backend", {})
     return Page(
@@ -194,16 +194,8 @@ def _manifest(folder: Path) -> dict[str, Any]:
     return content
 
 
-def _read_table(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
-        raise InputError(problem, path=path) from error
-
-
 def _optional(folder: Path, *names: str) -> list[pd.DataFrame]:
     """Read tables that not every run has; empty where there is none."""
     return [
-        _read_table(folder / name) if (folder / name).exists() else pd.DataFrame() for name in names
+        read_table(folder / name) if (folder / name).exists() else pd.DataFrame() for name in names
     ]

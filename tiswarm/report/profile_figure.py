@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from tiswarm.errors import InputError
 from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure
+from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ def profile_painters(folder: Path, note: str) -> dict[str, Callable[[], "Figure"
     """
     if not (folder / FILE).is_file():
         return {}
-    table = _read(folder / FILE)
+    table = read_table(folder / FILE, ["by"])
     if "rmse_R" not in table:  # no case was finished
         return {}
     swept = list(table.columns[1 : table.columns.get_loc("by")])
@@ -89,13 +89,3 @@ def _slug(point: object) -> str:
     """A file name for values of the sweep."""
     values = point if isinstance(point, tuple) else (point,)
     return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, values))).strip("-")
-
-
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path)
-        table["by"]
-    except (OSError, ValueError, KeyError) as error:
-        problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
-        raise InputError(problem, path=path) from error
-    return table

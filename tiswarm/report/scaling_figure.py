@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.errors import InputError
 from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure
+from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,7 @@ def draw_scaling(folder: Path, note: str) -> "Figure":
     Raises:
         InputError: where the table is damaged.
     """
-    table = _read(folder / FILE)
+    table = read_table(folder / FILE, COLUMNS)
     figure = new_figure(PAGE_WIDTH, 4.4)
     names = list(dict.fromkeys(table["series"]))
     for axes, (measure, label) in zip(figure.subplots(2, 3).flat, PANELS.items(), strict=True):
@@ -72,11 +72,3 @@ def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
     if len(positive):
         low, high = np.log10(positive.min()), np.log10(positive.max())
         axes.set(yscale="log", ylim=(10.0 ** np.floor(low), 10.0 ** (np.floor(high) + 1.0)))
-
-
-def _read(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)[COLUMNS]
-    except (OSError, ValueError, KeyError) as error:
-        problem = f"cannot be read: {error}; run `tiswarm report` to restore it"
-        raise InputError(problem, path=path) from error

@@ -120,10 +120,11 @@ class RunFolder:
 
     def _tidy(self) -> None:
         """Remove what killed runs left half-written."""
-        for part in self.cases.glob(".*.part"):
-            shutil.rmtree(part, ignore_errors=True)
-        for temporary in self.path.rglob(".*.tmp"):
-            temporary.unlink(missing_ok=True)
+        for half in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
+            if half.is_dir():
+                shutil.rmtree(half, ignore_errors=True)
+            else:
+                half.unlink(missing_ok=True)
 
     def stored(self, name: str) -> CaseRecord | None:
         """Read a finished case; None where it is missing, damaged or of another version."""

@@ -58,13 +58,14 @@ def animate_run(
     """
     subject = read_subject(choose_case(read_cases(folder), case, folder))
     joined = _joins(len(subject.pose))
-    pictures, used, reason = draw_scenes(_scenes(subject, joined), renderer)
+    place = subfolder(folder, "renders")
+    pictures, used, reason = draw_scenes(_scenes(subject, joined), renderer, place)
     frames = [
         _with_legend(Image.fromarray(picture), count, len(subject.pose))
         for picture, count in zip(pictures, joined, strict=True)
     ]
     suffix = "" if case is None else f"-{case}"
-    path = subfolder(folder, "renders") / f"growth{suffix}.{form}"
+    path = place / f"growth{suffix}.{form}"
     write_bytes(path, _gif(frames) if form == "gif" else _mp4(frames))
     because = f" because {reason}" if reason else ""
     tell(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")

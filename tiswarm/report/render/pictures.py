@@ -72,9 +72,10 @@ def render_run(
 
     planned = build_pictures(choose_case(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"
-    pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
-    tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     place = subfolder(folder, "renders")
+    scenes = [plan.scene for plan in planned.values()]
+    pictures, used, reason = draw_scenes(scenes, renderer, place)
+    tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     drawn = []
     for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()
@@ -86,8 +87,15 @@ def render_run(
     return drawn
 
 
-def draw_scenes(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.uint8]], str, str]:
+def draw_scenes(
+    scenes: list[Scene], only: str | None, place: Path | None = None
+) -> tuple[list[NDArray[np.uint8]], str, str]:
     """Try the renderers in turn, or the only one that is wanted.
+
+    Args:
+        scenes: What to draw.
+        only: The only renderer to use, if any.
+        place: Folder for files on the way; the system's if None.
 
     Returns:
         The pictures, who drew them, and why no better renderer did.
@@ -105,7 +113,7 @@ def draw_scenes(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.
             if name == "taichi":  # safe enough for this process, where it may be compiled already
                 pictures = [draw(scene, tile_tracer(scene)) for scene in scenes]
             else:
-                pictures = draw_in_child(scenes, name)
+                pictures = draw_in_child(scenes, name, place)
         except RendererError as error:
             failures.append(f"{name}: {error}")
         else:
@@ -116,7 +124,9 @@ def draw_scenes(scenes: list[Scene], only: str | None) -> tuple[list[NDArray[np.
     raise EnvironmentTroubleError(msg)
 
 
-def draw_in_child(scenes: list[Scene], renderer: str) -> list[NDArray[np.uint8]]:
+def draw_in_child(
+    scenes: list[Scene], renderer: str, folder: Path | None = None
+) -> list[NDArray[np.uint8]]:
     """Draw scenes in a process of their own, and trust nothing it says.
 
     Raises:
@@ -124,7 +134,7 @@ def draw_in_child(scenes: list[Scene], renderer: str) -> list[NDArray[np.uint8]]
     """
     capsules = sum(len(scene.radius) for scene in scenes)
     time_limit = TIME_LIMIT + capsules / CAPSULES_PER_SECOND
-    with tempfile.TemporaryDirectory(prefix="tiswarm-render-") as place:
+    with tempfile.TemporaryDirectory(prefix=".", suffix=".tmp", dir=folder) as place:
         files = []
         for index, scene in enumerate(scenes):
             scene.save(Path(place, f"{index}.npz"))
