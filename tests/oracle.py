@@ -159,20 +159,26 @@ def swarm_step(
     return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]
 
 
-def joint_force(log, known, position, tolerance, width):
-    """Force of the joint annealer on every robot: contacts, overlaps, known places, one by one."""
-    arm = [[matrix(q) @ b / log.dock_radius for b in log.dock_offset_body] for q in
-           log.orientation_wxyz]  # fmt: skip
-    force = np.zeros_like(position)
-    for i, j, shift, variance in zip(
-        known.robot, known.other, known.shift, known.variance, strict=True
+def joint_force(log, known, position, yaw, tolerance, width):
+    """Force and torque of the joint annealer on every robot: contacts, overlaps, known places."""
+    turn = [Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() for angle in yaw]
+    arm = [[r @ matrix(q) @ b / log.dock_radius for b in log.dock_offset_body]
+           for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
+    force, torque = np.zeros_like(position), np.zeros(len(position))
+    for i, j, shift, lever, variance in zip(
+        known.robot, known.other, known.shift, known.lever, known.variance, strict=True
     ):
-        apart = position[i] + shift - position[j]
+        own, its = np.append(lever[:2], 0.0), np.append(lever[2:], 0.0)
+        upward = (shift - own + its)[2] * np.array([0.0, 0.0, 1.0])
+        apart = position[i] + turn[i] @ own + upward - position[j] - turn[j] @ its
         gap = np.linalg.norm(apart) - 2.0
         within = tolerance**2 + variance
         stiff = tolerance**2 / within / (1.0 + (gap / width) ** 2 / within)
-        force[i] -= stiff * gap * apart / np.linalg.norm(apart)
-        force[j] += stiff * gap * apart / np.linalg.norm(apart)
+        pull = -stiff * gap * apart / np.linalg.norm(apart)
+        force[i] += pull
+        force[j] -= pull
+        torque[i] += np.cross(turn[i] @ own, pull)[2]
+        torque[j] -= np.cross(turn[j] @ its, pull)[2]
     touching = {tuple(row) for row in log.contacts.tolist()}
     for i in range(len(position)):
         for j in range(i + 1, len(position)):
@@ -181,10 +187,16 @@ def joint_force(log, known, position, tolerance, width):
                     apart = position[i] + own - position[j] - other
                     length = np.linalg.norm(apart)
                     if length < 2.0 and (i, a, j, b) not in touching:
-                        force[i] += (2.0 - length) * apart / length
-                        force[j] -= (2.0 - length) * apart / length
+                        push = (2.0 - length) * apart / length
+                        force[i] += push
+                        force[j] -= push
+                        torque[i] += np.cross(own, push)[2]
+                        torque[j] -= np.cross(other, push)[2]
     known_well = tolerance**2 * known.precision
-    return force + known_well / (1.0 + known_well) * (known.place - position)
+    walk = np.array([r @ [*b, 0.0] for r, b in zip(turn, known.walk, strict=True)])
+    hold = known_well / (1.0 + known_well) * (known.place - walk - position)
+    torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
+    return force + hold, torque
 
 
 def flip_paths(walk, step, body, k):

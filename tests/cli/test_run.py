@@ -45,7 +45,10 @@ def _assert_same_bytes(a: Path, b: Path) -> None:
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_every_shipped_scenario_runs(tmp_path, scenario):
     """At small size each one finishes every case."""
-    sizes = ["sweep={robots: [6, 7, 8]}"] if scenario.stem == "scaling" else ["robots=8"]
+    sizes = {
+        "scaling": ["sweep={robots: [6, 7, 8]}"],
+        "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
+    }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
 
     result = study.run(small, tmp_path, watcher=ConsoleWatcher(quiet=True))

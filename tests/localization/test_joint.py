@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests import oracle
+from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
-from tiswarm.localization.joint import anneal
+from tiswarm.localization.joint import anneal, force_kernels
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
@@ -16,6 +17,7 @@ from tiswarm.sensing import SensingParams, observe
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -29,20 +31,26 @@ def _rmse(position, history):
 
 
 @pytest.mark.parametrize("robust", [True, False])
-def test_forces_match_the_energies_written_out_slowly(log, robust):
-    """Contacts, overlaps and known places pull as sums over all of them say."""
+@pytest.mark.parametrize("noise", [NOISY, BIASED])
+def test_forces_match_the_energies_written_out_slowly(towers, noise, robust):
+    """Contacts, overlaps and known places pull and turn as sums over all of them say."""
+    log = observe(towers[0], noise)
     params = dataclasses.replace(SHORT, robust=robust, start_tolerance=0.3, end_tolerance=0.3)
     known = equations(log, params)
     swarm = anneal.Swarm([log], [params], [known])
-    before = swarm.positions()
+    swarm.advance(4)
+    before, yaw = swarm.positions(), swarm.headings()[:, :, force_kernels.YAW]
 
-    swarm.advance(1)
+    swarm.advance(5)
 
     forces = swarm.force.to_numpy().reshape(before.shape)
-    width = 3.0 if robust else np.inf
-    for position, force in zip(before, forces, strict=True):
-        slow = oracle.joint_force(log, known, position, 0.3, width)
-        np.testing.assert_allclose(force, slow, rtol=1e-9, atol=1e-11)
+    torques = swarm.headings()[:, :, force_kernels.TORQUE]
+    assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
+    for k in range(SHORT.chains):
+        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, 3.0 if robust else np.inf)
+        np.testing.assert_allclose(forces[k], slow[0], rtol=1e-9, atol=1e-11)
+        if noise is BIASED:
+            np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
 
 
 def test_robots_are_found_without_noise(towers):
@@ -65,7 +73,7 @@ def test_robots_are_found_without_noise(towers):
 
 def test_company_threads_names_and_order_do_not_change_a_byte(towers):
     """Alone or together, on one thread or two, renamed and shuffled: the same bits."""
-    logs = [observe(history, NOISY) for history in towers]
+    logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
     params = [SHORT, dataclasses.replace(SHORT, height=False, walk_contacts=False), SHORT]
     shuffled = [_renamed_and_shuffled(log) for log in logs]
 
@@ -77,11 +85,12 @@ def test_company_threads_names_and_order_do_not_change_a_byte(towers):
     for a, b, c in zip(together, alone, single, strict=True):
         assert a.trace.tobytes() == b.trace.tobytes() == c.trace.tobytes()
         assert a.sd.tobytes() == b.sd.tobytes() == c.sd.tobytes()
+    assert together[2].yaw.tobytes() == alone[2].yaw.tobytes() == single[2].yaw.tobytes()
 
 
 def test_steps_are_the_same_however_threads_share_them(towers):
     """A thread for each structure, or all for each step: the same bits, lists of any length."""
-    logs = [observe(history, NOISY) for history in towers]
+    logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
     params = [dataclasses.replace(SHORT, steps=60, hold_steps=20)] * 3
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     swarms = [anneal.Swarm(logs, params, known, by_block=by_block) for by_block in (True, False)]
@@ -94,6 +103,7 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     for a, b in zip(*runs, strict=True):
         assert a.trace.tobytes() == b.trace.tobytes()
         assert a.mean.tobytes() == b.mean.tobytes()
+        assert a.mean_yaw.tobytes() == b.mean_yaw.tobytes()
         assert a.spread.tobytes() == b.spread.tobytes()
 
 
@@ -136,6 +146,22 @@ def test_wrong_contacts_are_given_up(towers):
 
     assert total(robust) < 0.7 * total(trusting)
     assert any("judged wrong" in note for e in robust for note in e.notes)
+
+
+def test_a_bias_of_yaw_is_found(towers):
+    """Robots that are turned back are found better; only a bias that the log states is solved."""
+    logs = [observe(history, BIASED) for history in towers]
+    params = dataclasses.replace(SHORT, steps=1000)
+
+    solved = localize_many(logs, [params] * 3)
+    taken = localize_many(logs, [dataclasses.replace(params, solve_yaw=False)] * 3)
+
+    for log, history, s, t in zip(logs, towers, solved, taken, strict=True):
+        bias = true_yaw(log, history)
+        assert np.sqrt(np.mean((s.yaw - bias) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
+        assert _rmse(s.position, history) < 0.6 * _rmse(t.position, history)
+        assert t.yaw is None
+    assert localize(observe(towers[0], NOISY), SHORT).yaw is None
 
 
 def test_a_log_of_bare_contacts_is_enough(log):

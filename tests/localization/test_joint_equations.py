@@ -4,26 +4,55 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
 from tiswarm.sensing import SensingParams, observe
 
 ALL = JointParams()
+TRUSTING = JointParams(solve_yaw=False)
 
 
-def test_every_equation_holds_where_robots_truly_are(towers):
-    """Contacts of every stance, heights, grounds and spawns agree with the final positions."""
+def true_yaw(log, history):
+    """By how much sensed orientations must be turned about the vertical to be true [rad]."""
+    true = np.array([walk.orientation_wxyz[-1] for walk in history.walks])
+    sensed = Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
+    return (Rotation.from_quat(true, scalar_first=True) * sensed.inv()).as_rotvec()[:, 2]
+
+
+@pytest.mark.parametrize("bias", [0.0, 25.0])
+def test_every_equation_holds_where_robots_truly_are(towers, bias):
+    """Contacts of every stance, heights, grounds and spawns agree with the final poses."""
     for history in towers:
-        log = observe(history, SensingParams(spawn_noise=0.0))
+        log = observe(history, SensingParams(spawn_noise=0.0, yaw_bias_deg=bias))
+        yaw = true_yaw(log, history)
 
         known = equations(log, ALL)
 
-        gap = known.lengths(history.position) - log.spacing
+        gap = known.lengths(history.position, yaw) - log.spacing
+        walked = np.exp(1j * yaw) * (known.walk @ [1.0, 1j])
+        place = known.place - np.column_stack([walked.real, walked.imag, np.zeros(len(yaw))])
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel
         assert (known.precision > 0.0).all()
-        np.testing.assert_allclose(known.place, history.position, atol=1e-9)
+        np.testing.assert_allclose(place, history.position, atol=1e-9)
+
+
+@settings(deadline=None, max_examples=20)
+@given(angle=st.floats(-10.0, 10.0))
+def test_turning_everything_about_the_vertical_stretches_nothing(towers, angle):
+    """Contacts cannot tell a swarm from the same one turned, robots and all."""
+    known = equations(observe(towers[0], SensingParams(yaw_bias_deg=5.0)), ALL)
+    yaw = np.linspace(-1.0, 1.0, len(known.place))
+    position = towers[0].position
+    turned = Rotation.from_rotvec([0.0, 0.0, angle]).apply(position)
+
+    lengths = known.lengths(turned, yaw + angle)
+
+    np.testing.assert_allclose(lengths, known.lengths(position, yaw), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -39,8 +68,8 @@ def test_residuals_are_as_large_as_foretold(towers, noise):
     for history in towers:
         for seed in range(5):
             log = observe(dataclasses.replace(history, seed=seed), noise)
-            known = equations(log, ALL)
-            gap = known.lengths(history.position) - log.spacing
+            known = equations(log, TRUSTING)
+            gap = known.lengths(history.position, np.zeros(log.robot_count)) - log.spacing
             contacts.append(gap / np.sqrt(known.variance))
             places.append((known.place - history.position)[1:] * np.sqrt(known.precision[1:]))
 

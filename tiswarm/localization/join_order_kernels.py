@@ -7,7 +7,7 @@ from tiswarm.compute.cells import cube_of, link, relink
 from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, ti
 from tiswarm.compute.kernels import vector_at
 from tiswarm.engine.force_kernels import capped
-from tiswarm.localization.kernels import dock_at, law_of, virtual_force
+from tiswarm.localization.kernels import dock_at, law_of, turn_dock, virtual_force
 
 
 @ti.func
@@ -74,16 +74,6 @@ def turn_of(law: ti.template(), torque, gain, turned):
     pace = gain * law.torque_gain
     turn = pace * (torque - law.hold * turned) / (1.0 + pace * law.hold)
     return ti.min(ti.max(turn, -law.max_turn), law.max_turn)
-
-
-@ti.func
-def turn_dock(turn, robot, k, dock_offset: ti.template()):
-    """Turn dock `k` of a robot about the vertical through its centre."""
-    if turn != 0.0:
-        c, s = ti.cos(turn), ti.sin(turn)
-        x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
-        dock_offset[robot, k, 0] = c * x - s * y
-        dock_offset[robot, k, 1] = s * x + c * y
 
 
 @ti.func

@@ -18,6 +18,16 @@ def dock_at(position: ti.template(), dock_offset: ti.template(), robot, k):
     return vector_at(position, robot) + offset
 
 
+@ti.func
+def turn_dock(turn, robot, k, dock_offset: ti.template()):
+    """Turn dock `k` of a robot about the vertical through its centre."""
+    if turn != 0.0:
+        c, s = ti.cos(turn), ti.sin(turn)
+        x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
+        dock_offset[robot, k, 0] = c * x - s * y
+        dock_offset[robot, k, 1] = s * x + c * y
+
+
 NO_DOCKS = 0
 DOCKS_OF_NEIGHBORS = 1
 ALL_DOCKS = 2

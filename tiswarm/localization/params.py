@@ -199,6 +199,9 @@ class JointParams(CueParams):
     robust: bool = True
     """Let contacts that disagree with all others give way."""
 
+    solve_yaw: bool = True
+    """Solve for each robot's bias of yaw where the log states one; else it widens equations."""
+
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     """Seed of the chains' random numbers."""
 

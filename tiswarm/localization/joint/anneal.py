@@ -12,7 +12,7 @@ from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.joint.equations import Equations
-from tiswarm.localization.joint.force_kernels import SPACING
+from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
 from tiswarm.localization.joint.kernels import SKIN, note_places, sort_rows, take_steps
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -21,6 +21,8 @@ WIDTH = 3.0
 """Standard deviations at which a robust contact begins to give way."""
 FRAMES = 24
 """Frames of the trace."""
+AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""A row of the kernel's headings to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +37,12 @@ class Annealed:
 
     last: NDArray[np.float64]
     """Where each chain stood at last, shape (chains, N, 3)."""
+
+    mean_yaw: NDArray[np.float64]
+    """Mean turn over the end of each chain [rad], shape (chains, N)."""
+
+    last_yaw: NDArray[np.float64]
+    """How far robots were turned at last [rad], shape (chains, N)."""
 
     iteration: NDArray[np.int64]
     """Steps at which the trace was recorded, shape (K,)."""
@@ -83,6 +91,7 @@ class Swarm:
         if by_block is None:
             by_block = running.arch == "cpu" and blocks >= running.threads
         self.by_block = by_block
+        self.turning = any(e.yaw_precision for e in known)
         first_of_block = np.cumsum([0, *self.size * self.chains])
         arm = np.concatenate(
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
@@ -113,7 +122,8 @@ class Swarm:
                 *_by_robot(known, self.start),
                 np.concatenate([e.place for e in known]),
                 np.concatenate([e.precision for e in known]),
-                arm,
+                np.concatenate([e.walk for e in known]),
+                np.repeat([e.yaw_precision for e in known], self.size),
             )
         ]
         self.position = memory.upload(first.reshape(-1, 3))
@@ -122,6 +132,8 @@ class Swarm:
         for array in (self.velocity, self.force, self.total, self.square_total):
             array.fill(0.0)
         self.mass.fill(1.0)
+        self.arm = memory.upload(np.tile(arm, (self.chains, 1, 1)))
+        self.heading = memory.upload(np.tile(AS_SENSED, (copies, 1)))
         self.first_of_block = memory.upload(first_of_block)
         self.taken, self.stale = memory.ints(blocks), memory.ints(blocks)
         self.taken.fill(0)
@@ -141,9 +153,12 @@ class Swarm:
         mean = self.total.to_numpy().reshape(self.chains, -1, 3).astype(np.float64) / holding
         square = self.square_total.to_numpy().reshape(self.chains, -1).astype(np.float64) / holding
         spread = np.maximum(square - (mean**2).sum(axis=2), 0.0)
+        heading = self.headings()
         return [
             Annealed(
                 mean=mean[:, a:b],
+                mean_yaw=heading[:, a:b, TOTAL] / holding,
+                last_yaw=heading[:, a:b, YAW],
                 spread=spread[:, a:b],
                 last=last[:, a:b],
                 iteration=frames,
@@ -162,12 +177,12 @@ class Swarm:
                 sort_rows(rows.entry_stride, rows.row, rows.row_first, rows.row_count)
                 self.stale.fill(0)
             take_steps(
-                self.by_block, rows.own_bits, rows.entry_stride, rows.capacity, rows.cutoff,
-                self.schedule.seed, until, self.schedule.steps, *self.equations, rows.table,
-                rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start, rows.contact,
-                rows.row, rows.row_first, rows.row_count, rows.longest, self.first_of_block,
-                self.taken, self.stale, self.listed, self.position, self.velocity, self.force,
-                self.mass, self.total, self.square_total,
+                self.by_block, self.turning, rows.own_bits, rows.entry_stride, rows.capacity,
+                rows.cutoff, self.schedule.seed, until, self.schedule.steps, *self.equations,
+                rows.table, rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start,
+                rows.contact, rows.row, rows.row_first, rows.row_count, rows.longest, self.arm,
+                self.first_of_block, self.taken, self.stale, self.listed, self.position,
+                self.velocity, self.force, self.mass, self.heading, self.total, self.square_total,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
@@ -184,17 +199,23 @@ class Swarm:
         position: NDArray[np.float64] = self.position.to_numpy().astype(np.float64)
         return position.reshape(self.chains, -1, 3)
 
+    def headings(self) -> NDArray[np.float64]:
+        """Headings of every chain, columns as `force_kernels` names them, shape (chains, N, 7)."""
+        heading: NDArray[np.float64] = self.heading.to_numpy().astype(np.float64)
+        return heading.reshape(self.chains, -1, len(AS_SENSED))
+
 
 def _by_robot(known: Sequence[Equations], start: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
     """Every contact from both its sides, robot after robot.
 
     Returns:
-        Start of each robot's, partner, whether it is final, shift and variance.
+        Start of each robot's, partner, whether it is final, shift, lever and variance.
     """
     robot = np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])
     other = np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])
     is_final = np.concatenate([e.is_final for e in known]).astype(np.int64)
     shift = np.concatenate([e.shift for e in known])
+    lever = np.concatenate([e.lever for e in known])
     variance = np.concatenate([e.variance for e in known])
     order = np.argsort(np.concatenate([robot, other]), kind="stable")
     count = np.bincount(np.concatenate([robot, other]), minlength=start[-1])
@@ -205,6 +226,7 @@ def _by_robot(known: Sequence[Equations], start: NDArray[np.int64]) -> tuple[NDA
         np.pad(partner, (0, room)),
         np.pad(np.tile(is_final, 2)[order], (0, room)),
         np.pad(np.concatenate([shift, -shift])[order], ((0, room), (0, 0))),
+        np.pad(np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order], ((0, room), (0, 0))),
         np.pad(np.tile(variance, 2)[order], (0, room), constant_values=1.0),
     )
 
@@ -222,10 +244,11 @@ def _first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDAr
     rows = np.split(order, np.searchsorted(known.robot[order], robot[1:]))
     anchor = log.anchor_position / log.dock_radius
     is_known = known.precision > 0.0
+    place = known.place - np.pad(known.walk, ((0, 0), (0, 1)))
     guess[:, 0] = anchor
     for i in range(1, log.robot_count):
         mine = rows[i]
         met = guess[:, known.other[mine]] - known.shift[mine] if len(mine) else anchor[None, None]
         guess[:, i] += met.mean(axis=1)
-        guess[:, i, is_known[i]] = known.place[i, is_known[i]]
+        guess[:, i, is_known[i]] = place[i, is_known[i]]
     return guess

@@ -6,7 +6,7 @@ Heights, ground and odometry say where a centre is, coordinate by coordinate. Ea
 follows from the noise of every orientation that went into it. Lengths in dock radii.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ class Equations:
     shift: NDArray[np.float64]
     """c, shape (C, 3)."""
 
+    lever: NDArray[np.float64]
+    """From each of the two final centres to the dock, x and y of either, shape (C, 4)."""
+
     variance: NDArray[np.float64]
     """Of the distance, shape (C,)."""
 
@@ -51,9 +54,28 @@ class Equations:
     precision: NDArray[np.float64]
     """One over the variance of each coordinate of `place`, 0 where unknown, shape (N, 3)."""
 
-    def lengths(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance of the docks of each contact for some positions (..., N, 3), shape (..., C)."""
+    walk: NDArray[np.float64]
+    """Part of x and y of `place` that is the robot's own walk, to be turned back by the yaw that it
+    has been turned; added to `place` here, shape (N, 2)."""
+
+    yaw_precision: float
+    """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
+
+    def lengths(
+        self, position: NDArray[np.float64], yaw: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Distance of the docks of each contact, shape (..., C).
+
+        Args:
+            position: Final centres, shape (..., N, 3).
+            yaw: How far each robot is turned from what it senses [rad], shape (..., N).
+        """
         apart = position[..., self.robot, :] + self.shift - position[..., self.other, :]
+        own, its = np.exp(1j * yaw[..., self.robot]) - 1.0, np.exp(1j * yaw[..., self.other]) - 1.0
+        x, y, its_x, its_y = self.lever.T
+        turned = own * (x + 1j * y) - its * (its_x + 1j * its_y)
+        apart[..., 0] += turned.real
+        apart[..., 1] += turned.imag
         length: NDArray[np.float64] = np.linalg.norm(apart, axis=-1)
         return length
 
@@ -122,11 +144,17 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         log: What was sensed.
         params: Cues, and the noise of what the log does not tell the noise of.
     """
-    path = _Path(log, log.stances or _no_stances(log), log.noise or ASSUMED)
+    noise = log.noise or ASSUMED
+    bias = np.radians(noise.yaw_bias_deg or 0.0)
+    is_solved = params.solve_yaw and bias > 0.0
+    if is_solved:
+        noise = replace(noise, yaw_bias_deg=0.0)
+    path = _Path(log, log.stances or _no_stances(log), noise)
     contact, is_final = _contacts(log, path, params)
     row, own, other, dock = contact.T
     robot = path.owner[row]
-    place, precision = _places(log, path, params)
+    place, precision, walk = _places(log, path, params)
+    walk *= is_solved
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
     loose = _untied(robot, other, is_placed)[:, None] & (precision == 0.0)
@@ -139,11 +167,14 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         robot=robot,
         other=other,
         shift=shift - its,
+        lever=np.column_stack([shift[:, :2], its[:, :2]]),
         # The direction is unknown before the positions are: the mean over all directions.
         variance=(variance + its_variance).mean(axis=1) + params.contact_sd**2,
         is_final=is_final,
-        place=place,
+        place=place + np.pad(walk, ((0, 0), (0, 1))),
         precision=precision,
+        walk=walk,
+        yaw_precision=bias**-2 if is_solved else 0.0,
     )
 
 
@@ -189,11 +220,12 @@ def _contacts(
 
 def _places(
     log: SensingLog, path: _Path, params: JointParams
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """What is known of each coordinate of each centre: the surest of all that tells it.
 
     Returns:
-        Coordinates and one over their variance, both of shape (N, 3).
+        Coordinates and one over their variance, both of shape (N, 3), and the walk behind x and y,
+        shape (N, 2), from the final centre to the spawn.
     """
     place = np.zeros((log.robot_count, 3))
     variance = np.full((log.robot_count, 3), np.inf)
@@ -225,7 +257,8 @@ def _places(
         for axis in range(3):
             at = log.spawn_position[:, axis] / log.dock_radius - start[:, axis]
             learn(everyone, axis, at, start_variance[:, axis] + spawn_sd**2 + params.height_sd**2)
-    return place, 1.0 / variance
+    walk = np.where(np.isfinite(variance[:, :2]), start[:, :2], 0.0)  # else nothing tells x, y
+    return place, 1.0 / variance, walk
 
 
 def _grounded(log: SensingLog, path: _Path, params: JointParams) -> NDArray[np.int64]:

@@ -4,17 +4,33 @@ Stiffness, mass and temperature are those of an equation that may be missed by s
 variance v has stiffness s^2 / (s^2 + v) at temperature s^2, so a small v is tempered and a large
 one is as soft as it is. Copy r of robot i of N, one a chain, is number c N + i. Forces are
 gathered in a fixed order. Lengths in R.
+
+Where a log states a yaw bias, robots turn too: a robot's correction is the angle by which all that
+its orientations say, its docks and its whole walk, is turned about the vertical through its final
+centre.
 """
 
 from tiswarm.compute.dialect import ti
 from tiswarm.compute.kernels import vector_at
+from tiswarm.localization.kernels import with_torque
 
 SPACING = 2.0
 MOST_STIFFNESS = 4.0
 """Robots held more stiffly are given the mass to swing no faster."""
+MOST_TURN_STIFFNESS = 2.0
+"""The same of turns; less, for a turn and a shift swing together."""
 FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 TINY = 1e-12
+COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
+"""Columns of the table of headings: how far robots have been turned, and how they turn."""
+
+
+@ti.func
+def turned(x, y, heading: ti.template(), r):
+    """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
+    c, s = heading[r, COS], heading[r, SIN]
+    return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
 
 
 @ti.func
@@ -22,16 +38,20 @@ def pull_of_contacts(
     square,
     solid,
     robust,
+    turning: ti.template(),
+    turns,
     robot,
     base,
     contact_start: ti.template(),
     partner: ti.template(),
     touching: ti.template(),
     shift: ti.template(),
+    lever: ti.template(),
     variance: ti.template(),
     position: ti.template(),
+    heading: ti.template(),
 ):
-    """Sum of the forces of a robot's contacts, and of their stiffness.
+    """Sum of the forces of a robot's contacts with its torque, of their stiffness and its inertia.
 
     With r the residual, w = s^2 + v and c^2 = 1 / `robust`, each has the energy of Cauchy's loss,
     s^2 c^2 / 2 log(1 + r^2 / (c^2 w)), or s^2 r^2 / (2 w) where `robust` is 0. The logarithm still
@@ -39,10 +59,17 @@ def pull_of_contacts(
     other apart as all others do; what these are given by mistake is taken back.
     """
     here = vector_at(position, base + robot)
-    force = 0.0 * here
+    force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
+    inertia = stiffness
     for slot in range(contact_start[robot], contact_start[robot + 1]):
         apart = here + vector_at(shift, slot) - vector_at(position, base + partner[slot])
+        arm = 0.0 * here
+        if ti.static(turning) and turns:
+            arm = turned(lever[slot, 0], lever[slot, 1], heading, base + robot)
+            its = turned(lever[slot, 2], lever[slot, 3], heading, base + partner[slot])
+            apart[0] += arm[0] - its[0] - lever[slot, 0] + lever[slot, 2]
+            apart[1] += arm[1] - its[1] - lever[slot, 1] + lever[slot, 3]
         length = ti.max(apart.norm(), TINY)
         residual = length - SPACING
         within = square + variance[slot] + residual * residual * robust
@@ -50,26 +77,27 @@ def pull_of_contacts(
         stiff = square * length * inverse
         if residual < 0.0:
             stiff -= solid * touching[slot]
-        force -= stiff * residual * within * inverse * apart
+        force -= with_torque(stiff * residual * within * inverse * apart, arm)
         stiffness += stiff
-    return force, stiffness
+        inertia += stiff * arm.norm_sqr()
+    return force, stiffness, inertia
 
 
 @ti.func
 def push_of_overlaps(
     grid: ti.template(),
     r,
-    base,
     first,
     entries,
     arm: ti.template(),
     row: ti.template(),
     position: ti.template(),
 ):
-    """Sum of the forces of docks that overlap, and of their stiffness."""
+    """Likewise of docks that overlap."""
     here = vector_at(position, r)
-    force = 0.0 * here
+    force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
+    inertia = stiffness
     for e in range(entries):
         other = row[first + e * grid.entry_stride] >> (grid.own_bits + 1)
         between = here - vector_at(position, other)
@@ -78,17 +106,20 @@ def push_of_overlaps(
                 for m in range(arm.shape[1]):
                     apart = between
                     for c in ti.static(range(3)):
-                        apart[c] += arm[r - base, k, c] - arm[other - base, m, c]
+                        apart[c] += arm[r, k, c] - arm[other, m, c]
                     if apart.norm_sqr() < SPACING * SPACING:
                         length = ti.max(apart.norm(), TINY)
-                        force += (SPACING - length) / length * apart
+                        own = ti.Vector([arm[r, k, 0], arm[r, k, 1]])
+                        force += with_torque((SPACING - length) / length * apart, own)
                         stiffness += 1.0
-    return force, stiffness
+                        inertia += own.norm_sqr()
+    return force, stiffness, inertia
 
 
 @ti.func
 def pull_robot(
     grid: ti.template(),
+    turning: ti.template(),
     r,
     tolerance,
     non_overlap: ti.template(),
@@ -97,9 +128,12 @@ def pull_robot(
     partner: ti.template(),
     touching: ti.template(),
     shift: ti.template(),
+    lever: ti.template(),
     variance: ti.template(),
     place: ti.template(),
     precision: ti.template(),
+    walk: ti.template(),
+    yaw_precision: ti.template(),
     arm: ti.template(),
     row: ti.template(),
     row_first: ti.template(),
@@ -107,23 +141,41 @@ def pull_robot(
     position: ti.template(),
     force: ti.template(),
     mass: ti.template(),
+    heading: ti.template(),
 ):
-    """Write the force on a robot, and the mass that it needs."""
+    """Write the force on a robot and the mass that it needs, and both for its turn if it turns."""
     square = tolerance * tolerance
     i = r % non_overlap.shape[0]
-    pull, stiffness = pull_of_contacts(
-        square, non_overlap[i], robust[i], i, r - i, contact_start, partner, touching, shift,
-        variance, position,
+    turns = yaw_precision[i] > 0.0
+    pull, stiffness, inertia = pull_of_contacts(
+        square, non_overlap[i], robust[i], turning, turns, i, r - i, contact_start, partner,
+        touching, shift, lever, variance, position, heading,
     )  # fmt: skip
     if non_overlap[i] == 1:
-        push, hardness = push_of_overlaps(
-            grid, r, r - i, row_first[r], row_count[r], arm, row, position
+        push, hardness, lag = push_of_overlaps(
+            grid, r, row_first[r], row_count[r], arm, row, position
         )
         pull += push
         stiffness += hardness
+        inertia += lag
+    walked = 0.0 * vector_at(position, r)
+    if ti.static(turning):
+        walked = turned(walk[i, 0], walk[i, 1], heading, r)
+    hold = vector_at(place, i) - walked - vector_at(position, r)
     for c in ti.static(range(3)):
         known = square * precision[i, c]
         stiff = known / (1.0 + known)
-        force[r, c] = pull[c] + stiff * (place[i, c] - position[r, c])
+        hold[c] *= stiff
+        force[r, c] = pull[c] + hold[c]
         stiffness += stiff / 3.0
+        inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
     mass[r] = ti.max(1.0, stiffness / MOST_STIFFNESS, FORGET * mass[r] + (1.0 - FORGET))
+    if ti.static(turning) and turns:
+        stiff = square * yaw_precision[i]
+        torque = pull[3] + with_torque(hold, walked)[3] - stiff * heading[r, YAW]
+        heading[r, TORQUE] = torque
+        heading[r, INERTIA] = ti.max(
+            1.0,
+            (inertia + stiff) / MOST_TURN_STIFFNESS,
+            FORGET * heading[r, INERTIA] + (1.0 - FORGET),
+        )

@@ -18,7 +18,17 @@ from tiswarm.compute.dialect import (
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import list_structure
 from tiswarm.compute.random import mixed
-from tiswarm.localization.joint.force_kernels import pull_robot
+from tiswarm.localization.joint.force_kernels import (
+    COS,
+    INERTIA,
+    SIN,
+    SPIN,
+    TORQUE,
+    TOTAL,
+    YAW,
+    pull_robot,
+)
+from tiswarm.localization.kernels import turn_dock
 
 SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
@@ -42,22 +52,57 @@ def kick_of(seed, chain, number, t):
 
 
 @ti.func
-def move_robot(
+def turn_robot(
     seed,
     t,
     r,
     tolerance,
     averaged,
     number: ti.template(),
+    arm: ti.template(),
+    heading: ti.template(),
+):
+    """Turn a robot, its docks with it."""
+    inertia = heading[r, INERTIA]
+    heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / inertia)
+    kick = kick_of(seed, r // number.shape[0], -1 - number[r % number.shape[0]], t)[0]
+    speed = heading[r, SPIN] + STEP * heading[r, TORQUE] / inertia
+    heading[r, SPIN] = MEMORY * speed + heat * kick
+    turn = 0.5 * STEP * (speed + heading[r, SPIN])
+    heading[r, YAW] += turn
+    heading[r, COS] = ti.cos(heading[r, YAW])
+    heading[r, SIN] = ti.sin(heading[r, YAW])
+    for k in range(arm.shape[1]):
+        turn_dock(turn, r, k, arm)
+    if averaged:
+        heading[r, TOTAL] += heading[r, YAW]
+
+
+@ti.func
+def move_robot(
+    seed,
+    t,
+    r,
+    tolerance,
+    averaged,
+    turning: ti.template(),
+    number: ti.template(),
+    yaw_precision: ti.template(),
+    arm: ti.template(),
     listed: ti.template(),
     position: ti.template(),
     velocity: ti.template(),
     force: ti.template(),
     mass: ti.template(),
+    heading: ti.template(),
     total: ti.template(),
     square_total: ti.template(),
 ):
-    """Move a robot, unless it is an anchor; return its squared distance from its row's place."""
+    """Move a robot, unless it is an anchor, and turn it if robots turn.
+
+    Returns:
+        Its squared distance from its row's place.
+    """
     i = r % number.shape[0]
     strayed = 0.0 * mass[r]
     if number[i] > 0:
@@ -68,6 +113,8 @@ def move_robot(
             velocity[r, c] = MEMORY * speed + heat * kick[c]
             position[r, c] += 0.5 * STEP * (speed + velocity[r, c])
             strayed += (position[r, c] - listed[4 * r + c]) ** 2
+    if ti.static(turning) and yaw_precision[i] > 0.0:
+        turn_robot(seed, t, r, tolerance, averaged, number, arm, heading)
     if averaged:
         for c in ti.static(range(3)):
             total[r, c] += position[r, c]
@@ -90,6 +137,7 @@ def sort_row(grid: ti.template(), first, entries, row: ti.template()):
 @ti.kernel
 def take_steps(
     by_block: ti.template(),
+    turning: ti.template(),
     own_bits: I32,
     entry_stride: I32,
     capacity: I32,
@@ -106,10 +154,12 @@ def take_steps(
     partner: Ints1,
     touching: Ints1,
     shift: Reals2,
+    lever: Reals2,
     variance: Reals1,
     place: Reals2,
     precision: Reals2,
-    arm: Reals3,
+    walk: Reals2,
+    yaw_precision: Reals1,
     # neighbors
     table: Ints2,
     begin: Ints1,
@@ -122,6 +172,7 @@ def take_steps(
     row_count: Ints1,
     longest: Ints1,
     # state
+    arm: Reals3,
     start: Ints1,
     taken: Ints1,
     stale: Ints1,
@@ -130,6 +181,7 @@ def take_steps(
     velocity: Reals2,
     force: Reals2,
     mass: Reals1,
+    heading: Reals2,
     total: Reals2,
     square_total: Reals1,
 ):
@@ -138,6 +190,7 @@ def take_steps(
     Args:
         by_block: Whether one thread takes all steps of a block, and makes its rows anew when they
             are stale. Else all threads take the next step together, unless rows are stale.
+        turning: Whether any robot turns; no bit of others depends on it.
         own_bits: Bits of a row's entry that are of no use here.
         entry_stride: From one entry to the next.
         capacity: Entries that rows can hold, on average over a block.
@@ -153,10 +206,13 @@ def take_steps(
         partner: The other robot, shape (K,); every contact stands at both its robots.
         touching: Whether it is of the final stance, shape (K,).
         shift: Seen from the robot [R], shape (K, 3).
+        lever: Parts of it that turn, the robot's x and y and the other's [R], shape (K, 4).
         variance: Of each contact [R^2], shape (K,).
         place: Where each centre is known to be [R], shape (N, 3).
         precision: How well [R^-2], shape (N, 3).
-        arm: Centre to dock, world frame [R], shape (N, docks, 3).
+        walk: Part of that place that turns with the robot, x and y to be subtracted [R],
+            shape (N, 2).
+        yaw_precision: How well yaw is sensed [rad^-2], 0 where robots do not turn, shape (N,).
         table: Where each block's table starts, its buckets and strides, shape (B, 4).
         begin, sorted_dock, sorted_at: Scratch of the tables.
         none_start, none: No neighbors that need be in a row.
@@ -164,6 +220,7 @@ def take_steps(
         row_first: Where each starts, shape (C N,).
         row_count: Length of each, shape (C N,).
         longest: Written: entries of a block's rows; if too many, it stopped there, shape (B,).
+        arm: Read and written: centre to dock, world frame [R], shape (C N, docks, 3).
         start: First robot of each block, shape (B + 1,).
         taken: Read and written: steps of a block so far, shape (B,).
         stale: Read and written: whether its rows are, shape (B,).
@@ -172,6 +229,7 @@ def take_steps(
         velocity: Read and written, shape (C N, 3).
         force: Scratch, shape (C N, 3).
         mass: Read and written, shape (C N,).
+        heading: Read and written, columns as `force_kernels` names them, shape (C N, 7).
         total: Read and written: sum of positions that are averaged, shape (C N, 3).
         square_total: Read and written: sum of their squares, shape (C N,).
     """
@@ -205,14 +263,16 @@ def take_steps(
                     if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
-                                grid, r, tolerance[t], non_overlap, robust, contact_start, partner,
-                                touching, shift, variance, place, precision, arm, row, row_first,
-                                row_count, position, force, mass,
+                                grid, turning, r, tolerance[t], non_overlap, robust, contact_start,
+                                partner, touching, shift, lever, variance, place, precision, walk,
+                                yaw_precision, arm, row, row_first, row_count, position, force,
+                                mass, heading,
                             )  # fmt: skip
                         for r in range(start[b], start[b + 1]):
                             if limit < move_robot(
-                                seed, t, r, tolerance[t], t >= held, number, listed, position,
-                                velocity, force, mass, total, square_total,
+                                seed, t, r, tolerance[t], t >= held, turning, number, yaw_precision,
+                                arm, listed, position, velocity, force, mass, heading, total,
+                                square_total,
                             ):  # fmt: skip
                                 stale[b] = 1
                         taken[b] = t + 1
@@ -221,15 +281,15 @@ def take_steps(
         grid = ti.Struct(own_bits=own_bits, near=cutoff - SKIN, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
             pull_robot(
-                grid, r, tolerance[now], non_overlap, robust, contact_start, partner, touching,
-                shift, variance, place, precision, arm, row, row_first, row_count, position,
-                force, mass,
+                grid, turning, r, tolerance[now], non_overlap, robust, contact_start, partner,
+                touching, shift, lever, variance, place, precision, walk, yaw_precision, arm, row,
+                row_first, row_count, position, force, mass, heading,
             )  # fmt: skip
         strayed = 0.0
         for r in range(row_count.shape[0]):
             ti.atomic_max(strayed, move_robot(
-                seed, now, r, tolerance[now], now >= held, number, listed, position, velocity,
-                force, mass, total, square_total,
+                seed, now, r, tolerance[now], now >= held, turning, number, yaw_precision, arm,
+                listed, position, velocity, force, mass, heading, total, square_total,
             ))  # fmt: skip
         taken[0] = now + 1
         if strayed > limit:

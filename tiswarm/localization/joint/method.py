@@ -53,7 +53,7 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 
 
 def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: float) -> Estimate:
-    gap = known.lengths(annealed.last) - SPACING
+    gap = known.lengths(annealed.last, annealed.last_yaw) - SPACING
     missed = gap**2 / (known.variance + tolerance**2)
     sums = np.minimum(missed, DOUBT**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
@@ -62,18 +62,20 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     between = ((mean - position) ** 2).sum(axis=2)
     sd = np.sqrt((DISAGREEMENT * between + annealed.spread[sound]).mean(axis=0))
     trace = np.concatenate([annealed.trace[:-1], position[None]])
+    yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(
         robot_id=log.robot_id,
         position=position * log.dock_radius,
         located=located(log),
         sd=sd * log.dock_radius,
+        yaw=yaw if known.yaw_precision else None,
         notes=(
             *_doubted(log, known, (missed[sound] > DOUBT**2).all(axis=0)),
             *_ambiguous(log, np.sqrt(between.max(axis=0)), _rms(gap[sound])),
         ),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
-        residual=_rms(known.lengths(trace) - SPACING) * log.dock_radius,
+        residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
     )
 
 
