@@ -21,6 +21,8 @@ LISTEN = """<script>
 const troubles = [];
 addEventListener("error", (event) => troubles.push(event.message));
 console.error = (...words) => troubles.push(words.join(" "));
+// Frames hardly come where time is virtual.
+window.requestAnimationFrame = (draw) => setTimeout(draw, 10);
 </script>"""
 PROBE = """<script>
 const found = {troubles};

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
+from tiswarm.compute.dialect import LIBRARY
+from tiswarm.compute.kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 
@@ -19,6 +21,19 @@ def test_a_missing_device_is_refused_not_replaced():
 
     with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
         backend.start("metal")
+
+
+def test_a_start_that_failed_is_not_taken_for_running():
+    """Kernels still run after a device was refused, whatever the refusal stopped."""
+    backend.start()
+    with pytest.raises(EnvironmentTroubleError):
+        backend.start("metal")
+    value = np.ones(3)
+
+    backend.current()
+    probe_arithmetic(value)
+
+    np.testing.assert_allclose(value, 1.0)
 
 
 @pytest.mark.parametrize(("arch", "threads"), [("abacus", None), ("cpu", 0), ("cpu", -2)])
@@ -66,18 +81,23 @@ def test_a_device_grows_what_the_processor_grows_or_is_refused(arch):
 
 
 def test_environment_variables_cannot_change_the_backend_unseen():
-    """The kernel library obeys TI_ARCH over its caller; that is noticed."""
-    code = "from tiswarm.compute import backend; backend.start()"
+    """Taichi obeys a variable over its caller, which is noticed; quadrants does not."""
+    code = (
+        "from tiswarm.compute import backend\n"
+        "backend.start()\n"
+        "from tiswarm.compute.dialect import ti\n"
+        "print(ti.lang.impl.current_cfg().arch == ti.cpu)"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env=os.environ | {"TI_ARCH": "vulkan"},
+        env=os.environ | {"TI_ARCH": "vulkan", "QD_ARCH": "vulkan"},
         capture_output=True,
         text=True,
         check=False,
     )
 
-    assert done.returncode == 1
-    assert "EnvironmentTroubleError" in done.stderr
+    assert "EnvironmentTroubleError" in done.stderr or done.stdout == "True\n"
+    assert LIBRARY != "taichi" or done.returncode == 1
 
 
 @pytest.mark.parametrize("home", [{"HOME": "/proc/nowhere"}, {}])

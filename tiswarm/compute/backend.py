@@ -92,8 +92,8 @@ def start(
     # Linear algebra with threads of its own would fight the kernels' and round differently.
     threadpool_limits(1, user_api="blas")
     cache = _cache_folder()
+    _started = None  # a start that fails may leave nothing running
     _init(arch, count, precision, cache)
-    _started = None
     started = Backend(
         arch=arch,
         threads=count,
