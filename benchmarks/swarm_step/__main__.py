@@ -4,7 +4,7 @@
     python -m benchmarks.swarm_step --full             # all scenes, 100 to 1,000,000 robots
     python -m benchmarks.swarm_step --engines tiswarm-f64 numba-f64 --sizes 1e5
 
-What the folder holds of other scenes and sizes stays: a long table can be measured in parts.
+What the folder holds beside stays: a long table can be measured in parts.
 Engines take turns, each in a process of its own, and go through the whole run: from the start
 of the scene, lists and all. Needs `pip install '.[bench]'`; what is missing is named.
 """
@@ -35,8 +35,9 @@ STILL = 1e-6
 """A largest step at which lists never go stale: what a step costs without them [R]."""
 MOST_CHECKED = 10_000
 """Robots of the largest scene that is also checked at the end of the run."""
-ROUNDINGS = 16
-"""Errors may be so many roundings of the largest coordinate, in every step."""
+ROUNDINGS = 32
+"""Errors may be so many roundings of the largest coordinate, in every step. To round a million
+robots to float32 and compute in float64 from there takes 17 of them already."""
 
 
 def main() -> None:
@@ -58,13 +59,13 @@ def main() -> None:
 
 
 def _put(new: pd.DataFrame, table: pd.DataFrame | None) -> pd.DataFrame:
-    """Replace what was measured of a scene of one size before, and keep the rest."""
-    place = ["scene", "robots"]
+    """Replace what was measured before of the same engines, and keep the rest."""
     if table is None:
         return new
+    place = ["scene", "robots", "engine"]
     kept = table[~table.set_index(place).index.isin(new.set_index(place).index)]
     rows = [*kept.to_dict("records"), *new.to_dict("records")]
-    return pd.DataFrame(rows).sort_values(place, kind="stable")
+    return pd.DataFrame(rows).sort_values(place[:2], kind="stable")
 
 
 def _options() -> argparse.Namespace:
