@@ -4,13 +4,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tiswarm.api import localize, read_log
+    from tiswarm.api import localize, read_log, run
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.localization.joining import Localizer
 
 __version__ = "0.1.0"
 
-__all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax"]
+__all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax", "run"]
 
 _HOME = {
     "Localizer": "tiswarm.localization.joining",
@@ -18,6 +18,7 @@ _HOME = {
     "localize": "tiswarm.api",
     "read_log": "tiswarm.api",
     "relax": "tiswarm.engine.relax",
+    "run": "tiswarm.api",
 }
 
 

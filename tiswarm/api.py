@@ -1,23 +1,79 @@
-"""tiswarm from Python: a log in, an estimate out.
+"""tiswarm from Python: a log in, an estimate out; a scenario in, data frames and figures out.
 
 import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
 estimate = tiswarm.localize(log, "least-squares", cues=["contacts", "height"], rounds=3)
 estimate.position, estimate.certainty.known
+
+run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
+run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]
 """
 
-from collections.abc import Sequence
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch, Precision
+from tiswarm.console import ConsoleWatcher
 from tiswarm.localization import registry
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.scenario import localization_params
+from tiswarm.scenario import load_scenario, localization_params
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture of a run, which notebooks show."""
+
+    path: Path
+
+    def _repr_png_(self) -> bytes:
+        return self.path.read_bytes()
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run as data frames and figures; a row of `summary` says of each case how it went."""
+
+    folder: Path
+    """Where all of it lies."""
+
+    @property
+    def table(self) -> "pd.DataFrame":
+        """Results by condition, `table.csv`."""
+        return self.frame("table")
+
+    @property
+    def summary(self) -> "pd.DataFrame":
+        """Results by case, `summary.csv`."""
+        return self.frame("summary")
+
+    def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
+        """Read another table of the run, or one of a case.
+
+        Raises:
+            InputError: there is none of that name.
+        """
+        from tiswarm.report.folder import read_table  # noqa: PLC0415 - slow to import
+
+        folder = self.folder if case is None else self.folder / "cases" / case
+        return read_table(folder / f"{name}.csv")
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """Figures and renders by name; none where the run was told to draw none."""
+        drawn = [*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")]
+        return {path.stem: Figure(path) for path in sorted(drawn)}
 
 
 def read_log(path: str | PathLike[str]) -> SensingLog:
@@ -58,3 +114,49 @@ def localize(
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     backend.start(arch, threads=threads, precision=precision)
     return registry.localize(sensed, params)
+
+
+def run(
+    scenario: str | PathLike[str],
+    overrides: Mapping[str, object] | None = None,
+    *,
+    out: str | PathLike[str] = "reports",
+    arch: Arch = "cpu",
+    threads: int | None = None,
+    workers: int | None = None,
+    pictures: bool = True,
+    quiet: bool = False,
+) -> Run:
+    """Grow, sense, localize, score and draw every case of a scenario, as `tiswarm run` does.
+
+    What an earlier call has finished is not computed again. Cases that fail are warned of.
+
+    Args:
+        scenario: YAML file.
+        overrides: Values by dotted key that replace the file's.
+        out: Folder for the run's own folder.
+        arch: Device; it computes there or an error is raised.
+        threads: CPU threads; all that this process may use if None.
+        workers: Processes to compute in, side by side; this one if None.
+        pictures: Whether to draw figures, renders and report.html.
+        quiet: Whether to say nothing of progress.
+
+    Raises:
+        InputError: for a mistake in the scenario.
+        EnvironmentTroubleError: where the machine lacks the device.
+    """
+    from tiswarm import study  # noqa: PLC0415 - slow to import
+    from tiswarm.drawing import draw_all  # noqa: PLC0415 - likewise
+
+    texts = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
+    plan, watcher = load_scenario(Path(scenario), texts), ConsoleWatcher(quiet=quiet)
+    dispatch = study.Dispatch(workers=workers)
+    result = study.run(
+        plan, Path(out), watcher=watcher, arch=arch, threads=threads, dispatch=dispatch
+    )
+    draw_all(result, watcher.say, pictures=pictures)
+    if result.failed:
+        first = result.failed[0]
+        message = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
+        warnings.warn(message, stacklevel=2)
+    return Run(result.folder)

@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from tiswarm.cli.drawing import animate_first, draw_figures_of, draw_renders_of, write_page_of
 from tiswarm.cli.options import Animate, Movie, Pdf, Quiet, RunFolderPath, app
 from tiswarm.console import ConsoleWatcher
 
@@ -16,11 +15,12 @@ ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
     """Redraw every table, every figure and report.html of a run from its stored data."""
     from tiswarm import study
+    from tiswarm.drawing import draw_figures_of, write_page_of
 
     watcher = ConsoleWatcher(quiet=quiet)
     study.tabulate(run)
-    draw_figures_of(run, watcher, pdf=pdf)
-    write_page_of(run, watcher)
+    draw_figures_of(run, watcher.say, pdf=pdf)
+    write_page_of(run, watcher.say)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -38,11 +38,13 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
+    from tiswarm.drawing import animate_first, draw_renders_of, write_page_of
+
     watcher = ConsoleWatcher(quiet=quiet)
-    draw_renders_of(run, watcher, renderer=renderer, case=case)
+    draw_renders_of(run, watcher.say, renderer=renderer, case=case)
     if animate:
-        animate_first(run, watcher, movie, renderer=renderer, case=case)
-    write_page_of(run, watcher)
+        animate_first(run, watcher.say, movie, renderer=renderer, case=case)
+    write_page_of(run, watcher.say)
 
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")

@@ -2,11 +2,10 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tiswarm.cli.drawing import animate_first, draw_figures_of, draw_renders_of, write_page_of
 from tiswarm.cli.options import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import CasesFailedError, InputError
@@ -59,6 +58,7 @@ def run(
     A run that was interrupted goes on where it was.
     """
     from tiswarm import study
+    from tiswarm.drawing import draw_all
     from tiswarm.scenario import load_scenario
 
     watcher = ConsoleWatcher(quiet=quiet)
@@ -84,7 +84,10 @@ def run(
     if result.missing:
         watcher.say(f"part {shard} is done; {result.missing} cases of other parts are missing")
     else:
-        _show(result, watcher, pictures=pictures, pdf=pdf, movie=movie if animate else None)
+        shown = movie if animate else None
+        draw_all(result, watcher.say, pictures=pictures, pdf=pdf, movie=shown)
+        if not quiet:
+            typer.echo(study.headline(result.folder))
     if result.failed:
         first = result.failed[0]
         msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
@@ -115,32 +118,6 @@ def _slurm(text: str) -> "study.Slurm":
         first = found.errors(include_url=False)[0]
         allowed = Slurm.__dataclass_fields__
         raise InputError(explain(first, allowed), key=f"--slurm {first['loc'][-1]}") from found
-
-
-def _show(
-    result: "study.RunResult",
-    watcher: ConsoleWatcher,
-    *,
-    pictures: bool,
-    pdf: bool,
-    movie: Literal["gif", "mp4"] | None,
-) -> None:
-    """Draw what a run came to and say it in a few lines."""
-    from tiswarm import study
-
-    some_done = len(result.failed) < result.computed + result.found
-    there = (result.folder / "report.html").exists()
-    drawn = pictures and (pdf or result.computed > 0 or not there)
-    if drawn:
-        draw_figures_of(result.folder, watcher, pdf=pdf)
-        if some_done:
-            draw_renders_of(result.folder, watcher)
-    if movie and some_done:
-        animate_first(result.folder, watcher, movie)
-    if drawn or movie:
-        write_page_of(result.folder, watcher)
-    if not watcher.quiet:
-        typer.echo(study.headline(result.folder))
 
 
 @app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")

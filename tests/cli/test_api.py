@@ -1,0 +1,54 @@
+"""`tiswarm.run` gives a notebook what the command writes."""
+
+import pandas as pd
+import pytest
+
+import tiswarm as library
+from tests.cli.conftest import assert_same_results
+from tiswarm.errors import InputError
+
+SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Two towers under three conditions, run from Python."""
+    out = tmp_path_factory.mktemp("reports")
+    return library.run("scenarios/tower.yaml", SMALL, out=out, quiet=True)
+
+
+def test_tables_are_data_frames(run):
+    """Results by condition, by case and of one case are those of the files."""
+    assert list(run.summary["status"]) == ["done"] * 6
+    assert run.table["rmse_R_mean"].notna().all()
+    assert len(run.frame("estimate", case=run.summary["case"][0])) == 6
+    pd.testing.assert_frame_equal(run.table, pd.read_csv(run.folder / "table.csv"))
+    with pytest.raises(InputError, match="nothing"):
+        run.frame("nothing")
+
+
+def test_figures_show_themselves(run):
+    """A notebook asks for the bytes of a picture."""
+    assert {"convergence", "positions"} <= set(run.figures)
+    assert run.figures["convergence"]._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_command_writes_the_same(run, tiswarm, tmp_path):
+    """Same scenario, same folder, same bytes."""
+    settings = [f"--set={key}={value}" for key, value in SMALL.items()]
+
+    done = tiswarm("run", "scenarios/tower.yaml", *settings, "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    assert_same_results(run.folder, tmp_path / run.folder.name)
+
+
+def test_failed_cases_are_warned_of(tmp_path):
+    """What is done is kept; nobody overlooks what is not."""
+    far = {"spawn_min": 300, "spawn_max": 310, "climb.max_flips": 2, "climb.max_spawns": 2}
+    impossible = SMALL | {f"structure.{key}": value for key, value in far.items()}
+
+    with pytest.warns(UserWarning, match="6 cases failed, the first: 0-"):
+        run = library.run("scenarios/tower.yaml", impossible, out=tmp_path, quiet=True)
+
+    assert set(run.summary["status"]) == {"failed"}
