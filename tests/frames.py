@@ -17,7 +17,7 @@ class Standing:
     """Robots that touch each other and the ground; dock k of robot i is dock 3 i + k."""
 
     center: np.ndarray
-    """Centres [R], shape (N, 3)."""
+    """Centers [R], shape (N, 3)."""
 
     turn: np.ndarray
     """Orientations, body to world, shape (N, 3, 3)."""
@@ -33,7 +33,7 @@ class Standing:
 
     @property
     def dock(self):
-        """Dock centres [R], shape (3 N, 3)."""
+        """Dock centers [R], shape (3 N, 3)."""
         return (self.center[:, None] + BODY @ self.turn.swapaxes(1, 2)).reshape(-1, 3)
 
 

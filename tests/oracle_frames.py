@@ -27,7 +27,7 @@ class Forces:
 
 
 def beam_frame(structure: Standing, params: MechanicsParams) -> Forces:
-    """Build the frame in PyNite: centres, docks and feet as nodes, and solve it there."""
+    """Build the frame in PyNite: centers, docks and feet as nodes, and solve it there."""
     model = FEModel3D()
     r, shear = params.beam_radius, 0.5 / (1.0 + params.poisson)
     for name, axial in (("link", params.link_axial), ("contact", params.contact_axial)):
@@ -86,10 +86,10 @@ class TrussForces:
 
 
 def truss(structure: Standing, circumradius: float) -> TrussForces:
-    """Solve the published truss: spheres, centres and feet as tetrahedra of pinned bars.
+    """Solve the published truss: spheres, centers and feet as tetrahedra of pinned bars.
 
     Tetrahedra stand as the world does. All four corners of a dock's are joined to all four of
-    its robot's centre and of every dock and foot that it touches; those of feet do not move.
+    its robot's center and of every dock and foot that it touches; those of feet do not move.
     """
     docks, robots = len(structure.dock), len(structure.center)
     spheres = np.concatenate([structure.dock, structure.center, structure.foot])
@@ -111,7 +111,7 @@ def truss(structure: Standing, circumradius: float) -> TrussForces:
     moved.ravel()[:free] = np.linalg.solve(stiffness[:free, :free], load.ravel()[:free])
 
     def acting(pairs):
-        """Force and moment on the first sphere of each pair, about its centre."""
+        """Force and moment on the first sphere of each pair, about its center."""
         total = np.zeros((len(pairs), 2, 3))
         for n, pair in enumerate(pairs):
             for bar in _bars([pair], node):

@@ -1,7 +1,7 @@
-"""The robot: spherical docks at fixed places around a centre.
+"""The robot: spherical docks at fixed places around a center.
 
 Lengths are in R, the radius of a dock sphere. FireAntV3 carries three docks in one plane,
-120 degrees apart; the distance from its centre to a dock, rho, is 1.506 R by the FireAnt3D
+120 degrees apart; the distance from its center to a dock, rho, is 1.506 R by the FireAnt3D
 design files, or 2 / sqrt(3) R if a robot's own docks are taken to touch.
 """
 
@@ -27,11 +27,11 @@ class Robot(Protocol):
 
     @property
     def spacing(self) -> float:
-        """D: distance between the centres of two docks that touch."""
+        """D: distance between the centers of two docks that touch."""
 
     @property
     def dock_offset_body(self) -> NDArray[np.float64]:
-        """Centre to dock in the body frame, shape (docks, 3)."""
+        """Center to dock in the body frame, shape (docks, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -39,7 +39,7 @@ class RobotGeometry:
     """Three docks in the x-y plane of the body, at 0, 120 and 240 degrees."""
 
     rho: Annotated[float, Field(ge=TANGENT_RHO - 1e-12, le=10.0)] = FIREANT_RHO
-    """Distance from the robot's centre to each dock centre [R]."""
+    """Distance from the robot's center to each dock center [R]."""
 
     @property
     def dock_radius(self) -> float:
@@ -48,16 +48,16 @@ class RobotGeometry:
 
     @property
     def spacing(self) -> float:
-        """D: distance between the centres of two docks that touch [R]."""
+        """D: distance between the centers of two docks that touch [R]."""
         return 2.0 * self.dock_radius
 
     @property
     def dock_offset_body(self) -> NDArray[np.float64]:
-        """Centre to dock in the body frame [R], shape (3, 3)."""
+        """Center to dock in the body frame [R], shape (3, 3)."""
         return docks_in_plane(self.rho)
 
 
 def docks_in_plane(distance: float) -> NDArray[np.float64]:
-    """Centre to dock of three docks in the x-y plane so far from the centre, shape (3, 3)."""
+    """Center to dock of three docks in the x-y plane so far from the center, shape (3, 3)."""
     angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
     return distance * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])

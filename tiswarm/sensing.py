@@ -46,7 +46,7 @@ class SensingParams:
     """Fraction of contacts that are not felt [1]."""
 
     wrong_docks: Fraction = 0.0
-    """Fraction of contacts felt at another dock of the same neighbour [1]."""
+    """Fraction of contacts felt at another dock of the same neighbor [1]."""
 
     false_contacts: Fraction = 0.0
     """Contacts felt with any dock of any earlier robot, per contact that there is [1]."""
@@ -159,9 +159,9 @@ def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float
 def _flip_height(
     history: History, sensed: NDArray[np.float64], end: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Height of each robot's centre as it follows from its own flips, shape (N,).
+    """Height of each robot's center as it follows from its own flips, shape (N,).
 
-    A robot starts flat on the ground. A flip about the dock at b moves its centre by
+    A robot starts flat on the ground. A flip about the dock at b moves its center by
     (R - R') b, with R and R' the orientations it senses before and after.
     """
     dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]

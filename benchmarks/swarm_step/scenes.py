@@ -30,13 +30,13 @@ COLUMN = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Law:
-    """The step that every engine takes; forces are steps of a robot's centre [R]."""
+    """The step that every engine takes; forces are steps of a robot's center [R]."""
 
     attraction_gain: float = 0.05
     repulsion_gain: float = 0.04
     ramp: float = 0.5
     max_step: float = 0.02
-    """Keeps the swarm slow: four builds of the neighbour lists in 50 steps [R]."""
+    """Keeps the swarm slow: four builds of the neighbor lists in 50 steps [R]."""
     spacing: float = ROBOT.spacing
     skin: float = 0.5
     """Lists hold pairs up to D + skin and are built anew once a robot moved half of it [R]."""
@@ -47,7 +47,7 @@ class Scene:
     """N robots where they are, and the C pairs of docks that are connected."""
 
     position: NDArray[np.float64]
-    """Centres [R], shape (N, 3); structures may lie on top of each other."""
+    """Centers [R], shape (N, 3); structures may lie on top of each other."""
 
     orientation_wxyz: NDArray[np.float64]
     """Body to world, shape (N, 4)."""
@@ -60,7 +60,7 @@ class Scene:
 
     @property
     def dock_offset(self) -> NDArray[np.float64]:
-        """Centre to dock in the world frame [R], shape (N, 3, 3)."""
+        """Center to dock in the world frame [R], shape (N, 3, 3)."""
         turn = Rotation.from_quat(self.orientation_wxyz, scalar_first=True).as_matrix()
         return np.einsum("nij,kj->nki", turn, ROBOT.dock_offset_body)
 
@@ -76,7 +76,7 @@ class Scene:
         return room * place[self.structure]
 
     def along_curve(self, edge: float) -> tuple["Scene", NDArray[np.int64]]:
-        """Renumber the robots so that neighbours lie together in memory; also the old numbers."""
+        """Renumber the robots so that neighbors lie together in memory; also the old numbers."""
         order = morton_order(self.position + self.separation, edge)
         rank = np.empty(len(order), np.int32)
         rank[order] = np.arange(len(order))
@@ -150,7 +150,7 @@ def _contacts(scene: Scene) -> NDArray[np.int32]:
 
 
 def morton_order(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """Order of points along a curve that keeps neighbours together."""
+    """Order of points along a curve that keeps neighbors together."""
     cell = np.floor((position - position.min(axis=0)) / edge).astype(np.uint64)
     key = np.zeros(len(cell), np.uint64)
     for bit in range(KEY_BITS):

@@ -107,8 +107,8 @@ def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
     assert len(np.unique(ply.visual.vertex_colors, axis=0)) > 5
 
 
-def test_contacts_are_lines_between_centres(exported, robots):
-    """One each, from one robot's true centre to the other's."""
+def test_contacts_are_lines_between_centers(exported, robots):
+    """One each, from one robot's true center to the other's."""
     contacts = pd.read_csv(exported / "contacts.csv")
     center = robots.set_index("robot")[["x_R", "y_R", "z_R"]]
     data = (exported / "case.glb").read_bytes()

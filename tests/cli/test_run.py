@@ -132,7 +132,7 @@ def test_what_a_case_says_is_what_its_files_say(small_run):
 
 
 def test_every_picture_shows_something(small_run):
-    """Figures and renders are pictures with more than one colour."""
+    """Figures and renders are pictures with more than one color."""
     pictures = [*small_run.glob("figures/*.png"), *small_run.glob("renders/*.png")]
 
     assert len(pictures) >= 5

@@ -54,7 +54,7 @@ def _mix(table: Reals2):
 
 
 def test_kernels_mix_well():
-    """Chained hashes of small numbers are uniform, and neighbours have nothing in common."""
+    """Chained hashes of small numbers are uniform, and neighbors have nothing in common."""
     table = np.empty((150, 150))
 
     _mix(table)

@@ -42,7 +42,7 @@ def test_located_means_a_chain_of_contacts_to_the_anchor(robots, contacts, expec
 
 
 def test_contacts_are_counted_at_both_ends_and_at_the_joiner():
-    """Two docks that touch the same neighbour are two contacts."""
+    """Two docks that touch the same neighbor are two contacts."""
     log = log_with(6, CHAIN_AND_PAIR)
 
     assert contact_count(log).tolist() == [1, 3, 2, 1, 1, 0]

@@ -81,7 +81,7 @@ def test_noise_may_excuse_a_contradiction():
 
 
 def test_most_false_contacts_of_a_noiseless_log_are_found(towers):
-    """A contact with anybody at all seldom agrees with the heights and the neighbours."""
+    """A contact with anybody at all seldom agrees with the heights and the neighbors."""
     for history in towers:
         log = observe(history, SensingParams(false_contacts=0.05))
         false = {tuple(row) for row in log.contacts} - {tuple(row) for row in history.contacts}

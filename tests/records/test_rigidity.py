@@ -53,7 +53,7 @@ def _matrix(position, log, cues):
 
 
 def test_robots_walked_where_their_flips_say(towers, logs):
-    """Summed backward from the end, a walk goes through its every true centre."""
+    """Summed backward from the end, a walk goes through its every true center."""
     for history, log in zip(towers, logs, strict=True):
         back = displacements(log, log.stances)
         true = [walk.center[:-1] - walk.center[-1] for walk in history.walks]

@@ -15,7 +15,7 @@ def ignore(_line):
     """Hear nothing."""
 
 
-def coloured(frame):
+def colored(frame):
     """How many pixels show a robot: the ground and the paper are gray."""
     pixels = np.asarray(frame.convert("RGB")).astype(int)
     below_legend = pixels[40:]
@@ -30,7 +30,7 @@ def test_robots_appear_one_after_the_other_and_stay(run_folder):
         seen, shown = [], []
         for frame in range(movie.n_frames):
             movie.seek(frame)
-            seen.append(coloured(movie))
+            seen.append(colored(movie))
             shown.append(movie.info["duration"])
     assert drawn.path.name == "growth.gif"
     assert len(seen) == 12
@@ -49,7 +49,7 @@ def test_a_movie_for_slides_holds_the_same(run_folder):
     frames = iio.imread(drawn.path)
     assert drawn.path.name == "growth-0-no-z.mp4"
     assert len(frames) == 12 + LAST_MS // 90
-    assert coloured(Image.fromarray(frames[11])) > 5 * coloured(Image.fromarray(frames[0]))
+    assert colored(Image.fromarray(frames[11])) > 5 * colored(Image.fromarray(frames[0]))
 
 
 def test_a_movie_without_its_library_is_refused(run_folder, monkeypatch):

@@ -130,7 +130,7 @@ def _moved(history: History, j: int, by: np.ndarray) -> History:
     ],
 )
 def test_unsound_structures_are_found_out(towers, by, fault):
-    """A robot pushed into the ground, torn off, or pressed into its neighbours."""
+    """A robot pushed into the ground, torn off, or pressed into its neighbors."""
     faults = [
         unsoundness(_moved(towers[0], j, sign * np.array(by)), contact_gap=0.02)
         for j in range(5, 30, 5)

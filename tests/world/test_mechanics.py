@@ -211,7 +211,7 @@ def test_a_robot_on_one_dock_feels_what_it_weighs(model):
 
     # Two docks press on the link below, and each pulls or presses its own by cos 60 degrees.
     assert upright.sensed[0] == pytest.approx((2.0 + 0.5 + 0.5) / 3.0, abs=1e-9)
-    # Three weights, a centre's distance beside the foot, bend the dock that stands.
+    # Three weights, a center's distance beside the foot, bend the dock that stands.
     assert lying.sensed[0] == pytest.approx(3.0 * 1.506 / 3.0, abs=1e-9)
 
 

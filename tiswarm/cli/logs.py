@@ -62,7 +62,7 @@ def import_(
     dock_radius: Annotated[float, typer.Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
         float | None,
-        typer.Option(help="Centre to each of three docks, 120 degrees apart; not for spheres."),
+        typer.Option(help="Center to each of three docks, 120 degrees apart; not for spheres."),
     ] = None,
     tolerance: Annotated[
         float | None, typer.Option(min=0.0, help="Gap or overlap that still is a contact.")

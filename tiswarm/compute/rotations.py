@@ -14,10 +14,10 @@ def dock_offsets(
 
     Args:
         orientation_wxyz: Body to world, shape (N, 4).
-        dock_offset_body: Centre to dock, body frame, shape (docks, 3).
+        dock_offset_body: Center to dock, body frame, shape (docks, 3).
 
     Returns:
-        Centre to dock, world frame, shape (N, docks, 3).
+        Center to dock, world frame, shape (N, docks, 3).
     """
     matrix = Rotation.from_quat(orientation_wxyz, scalar_first=True).as_matrix()
     turned: NDArray[np.float64] = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)

@@ -1,6 +1,6 @@
 """What ReactiveBuild's cantilevers, bridges and chains were published to do, measured on ours.
 
-Reach and depth are those of the farthest robot centre: beyond where the edge begins to round off,
+Reach and depth are those of the farthest robot center: beyond where the edge begins to round off,
 and below the flat ground [R]; means are over seeds, and fits are to means.
 """
 
@@ -48,7 +48,7 @@ def cantilever_reach(grown: Grown) -> Iterator[Row]:
 
 
 def cantilever_shape(grown: Grown) -> Iterator[Row]:
-    """Finished cantilevers at F = 10: mean rms radius of centres about their centroid."""
+    """Finished cantilevers at F = 10: mean rms radius of centers about their centroid."""
     cantilevers = grown.swept("cantilever")
     yield Row(
         quantity="rms radius [R]",

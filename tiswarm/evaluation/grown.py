@@ -34,7 +34,7 @@ TOTALS = (
 POINTS = ("x", "mean", "std", "structures")
 
 WITHIN = 1.0
-"""A sphere is part of a cross-section if its centre is this close to its height [R]."""
+"""A sphere is part of a cross-section if its center is this close to its height [R]."""
 
 Setting = str | float
 
@@ -103,8 +103,8 @@ class Grown:
     def cross_sections(self) -> pd.DataFrame:
         """Mean number of spheres in a cross-section, by its distance d from the top.
 
-        The top of a structure is its highest sphere centre. At d = 0, 1, 2, ... [R] below it,
-        the spheres are counted whose centres are at most 1 R higher or lower; down to the
+        The top of a structure is its highest sphere center. At d = 0, 1, 2, ... [R] below it,
+        the spheres are counted whose centers are at most 1 R higher or lower; down to the
         lowest sphere of the structure that is least tall, so that all are behind every point.
 
         Returns:

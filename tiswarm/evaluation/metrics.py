@@ -16,8 +16,8 @@ def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> N
     """Distance of each robot's estimate from its true place [R], shape (N,).
 
     Args:
-        estimate: Estimated centres [R], shape (N, 3).
-        truth: True centres [R], shape (N, 3).
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
     """
     distance: NDArray[np.float64] = np.linalg.norm(estimate - truth, axis=1)
     return distance
@@ -34,7 +34,7 @@ def rmse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
 
 
 def rms_radius(position: NDArray[np.float64]) -> float:
-    """Root mean square distance of N centres from their centroid [R]."""
+    """Root mean square distance of N centers from their centroid [R]."""
     return float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
 
 
@@ -58,8 +58,8 @@ def rigidly_aligned(
     """Turn and shift the estimate onto the truth, Eq. (6): no scaling, no reflection.
 
     Args:
-        estimate: Estimated centres [R], shape (N, 3).
-        truth: True centres [R], shape (N, 3).
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
 
     Returns:
         The moved estimate [R], shape (N, 3).
@@ -79,12 +79,12 @@ def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float6
 
     Zero means congruent. Unlike `scipy.spatial.procrustes` this neither rescales nor
     reflects, so there is no upper bound of 1, whatever the paper says: an estimate twice
-    the true size scores 1, three times scores 4. NaN where all true centres coincide, for then
+    the true size scores 1, three times scores 4. NaN where all true centers coincide, for then
     there is no shape.
 
     Args:
-        estimate: Estimated centres [R], shape (N, 3).
-        truth: True centres [R], shape (N, 3).
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
 
     >>> tower = np.array([[0, 0, 0], [0, 0, 2], [0, 1, 4], [1, 0, 6]], dtype=float)
     >>> procrustes_disparity(tower + 5.0, tower) < 1e-12

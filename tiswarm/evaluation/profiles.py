@@ -27,8 +27,8 @@ def relative_errors(
     """How far each robot's estimate is off as seen from another's [R], shape (P,).
 
     Args:
-        estimate: Estimated centres [R], shape (N, 3).
-        truth: True centres [R], shape (N, 3).
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
         pairs: Two robots each, shape (P, 2).
     """
     off = estimate - truth

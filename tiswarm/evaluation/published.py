@@ -2,7 +2,7 @@
 
 M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. Lengths are in
 its "robot radii", which it does not define: the radius R of a dock sphere, or the distance rho of
-a dock from the centre, 1.506 R. The disparity has no unit.
+a dock from the center, 1.506 R. The disparity has no unit.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """What ReactiveBuild's towers were published to do, measured on ours.
 
-A height is that of the highest robot centre above the ground [R]; a peak the largest stress in
+A height is that of the highest robot center above the ground [R]; a peak the largest stress in
 any contact of a structure [weight of a dock / R^2]; means are over seeds, and fits are to means.
 """
 
@@ -39,7 +39,7 @@ def peak_over_threshold(grown: Grown) -> Iterator[Row]:
 def cross_section(grown: Grown) -> Iterator[Row]:
     """Mean cross-section of finished towers over the distance d from their top: k d^2.
 
-    A cross-section is the number of dock spheres whose centres are within 1 R of a height; see
+    A cross-section is the number of dock spheres whose centers are within 1 R of a height; see
     `Grown.cross_sections`. The fit has no constant.
     """
     square = Form(name="d^2", of=np.square)
@@ -125,7 +125,7 @@ def no_recruitment(grown: Grown) -> Iterator[Row]:
 
 
 def shape(grown: Grown) -> Iterator[Row]:
-    """Finished towers at F = 10: mean height, mean rms radius of centres about their centroid."""
+    """Finished towers at F = 10: mean height, mean rms radius of centers about their centroid."""
     towers = grown.swept("tower")
     for quantity, column, band in (
         ("height [R]", "height_R", within(33.0, 45.0)),

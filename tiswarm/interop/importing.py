@@ -51,7 +51,7 @@ def import_poses(
     Args:
         path: The table, see `read_poses`.
         out: Folder for the two files; made if need be.
-        dock_offset_body: Centre to dock, body frame, shape (D, 3); spheres say it themselves.
+        dock_offset_body: Center to dock, body frame, shape (D, 3); spheres say it themselves.
         assumed: What the table does not say.
         tell: Hears what was found and what was made up.
 

@@ -1,4 +1,4 @@
-"""Poses of robots, as other simulators tell them: a table of centres, or one of spheres."""
+"""Poses of robots, as other simulators tell them: a table of centers, or one of spheres."""
 
 import re
 from collections.abc import Sequence
@@ -27,13 +27,13 @@ class Poses:
     """Name of each robot, shape (N,)."""
 
     position: NDArray[np.float64]
-    """Centres, in the file's unit, shape (N, 3)."""
+    """Centers, in the file's unit, shape (N, 3)."""
 
     orientation_wxyz: NDArray[np.float64]
     """Body to world, unit quaternion, shape (N, 4)."""
 
     dock_offset_body: NDArray[np.float64]
-    """Centre to dock, body frame, shape (D, 3)."""
+    """Center to dock, body frame, shape (D, 3)."""
 
     join: NDArray[np.int64] | None
     """When each robot joined, ascending in time; None where the file does not say, shape (N,)."""
@@ -56,11 +56,11 @@ def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: flo
     """Read `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order, among other columns.
 
     Lengths may name their unit, as in `x_mm`. A column `join` says in which order robots joined.
-    Of spheres, a robot's centre is their mean, and the first robot stands upright by definition.
+    Of spheres, a robot's center is their mean, and the first robot stands upright by definition.
 
     Args:
         path: The table.
-        dock_offset_body: Centre to dock, body frame, shape (D, 3); of no use for spheres, which say
+        dock_offset_body: Center to dock, body frame, shape (D, 3); of no use for spheres, which say
             it themselves.
         tolerance: How far a sphere may lie from where the first robot's shape has it.
 
@@ -170,7 +170,7 @@ def _turns(
     """Orientation of each robot against the first one's, shape (N, 4).
 
     Args:
-        offset: Centre to sphere, world frame, shape (N, D, 3).
+        offset: Center to sphere, world frame, shape (N, D, 3).
         first: A row of each robot, for its line.
         path: The file, for messages.
         tolerance: How far a sphere may lie from where the first robot's shape has it.

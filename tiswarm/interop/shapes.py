@@ -37,7 +37,7 @@ class Shape:
 
 
 def shapes_of(subject: Subject) -> list[Shape]:
-    """The structure, its estimate colored by error, and its contacts between true centres."""
+    """The structure, its estimate colored by error, and its contacts between true centers."""
     worst = max(np.nanmax(subject.error, initial=0.0), 1e-9)
     by_error = colors_along(np.nan_to_num(subject.error) / worst, ERROR_COLORS)
     pairs = subject.log.contacts[:, [0, 2]].astype(np.uint32)

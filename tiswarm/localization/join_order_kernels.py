@@ -20,7 +20,7 @@ def initial_position(
     initial_direction: ti.template(),
     position: ti.template(),
 ):
-    """Mean of the earlier neighbours, each counted once, plus the offset of Algorithm 1.
+    """Mean of the earlier neighbors, each counted once, plus the offset of Algorithm 1.
 
     A robot that touches no earlier one starts from the anchor instead.
     """
@@ -141,7 +141,7 @@ def localize_in_join_order(
         placed_before: Robots of each structure that have been placed already, shape (S,).
         contact_start: First contact row of each robot, shape (N + 1,).
         contact: Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3).
-        dock_offset: Centre to dock, world frame [R], turned with the robots, shape (N, docks, 3).
+        dock_offset: Center to dock, world frame [R], turned with the robots, shape (N, docks, 3).
         initial_direction: Unit vector of the initial offset, shape (N, 3).
         flip_height: Height from the flips [R], NaN where unknown, shape (N,).
         head: Cell lists of the robots placed before, shape (S, buckets).

@@ -20,7 +20,7 @@ def dock_at(position: ti.template(), dock_offset: ti.template(), robot, k):
 
 @ti.func
 def turn_dock(turn, robot, k, dock_offset: ti.template()):
-    """Turn dock `k` of a robot about the vertical through its centre."""
+    """Turn dock `k` of a robot about the vertical through its center."""
     if turn != 0.0:
         c, s = ti.cos(turn), ti.sin(turn)
         x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]

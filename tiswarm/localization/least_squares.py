@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
     i: Integers
     j: Integers
     shift: Reals
-    """From the dock of i to that of j, both seen from their centres, shape (pairs, 3)."""
+    """From the dock of i to that of j, both seen from their centers, shape (pairs, 3)."""
 
     width: Reals
     hinge: NDArray[np.bool_]

@@ -4,7 +4,7 @@ Where the paper leaves a choice open, ours is a parameter or is stated here: the
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; a
 robot stops after T steps, since the error that the paper's loop tests is unknown to it. Of
 back-propagation the paper says no more than that it would follow every ten joins, of a virtual
-torque that it would align yaw by dock geometry and neighbours.
+torque that it would align yaw by dock geometry and neighbors.
 """
 
 from collections.abc import Hashable, Sequence
@@ -137,7 +137,7 @@ def gains(params: VirtualForceParams, noise: SensingNoise | None) -> list[float]
 
 
 def _dock_offsets(log: SensingLog) -> NDArray[np.float64]:
-    """Centre to dock, world frame [R], shape (N, docks, 3)."""
+    """Center to dock, world frame [R], shape (N, docks, 3)."""
     return dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
 
 

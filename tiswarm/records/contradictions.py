@@ -1,6 +1,6 @@
 """Contacts that cannot all be true, however the robots stand.
 
-With orientations known, a contact says that the later robot's centre lies on a sphere of
+With orientations known, a contact says that the later robot's center lies on a sphere of
 radius D about a point fixed to the earlier one. Around a closed chain of n contacts the n
 vectors of length D must make up for the sum of the fixed ones, which is therefore no longer
 than n D. Chains through a third robot and heights are looked at too. What noise can explain is
@@ -96,7 +96,7 @@ def _by_chain(log: SensingLog) -> Iterator[tuple[int, str]]:
 
 
 def _fixed_part(log: SensingLog) -> NDArray[np.float64]:
-    """From the earlier robot's centre to that of the sphere of the later one's, shape (C, 3)."""
+    """From the earlier robot's center to that of the sphere of the later one's, shape (C, 3)."""
     offset = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
     i, a, j, b = log.contacts.T
     fixed: NDArray[np.float64] = offset[i, a] - offset[j, b]

@@ -16,7 +16,7 @@ class Estimate:
     """Name of each robot, shape (N,)."""
 
     position: NDArray[np.float64]
-    """Estimated centres, in the log's unit, shape (N, 3)."""
+    """Estimated centers, in the log's unit, shape (N, 3)."""
 
     located: NDArray[np.bool_]
     """Whether a chain of contacts ties the robot to the anchor, shape (N,)."""
@@ -38,7 +38,7 @@ class Estimate:
     """Iterations at which the trace was recorded, ascending, shape (K,)."""
 
     trace: NDArray[np.float64]
-    """Estimated centres at those iterations, shape (K, N, 3)."""
+    """Estimated centers at those iterations, shape (K, N, 3)."""
 
     residual: NDArray[np.float64]
     """What the method drives to zero, at those iterations, shape (K,).

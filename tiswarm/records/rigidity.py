@@ -36,7 +36,7 @@ def equations(position: NDArray[np.float64], log: SensingLog, cues: Collection[s
     """Linearise what is sensed.
 
     Args:
-        position: Centres at which to do so, shape (N, 3).
+        position: Centers at which to do so, shape (N, 3).
         log: What was sensed.
         cues: Which of it counts, of "contacts", "ground", "height", "walk_contacts" (those of
             every stance, carried to the final one by the flips) and "odometry"; others add no

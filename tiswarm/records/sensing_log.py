@@ -75,10 +75,10 @@ class SensingLog:
     """Radius of a dock sphere, in the log's own unit (R when it is 1)."""
 
     dock_offset_body: NDArray[np.float64]
-    """Centre to dock in the body frame, shape (docks, 3)."""
+    """Center to dock in the body frame, shape (docks, 3)."""
 
     anchor_position: NDArray[np.float64]
-    """Known centre of robot 0, shape (3,)."""
+    """Known center of robot 0, shape (3,)."""
 
     orientation_wxyz: NDArray[np.float64]
     """Sensed final orientation, body to world, unit quaternion, shape (N, 4)."""
@@ -96,7 +96,7 @@ class SensingLog:
     """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
 
     flip_height: NDArray[np.float64]
-    """Height of the centre inferred from the flip history; NaN where missing, shape (N,)."""
+    """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
     spawn_position: NDArray[np.float64]
     """Where a robot knows that it started; a row of NaN where it does not, shape (N, 3)."""
@@ -117,7 +117,7 @@ class SensingLog:
 
     @property
     def spacing(self) -> float:
-        """D: distance between the centres of two docks that touch."""
+        """D: distance between the centers of two docks that touch."""
         return 2.0 * self.dock_radius
 
 

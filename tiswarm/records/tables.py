@@ -34,7 +34,7 @@ def write_positions(
     Args:
         path: Where to.
         robot_id: Name of each robot, shape (N,).
-        position: Centres, finite, shape (N, 3).
+        position: Centers, finite, shape (N, 3).
         sd: Standard deviation of each position, NaN where unknown, shape (N,).
         known: Whether each position can be known, in a word, shape (N,).
         yaw: Turn about the vertical to be added to what each robot senses [rad], shape (N,).

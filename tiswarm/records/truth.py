@@ -14,7 +14,7 @@ class Truth:
     """Name of each robot, shape (N,)."""
 
     position: NDArray[np.float64]
-    """Centres [R], shape (N, 3)."""
+    """Centers [R], shape (N, 3)."""
 
     orientation_wxyz: NDArray[np.float64]
     """Body to world, unit quaternion, shape (N, 4)."""

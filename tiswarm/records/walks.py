@@ -14,9 +14,9 @@ def owners(stances: Stances) -> NDArray[np.int64]:
 
 
 def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
-    """From each robot's final centre to its centre at every earlier stance, shape (M, 3).
+    """From each robot's final center to its center at every earlier stance, shape (M, 3).
 
-    The dock at b that a robot flips about stays put, so its centre moves by (R - R') b, with R
+    The dock at b that a robot flips about stays put, so its center moves by (R - R') b, with R
     and R' its orientations before and after; the walk is summed backward from its end.
     """
     row = np.arange(len(stances.pivot_dock))

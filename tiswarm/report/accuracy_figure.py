@@ -30,7 +30,7 @@ def has_table(folder: Path) -> bool:
 def draw_accuracy(folder: Path, note: str) -> "Figure":
     """Draw means over structures with 95 % confidence intervals, a row a condition.
 
-    Points of the sweep share a row and differ in colour and marker. Open markers are published
+    Points of the sweep share a row and differ in color and marker. Open markers are published
     numbers, whose unit of length is not defined.
 
     Raises:

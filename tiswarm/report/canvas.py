@@ -1,4 +1,4 @@
-"""What all figures share: colours, sizes, and how one becomes a file."""
+"""What all figures share: colors, sizes, and how one becomes a file."""
 
 import io
 import re
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
-"""Colours that stay apart for colour-blind readers (Okabe and Ito)."""
+"""Colors that stay apart for color-blind readers (Okabe and Ito)."""
 
 COLUMN_WIDTH = 3.5
 """Width of a paper's column [inch]."""

@@ -87,7 +87,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
     Args:
         axes: Where to draw.
         series: Cases by name.
-        names: All names, which have a colour each.
+        names: All names, which have a color each.
     """
     top = 0.0
     for name, cases in series.items():
@@ -120,7 +120,7 @@ def _traces(cases: list[Case]) -> tuple[Array, Array]:
 
 
 def draw_error_against_height(series: Series, note: str) -> "Figure":
-    """Draw each robot's error against its true height, coloured by when it joined."""
+    """Draw each robot's error against its true height, colored by when it joined."""
     shown = list(series.items())[:MAX_PANELS]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
@@ -163,7 +163,7 @@ def last_join(tables: list[Array]) -> float:
 
 
 def scatter_errors(axes: "Axes", table: Array, last: float) -> "PathCollection":
-    """Draw rows of `errors_at`, coloured by join index; of very many, some."""
+    """Draw rows of `errors_at`, colored by join index; of very many, some."""
     points = np.random.default_rng(0).permutation(table)[:MAX_POINTS]
     return axes.scatter(
         points[:, 0], points[:, 1], c=points[:, 2], s=_dot_area(len(points)),
@@ -172,7 +172,7 @@ def scatter_errors(axes: "Axes", table: Array, last: float) -> "PathCollection":
 
 
 def add_join_bar(figure: "Figure", dots: "PathCollection") -> None:
-    """Say which colour is which join index."""
+    """Say which color is which join index."""
     bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=25, pad=0.02)
     bar.ax.spines["outline"].set_visible(False)
 

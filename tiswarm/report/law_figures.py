@@ -29,10 +29,10 @@ LOOKS = {
     "F = 10": ("#5DB33F", "D"),
     "F = 25": ("#E3A80B", "v"),
 }
-"""Colour and marker of each threshold: from dark to light as F grows, also in grey."""
+"""Color and marker of each threshold: from dark to light as F grows, also in grey."""
 
 ONLY = (TRUE_BLUE, "o")
-"""Colour and marker where there is one series."""
+"""Color and marker where there is one series."""
 
 STALLS = {"F = 1": 5.0, "F = 2.5": 17.0, "F = 5": 20.0}
 """N at which cantilevers were published to stall (ReactiveBuild, DARS 2021)."""

@@ -192,7 +192,7 @@ def _headline(table: pd.DataFrame) -> Table:
     notes = ["Mean ± half width of its 95 % confidence interval over structures."]
     if published:
         notes.append(
-            "R is the radius of a dock, rho the distance from a robot's centre to a dock; the "
+            "R is the radius of a dock, rho the distance from a robot's center to a dock; the "
             'published "robot radius" is not defined, so both stand beside it.'
         )
     return Table(

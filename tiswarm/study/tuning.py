@@ -64,7 +64,7 @@ class Lesson:
     """What the swarm sensed."""
 
     true: NDArray[np.float64]
-    """True centres [R], shape (N, 3)."""
+    """True centers [R], shape (N, 3)."""
 
     params: VirtualForceParams
     """Settings whose gains are replaced."""

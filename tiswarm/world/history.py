@@ -18,7 +18,7 @@ class Walk:
     """
 
     center: NDArray[np.float64]
-    """Centres [R], shape (L, 3)."""
+    """Centers [R], shape (L, 3)."""
 
     orientation_wxyz: NDArray[np.float64]
     """Body to world, shape (L, 4)."""
@@ -106,7 +106,7 @@ class History:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Final centres [R], shape (N, 3)."""
+        """Final centers [R], shape (N, 3)."""
         return np.array([walk.center[-1] for walk in self.walks])
 
     @property

@@ -95,12 +95,12 @@ def join_undisturbed(
         first_mover: First entry of `movers` of each structure, shape (S + 1,).
         movers: Slots of the movers, shape (M,).
         wants: Whether each slot's walk ends where it can stay, by slot.
-        dock_offset_body: Centre to dock in the body frame [R], shape (3, 3).
+        dock_offset_body: Center to dock in the body frame [R], shape (3, 3).
         center: Walks, by slot [R], shape (slots, stances, 3).
         orientation: Likewise, wxyz, shape (slots, stances, 4).
         last: Last stance of each walk, by slot.
         stay: Stance where the robot stays, by slot.
-        dock: Changed: dock centres of the structures [R], shape (S, docks, 3).
+        dock: Changed: dock centers of the structures [R], shape (S, docks, 3).
         robot_count: Changed: robots of each structure, shape (S,).
         head: Changed: first dock of each bucket, shape (S, buckets).
         following: Changed: next dock of a chain, shape (S, docks).

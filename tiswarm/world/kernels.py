@@ -1,7 +1,7 @@
 """Walks: how robots climb a structure that stands still meanwhile.
 
 A flip turns a robot about an axis through one of its attached docks (the pivot), at right
-angles to the line from that dock to the robot's centre, until another dock first touches
+angles to the line from that dock to the robot's center, until another dock first touches
 something. Lengths in R, angles in rad, everything in float64.
 """
 
@@ -49,7 +49,7 @@ class Flip:
 
 @ti.func
 def body_dock(dock_offset_body: ti.template(), k):
-    """Centre to dock `k` in the body frame."""
+    """Center to dock `k` in the body frame."""
     return ti.Vector([dock_offset_body[k, 0], dock_offset_body[k, 1], dock_offset_body[k, 2]])
 
 
@@ -168,7 +168,7 @@ def nearest_flip(
 
 @ti.func
 def was_there(center: ti.template(), mover, stance, point, law):
-    """Whether the walk up to `stance` has had its centre at `point` before."""
+    """Whether the walk up to `stance` has had its center at `point` before."""
     seen = False
     for earlier in range(stance + 1):
         seen = seen or (point - row(center, mover, earlier)).norm() < law.revisit_distance
@@ -220,14 +220,14 @@ def climb(
         law: Terrain, distances and limits.
         head: First dock of each bucket, shape (S, buckets).
         following: Next dock of a chain, shape (S, docks).
-        dock: Dock centres of the structures [R], shape (S, docks, 3).
+        dock: Dock centers of the structures [R], shape (S, docks, 3).
         relay: What each dock passes on; a robot that touches a positive one is recruited,
             shape (S, docks).
         movers: Slots of the robots that move, shape (M,); what follows is by slot.
         structure_of: Structure that each climbs, shape (slots,).
         first_stance: Stance to go on from; those before it are kept, shape (slots,).
         goal: Where each wants to be [R], shape (slots, 3).
-        dock_offset_body: Centre to dock in the body frame [R], shape (3, 3).
+        dock_offset_body: Center to dock in the body frame [R], shape (3, 3).
         near: Scratch: vectors from the pivot to docks in reach, shape (slots, near, 3).
         center: Up to the first stance read, then written [R], shape (slots, stances, 3).
         orientation: Likewise, wxyz, shape (slots, stances, 4).

@@ -1,8 +1,8 @@
 """Forces in a structure under its own weight: one linear solve after a join.
 
-A robot is a centre and three docks joined by beams (its links); docks in contact are joined
+A robot is a center and three docks joined by beams (its links); docks in contact are joined
 by a beam, and a dock on the ground by one to the fixed ground. Weight acts on the docks. The
-centre, which bears no load, is eliminated beforehand, so a robot adds 18 unknowns: the motion
+center, which bears no load, is eliminated beforehand, so a robot adds 18 unknowns: the motion
 of its docks. In the rigid model a robot is one body with 6 unknowns; on average it senses as
 much in towers and some 15 % more in cantilevers, on the same side of F = 10 in nine of ten.
 
@@ -44,7 +44,7 @@ class MechanicsParams:
     """Whether robots bend (18 unknowns each) or only contacts do (6 unknowns each)."""
 
     link_axial: Annotated[float, Field(gt=0.0)] = 2e9
-    """EA of a link between a robot's centre and a dock."""
+    """EA of a link between a robot's center and a dock."""
 
     contact_axial: Annotated[float, Field(gt=0.0)] = 1e10
     """EA of a contact between two docks, or a dock and the ground."""
@@ -111,7 +111,7 @@ class Frame:
         """Add a robot.
 
         Args:
-            center: Its centre [R], shape (3,).
+            center: Its center [R], shape (3,).
             turn: Its orientation, body to world, shape (3, 3).
             contacts: Docks in contact, rows of (earlier dock, own dock), dock k of robot i
                 being 3 i + k, shape (c, 2).

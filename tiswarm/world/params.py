@@ -29,7 +29,7 @@ class ClimbParams:
     """Docks closer than this are in contact [R]; the pair that ends a flip touches exactly."""
 
     revisit_distance: Annotated[float, Field(ge=0.0)] = 0.05
-    """A stance whose centre is this close to an earlier one of the walk is not taken [R]."""
+    """A stance whose center is this close to an earlier one of the walk is not taken [R]."""
 
     patience: Annotated[int, Field(ge=1)] = 3
     """Steps in a row without a new best distance to the goal with which the robot gives up,

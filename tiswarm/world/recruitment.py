@@ -1,4 +1,4 @@
-"""Recruitment: robots that bear much call others to their aid, through their neighbours.
+"""Recruitment: robots that bear much call others to their aid, through their neighbors.
 
 A robot that senses s sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of
 its three zones passes on the greatest of that, what comes in at the same zone less 1, and what

@@ -65,10 +65,10 @@ class Site:
         Draws depend on the seed and the number of robots spawned before alone.
 
         Args:
-            docks: Dock centres of the structure [R], shape (n, 3).
+            docks: Dock centers of the structure [R], shape (n, 3).
 
         Returns:
-            Centre [R], orientation wxyz and goal [R]; None where every place was taken.
+            Center [R], orientation wxyz and goal [R]; None where every place was taken.
         """
         index = self.spawned
         self.spawned += 1

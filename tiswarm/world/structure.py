@@ -14,7 +14,7 @@ class Structures:
     """S structures with room for N robots each; dock 3 i + k is dock k of robot i."""
 
     dock: NDArray[np.float64]
-    """Dock centres [R]; rows of robots that have not joined are meaningless, (S, 3 N, 3)."""
+    """Dock centers [R]; rows of robots that have not joined are meaningless, (S, 3 N, 3)."""
 
     robot_count: NDArray[np.int32]
     """Robots that have joined, shape (S,)."""
@@ -37,5 +37,5 @@ class Structures:
         )
 
     def joined_docks(self, structure: int) -> NDArray[np.float64]:
-        """Dock centres of the robots that have joined [R], shape (3 n, 3)."""
+        """Dock centers of the robots that have joined [R], shape (3 n, 3)."""
         return self.dock[structure, : DOCK_COUNT * self.robot_count[structure]]

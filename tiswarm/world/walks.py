@@ -19,7 +19,7 @@ Slots = NDArray[np.int32]
 
 
 def flip_reach(robot: RobotGeometry) -> float:
-    """Greatest distance from a pivot to the centre of a dock that a flip can meet [R]."""
+    """Greatest distance from a pivot to the center of a dock that a flip can meet [R]."""
     return math.sqrt(3.0) * robot.rho + robot.spacing
 
 

@@ -1,4 +1,4 @@
-"""jax-md: its neighbour list over docks, forces by array operations."""
+"""jax-md: its neighbor list over docks, forces by array operations."""
 
 import os
 
@@ -19,7 +19,7 @@ MARGIN = 5.0
 
 
 class JaxDense:
-    """Dense neighbour list that jax-md builds anew once a dock moved half the skin."""
+    """Dense neighbor list that jax-md builds anew once a dock moved half the skin."""
 
     def __init__(self, scene: Scene, law: Law, *, precision: str, threads: int) -> None:
         del threads
@@ -60,7 +60,7 @@ class JaxDense:
             here, listed, builds = self.advance(here, listed, builds, max_step)
         self.builds = int(builds)
         if bool(listed.did_buffer_overflow):
-            msg = "its neighbour list overflowed"
+            msg = "its neighbor list overflowed"
             raise RuntimeError(msg)
         return np.asarray(here, np.float64) - self.shift
 

@@ -1,7 +1,7 @@
 """LAMMPS: docks as atoms, contacts as bonds, pairs inside a robot left out.
 
 It cannot step rigid robots by force alone, so its docks move each on its own; what counts is
-what it reports for pair forces, bonds and neighbour lists, over about the same pairs.
+what it reports for pair forces, bonds and neighbor lists, over about the same pairs.
 """
 
 import ctypes

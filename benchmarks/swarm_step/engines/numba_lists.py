@@ -102,7 +102,7 @@ def _pack_contacts(contacts: NDArray[np.int32], robots: int) -> tuple[NDArray, N
 def local_strides(dock: NDArray, reach: float, buckets: int) -> tuple[int, int]:
     """Strides of the hash that lay cells out like a box, where the box fits into the table.
 
-    Neighbouring cells then have neighbouring buckets, which caches reward; in any case the 27
+    Neighbouring cells then have neighboring buckets, which caches reward; in any case the 27
     cells around a dock have different ones.
     """
     low, high = dock.min(axis=0), dock.max(axis=0)

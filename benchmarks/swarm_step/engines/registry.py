@@ -19,7 +19,7 @@ class Engine(Protocol):
     """A scene that is ready to be run, again and again."""
 
     builds: int
-    """How often the last run made its neighbour lists."""
+    """How often the last run made its neighbor lists."""
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
         """Take steps from the scene's start; where robots are then, shape (N, 3)."""

@@ -17,7 +17,7 @@ REACH = 8.0
 
 CROWD = 2_000
 SAME_PLACE = 1e-6
-"""A robot casts no shade on its own hub, this near to its centre [R]."""
+"""A robot casts no shade on its own hub, this near to its center [R]."""
 
 STANDING = 0.1
 """Docks within this height of the ground stand on it [R]."""
@@ -43,10 +43,10 @@ class Robots:
     """N robots to be drawn."""
 
     center: NDArray[np.float64]
-    """Centres [R], shape (N, 3)."""
+    """Centers [R], shape (N, 3)."""
 
     dock: NDArray[np.float64]
-    """Dock centres [R], shape (N, docks, 3)."""
+    """Dock centers [R], shape (N, docks, 3)."""
 
     color: NDArray[np.float64]
     """Red, green, blue of each, 0 to 1, shape (N, 3)."""
@@ -134,7 +134,7 @@ def _shade(points: NDArray[np.float64], blockers: NDArray[np.float64]) -> NDArra
 
     Args:
         points: Where light is wanted [R], shape (n, 3).
-        blockers: Centre and radius of the spheres [R], shape (N, 4).
+        blockers: Center and radius of the spheres [R], shape (N, 4).
     """
     center = blockers[:, :3]
     reach = REACH if len(center) <= CROWD else REACH / 2.0

@@ -65,7 +65,7 @@ def frame(points: NDArray[np.float64], radius: float) -> Camera:
     """Place a camera that sees balls of one radius around every point, and little else.
 
     Args:
-        points: Centres [R], shape (n, 3).
+        points: Centers [R], shape (n, 3).
         radius: Radius of each ball [R].
     """
     back = _view_direction(points)

@@ -22,10 +22,10 @@ class Ground:
     """A square patch of flat ground, cut into cells."""
 
     corner: NDArray[np.float64]
-    """Centre of the cell with the least x and y [R], shape (3,)."""
+    """Center of the cell with the least x and y [R], shape (3,)."""
 
     cell: float
-    """Distance between the centres of two cells [R]."""
+    """Distance between the centers of two cells [R]."""
 
     gray: NDArray[np.float32]
     """Brightness, by y and x cell, shape (cells, cells)."""

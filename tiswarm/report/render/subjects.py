@@ -63,13 +63,13 @@ class Subject:
     """Where its tables are."""
 
     pose: NDArray[np.float64]
-    """True centre [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
+    """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
 
     estimated_pose: NDArray[np.float64]
     """The same as it is thought to be, shape (N, 7)."""
 
     error: NDArray[np.float64]
-    """Distance of the two centres [R], shape (N,)."""
+    """Distance of the two centers [R], shape (N,)."""
 
     force: NDArray[np.float64]
     """What each robot senses in its links [weight of a dock], shape (N,)."""
@@ -92,7 +92,7 @@ class Subject:
 
     @property
     def dock_offset_body(self) -> NDArray[np.float64]:
-        """Centre to dock, body frame [R], shape (docks, 3)."""
+        """Center to dock, body frame [R], shape (docks, 3)."""
         return np.array(self.header.dock_offsets) / self.header.dock_radius
 
     @property
@@ -110,7 +110,7 @@ class Subject:
         """Place the docks of robots of known pose, leaving out the others.
 
         Args:
-            pose: Centre [R] and quaternion wxyz of some robots, shape (n, 7).
+            pose: Center [R] and quaternion wxyz of some robots, shape (n, 7).
             color: Red, green, blue of each, shape (n, 3), or of all, shape (3,).
             look: How stout they are.
         """

@@ -65,7 +65,7 @@ function ball(color) {
   return picture;
 }
 
-// The docks of a robot: its centre and each offset, turned by a quaternion (w, x, y, z).
+// The docks of a robot: its center and each offset, turned by a quaternion (w, x, y, z).
 function docksOf([x, y, z], [w, a, b, c], offsets) {
   return offsets.map(([u, v, s]) => {
     const p = 2 * (b * s - c * v), q = 2 * (c * u - a * s), r = 2 * (a * v - b * u);
@@ -229,7 +229,7 @@ function showSpace(view) {
     slider.value = slider.max;
     draw();
   };
-  // The robot whose true or estimated centre is nearest to the pointer.
+  // The robot whose true or estimated center is nearest to the pointer.
   const tell = ({ offsetX, offsetY }) => {
     let found = -1, nearest = NEARBY;
     for (let n = 0; n < slider.value; n++) for (const poses of [shown.true, shown.estimate]) {
