@@ -39,12 +39,13 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust):
     known = equations(log, params)
     swarm = anneal.Swarm([log], [params], [known])
     swarm.advance(4)
-    before, yaw = swarm.positions(), swarm.headings()[:, :, force_kernels.YAW]
+    before, heading = swarm.by_robot(swarm.position), swarm.by_robot(swarm.heading)
+    yaw = heading[:, :, force_kernels.YAW]
 
     swarm.advance(5)
 
-    forces = swarm.force.to_numpy().reshape(before.shape)
-    torques = swarm.headings()[:, :, force_kernels.TORQUE]
+    forces = swarm.by_robot(swarm.force)
+    torques = swarm.by_robot(swarm.heading)[:, :, force_kernels.TORQUE]
     assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
     for k in range(SHORT.chains):
         slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, 3.0 if robust else np.inf)

@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from tiswarm.compute import backend, random
+from tiswarm.compute.dialect import GRAIN, DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
-from tiswarm.localization.joint.kernels import SKIN, note_places, sort_rows, take_steps
+from tiswarm.localization.joint.kernels import SKIN, note_places, take_steps
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 
@@ -89,18 +92,25 @@ class Swarm:
         self.start = np.cumsum([0, *self.size])
         copies, blocks = self.chains * self.start[-1], self.chains * len(logs)
         if by_block is None:
-            by_block = running.arch == "cpu" and blocks >= running.threads
+            # The fewer copies the busiest thread has, the better.
+            shared = GRAIN * -(-copies // (GRAIN * running.threads))
+            busiest = copies / blocks * -(-blocks // running.threads)
+            by_block = running.arch == "cpu" and bool(busiest <= shared)
         self.by_block = by_block
+        self.order = np.concatenate(
+            [a + _near_in_memory(e) for e, a in zip(known, self.start[:-1], strict=True)]
+        )
         self.turning = any(e.yaw_precision for e in known)
         first_of_block = np.cumsum([0, *self.size * self.chains])
         arm = np.concatenate(
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
-        )
+        )[self.order]
         first = np.concatenate(
             [_first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
-        )
+        )[:, self.order]
         listed = np.zeros((copies, 4))
         listed[:, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
+        self.docks = arm.shape[1]
         self.neighbors = NeighborList(
             memory,
             first.reshape(-1, 3),
@@ -116,13 +126,13 @@ class Swarm:
             memory.upload(values)
             for values in (
                 self.tolerance,
-                np.concatenate([np.arange(size) for size in self.size]),
+                np.concatenate([np.arange(size) for size in self.size])[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
-                *_by_robot(known, self.start),
-                np.concatenate([e.place for e in known]),
-                np.concatenate([e.precision for e in known]),
-                np.concatenate([e.walk for e in known]),
+                *_by_robot(known, self.start, np.argsort(self.order)),
+                np.concatenate([e.place for e in known])[self.order],
+                np.concatenate([e.precision for e in known])[self.order],
+                np.concatenate([e.walk for e in known])[self.order],
                 np.repeat([e.yaw_precision for e in known], self.size),
             )
         ]
@@ -146,14 +156,14 @@ class Swarm:
         trace = []
         for frame in frames.tolist():
             self.advance(frame)
-            trace.append(self.positions()[0])
-        last = self.positions()
+            trace.append(self.by_robot(self.position)[0])
+        last = self.by_robot(self.position)
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
             raise backend.faulty_driver()
-        mean = self.total.to_numpy().reshape(self.chains, -1, 3).astype(np.float64) / holding
-        square = self.square_total.to_numpy().reshape(self.chains, -1).astype(np.float64) / holding
+        mean = self.by_robot(self.total) / holding
+        square = self.by_robot(self.square_total) / holding
         spread = np.maximum(square - (mean**2).sum(axis=2), 0.0)
-        heading = self.headings()
+        heading = self.by_robot(self.heading)
         return [
             Annealed(
                 mean=mean[:, a:b],
@@ -174,15 +184,15 @@ class Swarm:
             if not self.by_block and self.stale[0]:
                 note_places(self.position, self.listed)
                 rows.build(self.listed, 0)
-                sort_rows(rows.entry_stride, rows.row, rows.row_first, rows.row_count)
                 self.stale.fill(0)
             take_steps(
-                self.by_block, self.turning, rows.own_bits, rows.entry_stride, rows.capacity,
-                rows.cutoff, self.schedule.seed, until, self.schedule.steps, *self.equations,
-                rows.table, rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start,
-                rows.contact, rows.row, rows.row_first, rows.row_count, rows.longest, self.arm,
-                self.first_of_block, self.taken, self.stale, self.listed, self.position,
-                self.velocity, self.force, self.mass, self.heading, self.total, self.square_total,
+                self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
+                rows.capacity, rows.cutoff, self.schedule.seed, until, self.schedule.steps,
+                *self.equations, rows.table, rows.begin, rows.sorted_dock, rows.sorted_at,
+                rows.contact_start, rows.contact, rows.row, rows.row_first, rows.row_count,
+                rows.longest, self.arm, self.first_of_block, self.taken, self.stale, self.listed,
+                self.position, self.velocity, self.force, self.mass, self.heading, self.total,
+                self.square_total,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
@@ -194,25 +204,30 @@ class Swarm:
         cooled = begin * (end / begin) ** (np.arange(self.schedule.steps) / self.schedule.steps)
         return np.concatenate([cooled, np.full(self.schedule.hold_steps, end)])
 
-    def positions(self) -> NDArray[np.float64]:
-        """Positions of every chain, shape (chains, N, 3)."""
-        position: NDArray[np.float64] = self.position.to_numpy().astype(np.float64)
-        return position.reshape(self.chains, -1, 3)
-
-    def headings(self) -> NDArray[np.float64]:
-        """Headings of every chain, columns as `force_kernels` names them, shape (chains, N, 7)."""
-        heading: NDArray[np.float64] = self.heading.to_numpy().astype(np.float64)
-        return heading.reshape(self.chains, -1, len(AS_SENSED))
+    def by_robot(self, array: DeviceArray) -> NDArray[np.float64]:
+        """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
+        value: NDArray[np.float64] = array.to_numpy().astype(np.float64)
+        return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
 
 
-def _by_robot(known: Sequence[Equations], start: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
-    """Every contact from both its sides, robot after robot.
+def _near_in_memory(known: Equations) -> NDArray[np.intp]:
+    """Order robots so that those in contact stand close, for the sake of caches, shape (N,)."""
+    robots = len(known.place)
+    touching = coo_array((np.ones(len(known.robot)), (known.robot, known.other)), (robots,) * 2)
+    both = (touching + touching.T).tocsr()
+    return reverse_cuthill_mckee(both, symmetric_mode=True).astype(np.intp)
+
+
+def _by_robot(
+    known: Sequence[Equations], start: NDArray[np.int64], number: NDArray[np.intp]
+) -> tuple[NDArray[Any], ...]:
+    """Every contact from both its sides, robot after robot, `number` of these in memory.
 
     Returns:
         Start of each robot's, partner, whether it is final, shift, lever and variance.
     """
-    robot = np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])
-    other = np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])
+    robot = number[np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])]
+    other = number[np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])]
     is_final = np.concatenate([e.is_final for e in known]).astype(np.int64)
     shift = np.concatenate([e.shift for e in known])
     lever = np.concatenate([e.lever for e in known])

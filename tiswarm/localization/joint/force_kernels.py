@@ -22,6 +22,8 @@ MOST_TURN_STIFFNESS = 2.0
 FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 TINY = 1e-12
+WHOLE = 2.0**44
+"""Parts of one in which pushes are counted."""
 COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
 """Columns of the table of headings: how far robots have been turned, and how they turn."""
 
@@ -86,6 +88,7 @@ def pull_of_contacts(
 @ti.func
 def push_of_overlaps(
     grid: ti.template(),
+    docks: ti.template(),
     r,
     first,
     entries,
@@ -93,32 +96,33 @@ def push_of_overlaps(
     row: ti.template(),
     position: ti.template(),
 ):
-    """Likewise of docks that overlap."""
+    """Likewise of docks that overlap; summed as whole numbers, so in whatever order a row is."""
     here = vector_at(position, r)
-    force = with_torque(0.0 * here, here)
-    stiffness = 0.0 * here[0]
-    inertia = stiffness
+    own = ti.Matrix([[arm[r, k, c] for c in range(3)] for k in range(docks)])
+    units = ti.cast(with_torque(0.0 * here, here), ti.i64)
+    inertia = ti.i64(0)
+    overlaps = 0
     for e in range(entries):
         other = row[first + e * grid.entry_stride] >> (grid.own_bits + 1)
         between = here - vector_at(position, other)
         if between.norm_sqr() < grid.near * grid.near:
-            for k in range(arm.shape[1]):
-                for m in range(arm.shape[1]):
-                    apart = between
-                    for c in ti.static(range(3)):
-                        apart[c] += arm[r, k, c] - arm[other, m, c]
+            for m in range(docks):
+                off = between - ti.Vector([arm[other, m, 0], arm[other, m, 1], arm[other, m, 2]])
+                for k in ti.static(range(docks)):
+                    apart = off + own[k, :]
                     if apart.norm_sqr() < SPACING * SPACING:
                         length = ti.max(apart.norm(), TINY)
-                        own = ti.Vector([arm[r, k, 0], arm[r, k, 1]])
-                        force += with_torque((SPACING - length) / length * apart, own)
-                        stiffness += 1.0
-                        inertia += own.norm_sqr()
-    return force, stiffness, inertia
+                        push = with_torque((SPACING - length) / length * apart, own[k, :])
+                        units += ti.cast(push * WHOLE, ti.i64)
+                        inertia += ti.cast((own[k, 0] ** 2 + own[k, 1] ** 2) * WHOLE, ti.i64)
+                        overlaps += 1
+    return ti.cast(units, float) / WHOLE, ti.cast(overlaps, float), ti.cast(inertia, float) / WHOLE
 
 
 @ti.func
 def pull_robot(
     grid: ti.template(),
+    docks: ti.template(),
     turning: ti.template(),
     r,
     tolerance,
@@ -153,7 +157,7 @@ def pull_robot(
     )  # fmt: skip
     if non_overlap[i] == 1:
         push, hardness, lag = push_of_overlaps(
-            grid, r, row_first[r], row_count[r], arm, row, position
+            grid, docks, r, row_first[r], row_count[r], arm, row, position
         )
         pull += push
         stiffness += hardness

@@ -122,21 +122,10 @@ def move_robot(
     return strayed
 
 
-@ti.func
-def sort_row(grid: ti.template(), first, entries, row: ti.template()):
-    """Sort the entries of a row, so that sums do not depend on the layout of the table."""
-    for e in range(1, entries):
-        entry = row[first + e * grid.entry_stride]
-        to = e
-        while to > 0 and row[first + ti.max(to - 1, 0) * grid.entry_stride] > entry:
-            row[first + to * grid.entry_stride] = row[first + (to - 1) * grid.entry_stride]
-            to -= 1
-        row[first + to * grid.entry_stride] = entry
-
-
 @ti.kernel
 def take_steps(
     by_block: ti.template(),
+    docks: ti.template(),
     turning: ti.template(),
     own_bits: I32,
     entry_stride: I32,
@@ -190,6 +179,7 @@ def take_steps(
     Args:
         by_block: Whether one thread takes all steps of a block, and makes its rows anew when they
             are stale. Else all threads take the next step together, unless rows are stale.
+        docks: Docks of a robot.
         turning: Whether any robot turns; no bit of others depends on it.
         own_bits: Bits of a row's entry that are of no use here.
         entry_stride: From one entry to the next.
@@ -257,16 +247,13 @@ def take_steps(
                             start[b] * capacity + b, room,
                         )  # fmt: skip
                         stale[b] = 0
-                        if longest[b] <= room:
-                            for r in range(start[b], start[b + 1]):
-                                sort_row(grid, row_first[r], row_count[r], row)
                     if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
-                                grid, turning, r, tolerance[t], non_overlap, robust, contact_start,
-                                partner, touching, shift, lever, variance, place, precision, walk,
-                                yaw_precision, arm, row, row_first, row_count, position, force,
-                                mass, heading,
+                                grid, docks, turning, r, tolerance[t], non_overlap, robust,
+                                contact_start, partner, touching, shift, lever, variance, place,
+                                precision, walk, yaw_precision, arm, row, row_first, row_count,
+                                position, force, mass, heading,
                             )  # fmt: skip
                         for r in range(start[b], start[b + 1]):
                             if limit < move_robot(
@@ -281,9 +268,9 @@ def take_steps(
         grid = ti.Struct(own_bits=own_bits, near=cutoff - SKIN, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
             pull_robot(
-                grid, turning, r, tolerance[now], non_overlap, robust, contact_start, partner,
-                touching, shift, lever, variance, place, precision, walk, yaw_precision, arm, row,
-                row_first, row_count, position, force, mass, heading,
+                grid, docks, turning, r, tolerance[now], non_overlap, robust, contact_start,
+                partner, touching, shift, lever, variance, place, precision, walk, yaw_precision,
+                arm, row, row_first, row_count, position, force, mass, heading,
             )  # fmt: skip
         strayed = 0.0
         for r in range(row_count.shape[0]):
@@ -301,11 +288,3 @@ def note_places(position: Reals2, listed: Reals1):
     """Remember where robots are as their rows are made; arguments as `take_steps` has them."""
     for r, c in ti.ndrange(position.shape[0], 3):
         listed[4 * r + c] = position[r, c]
-
-
-@ti.kernel
-def sort_rows(entry_stride: I32, row: Ints1, row_first: Ints1, row_count: Ints1):
-    """Sort the entries of every row."""
-    grid = ti.Struct(entry_stride=entry_stride)
-    for r in range(row_count.shape[0]):
-        sort_row(grid, row_first[r], row_count[r], row)
