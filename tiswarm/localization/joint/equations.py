@@ -1,8 +1,8 @@
 """What a log says about positions, as equations with a standard deviation.
 
 A contact of robot i with robot j, felt at any stance of i, says |p_i + c - p_j| = D with p the
-final centres and c known: a flip moves a centre by what the orientations before and after say.
-Heights, ground and odometry say where a centre is, coordinate by coordinate. Each variance
+final centers and c known: a flip moves a center by what the orientations before and after say.
+Heights, ground and odometry say where a center is, coordinate by coordinate. Each variance
 follows from the noise of every orientation that went into it. Lengths in dock radii.
 """
 
@@ -40,7 +40,7 @@ class Equations:
     """c, shape (C, 3)."""
 
     lever: NDArray[np.float64]
-    """From each of the two final centres to the dock, x and y of either, shape (C, 4)."""
+    """From each of the two final centers to the dock, x and y of either, shape (C, 4)."""
 
     variance: NDArray[np.float64]
     """Of the distance, shape (C,)."""
@@ -49,7 +49,7 @@ class Equations:
     """Whether the contact is of the final stance, shape (C,)."""
 
     place: NDArray[np.float64]
-    """Where each centre is known to be, shape (N, 3)."""
+    """Where each center is known to be, shape (N, 3)."""
 
     precision: NDArray[np.float64]
     """One over the variance of each coordinate of `place`, 0 where unknown, shape (N, 3)."""
@@ -67,7 +67,7 @@ class Equations:
         """Distance of the docks of each contact, shape (..., C).
 
         Args:
-            position: Final centres, shape (..., N, 3).
+            position: Final centers, shape (..., N, 3).
             yaw: How far each robot is turned from what it senses [rad], shape (..., N).
         """
         apart = position[..., self.robot, :] + self.shift - position[..., self.other, :]
@@ -81,7 +81,7 @@ class Equations:
 
 
 class _Path:
-    """Every stance of every robot, the final one last, seen from the final centre."""
+    """Every stance of every robot, the final one last, seen from the final center."""
 
     def __init__(self, log: SensingLog, stances: Stances, noise: SensingNoise) -> None:
         size = np.diff(stances.start)
@@ -100,7 +100,7 @@ class _Path:
         self.shift = np.concatenate([displacements(log, stances), still])[order] / log.dock_radius
         pivot = np.r_[stances.pivot_dock, np.zeros(robots, np.int32)][order]
         # The dock that a robot leaves a stance by stays put; a final stance is measured from the
-        # centre itself.
+        # center itself.
         self.held = self.arm[np.arange(len(order)), pivot]
         self.held[self.final] = 0.0
         reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
@@ -111,7 +111,7 @@ class _Path:
         summed = np.cumsum(self._turned(reached)[::-1], axis=0)[::-1]
         later = np.concatenate([summed[1:], np.zeros((1, 3))])
         self.walked = later - later[self.final][self.owner]
-        """Variance of what lies between a stance and the final centre, shape (stances, 3)."""
+        """Variance of what lies between a stance and the final center, shape (stances, 3)."""
 
     def _turned(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
@@ -122,13 +122,13 @@ class _Path:
     def docks(
         self, row: NDArray[np.int64], dock: NDArray[np.int32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """From final centres to docks at some stances, and the variance, both of shape (n, 3)."""
+        """From final centers to docks at some stances, and the variance, both of shape (n, 3)."""
         at = self.shift[row] + self.arm[row, dock]
         variance = self.walked[row] + self._turned(self.arm[row, dock] - self.held[row])
         return at, variance + self._biased(at)
 
     def starts(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """From final centres to where walks began, and the variance, both of shape (N, 3)."""
+        """From final centers to where walks began, and the variance, both of shape (N, 3)."""
         at = self.shift[self.first]
         return at, self.walked[self.first] + self._turned(self.held[self.first]) + self._biased(at)
 
@@ -221,11 +221,11 @@ def _contacts(
 def _places(
     log: SensingLog, path: _Path, params: JointParams
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """What is known of each coordinate of each centre: the surest of all that tells it.
+    """What is known of each coordinate of each center: the surest of all that tells it.
 
     Returns:
         Coordinates and one over their variance, both of shape (N, 3), and the walk behind x and y,
-        shape (N, 2), from the final centre to the spawn.
+        shape (N, 2), from the final center to the spawn.
     """
     place = np.zeros((log.robot_count, 3))
     variance = np.full((log.robot_count, 3), np.inf)

@@ -7,7 +7,7 @@ gathered in a fixed order. Lengths in R.
 
 Where a log states a yaw bias, robots turn too: a robot's correction is the angle by which all that
 its orientations say, its docks and its whole walk, is turned about the vertical through its final
-centre.
+center.
 """
 
 from tiswarm.compute.dialect import ti

@@ -198,7 +198,7 @@ def take_steps(
         shift: Seen from the robot [R], shape (K, 3).
         lever: Parts of it that turn, the robot's x and y and the other's [R], shape (K, 4).
         variance: Of each contact [R^2], shape (K,).
-        place: Where each centre is known to be [R], shape (N, 3).
+        place: Where each center is known to be [R], shape (N, 3).
         precision: How well [R^-2], shape (N, 3).
         walk: Part of that place that turns with the robot, x and y to be subtracted [R],
             shape (N, 2).
@@ -210,7 +210,7 @@ def take_steps(
         row_first: Where each starts, shape (C N,).
         row_count: Length of each, shape (C N,).
         longest: Written: entries of a block's rows; if too many, it stopped there, shape (B,).
-        arm: Read and written: centre to dock, world frame [R], shape (C N, docks, 3).
+        arm: Read and written: center to dock, world frame [R], shape (C N, docks, 3).
         start: First robot of each block, shape (B + 1,).
         taken: Read and written: steps of a block so far, shape (B,).
         stale: Read and written: whether its rows are, shape (B,).
