@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -209,3 +210,15 @@ def test_a_folder_that_cannot_be_written_is_trouble_with_the_environment(tiswarm
 
     assert done.returncode == 1
     assert "choose another --out" in _only_line(done)
+
+
+def test_help_begins_with_what_people_do_most(monkeypatch, capsys):
+    """Runs, then one's own logs, then folders; advice comes last."""
+    monkeypatch.setattr(sys, "argv", ["tiswarm", "--help"])
+
+    with pytest.raises(SystemExit):
+        main()
+
+    listed = capsys.readouterr().out.partition("Commands:")[2].partition("Example:")[0]
+    names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
+    assert [names[0], names[2], names[5], names[-1]] == ["run", "localize", "report", "doctor"]

@@ -9,11 +9,14 @@ from typing import Any
 import typer
 from typer.exceptions import TyperException
 
-# Each module adds its commands, in the order of the help.
-from tiswarm.cli import advice, folders, logs, runs  # noqa: F401
 from tiswarm.cli.options import app
 from tiswarm.console import fail
 from tiswarm.errors import InputError, TiswarmError
+
+# Each module adds its commands, in the order of the help.
+# isort: off
+from tiswarm.cli import runs, logs, folders, advice  # noqa: F401
+# isort: on
 
 INTERRUPTED = 130
 

@@ -244,7 +244,8 @@ class NeighborList:
         self.row = self.memory.ints(self._row_size())
 
     def _row_size(self) -> int:
-        runs = max(-(-self.robots // self.run), 1) if self.run > 1 else self.robots
+        """Numbers that rows need, run by run or structure by structure."""
+        runs = -(-self.robots // self.run)
         return max(runs * (self.run * self.capacity + 1), self.robots * (self.capacity + 1))
 
     def _check_size(self) -> None:

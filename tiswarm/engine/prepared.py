@@ -128,9 +128,9 @@ class PreparedSwarm:
         if steps == 0 or len(self.swarm.position) == 0:
             still = self.swarm.position.copy()
             return RelaxResult(position=still, largest_move=np.zeros(steps), list_builds=0)
-        take_steps = self._by_structure if self.by_structure else self._all_at_once
+        relax = self._by_structure if self.by_structure else self._all_at_once
         self._go_to_start()
-        moves, builds = take_steps(law, np.broadcast_to(ramps, steps))
+        moves, builds = relax(law, np.broadcast_to(ramps, steps))
         position = np.empty_like(self.first_position)
         position[self.order] = self.memory.download(self.position)
         if not resolved(position, self.running, self.swarm.spacing):
