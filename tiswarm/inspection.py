@@ -1,5 +1,6 @@
 """Looks for mistakes in what a user hands in, and for what a log cannot tell."""
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,18 +46,29 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[
         yield f"tied to the anchor by no chain of contacts: {_robots(log, lost)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
         yield f"in one contact only: {_robots(log, single)}"
+    swing = None
     for known in found:
-        cues = ", ".join(known.cues).replace("_", " ")
-        counted = (
-            "too many robots to count the" if known.floppy_modes is None else known.floppy_modes
-        )
-        told = f"{cues}: {counted} floppy modes of {3 * log.robot_count - 3}"
-        yield told if known.loose is None else f"{told}, {known.loose.sum()} robots loose"
+        yield _left_open(known)
+        swing = known.swing if known.turning else swing
+    if swing is not None:
+        held = f"only the mean of all compasses does, to {math.degrees(swing):.2g} degrees"
+        yield f"nothing sensed holds the swarm against turning about the anchor; {held}"
     impossible = contradictions(log)
     for line, problem in impossible[:MOST_SHOWN]:
         yield f"{path}:{line}: contacts: {problem}"
     if len(impossible) > MOST_SHOWN:
         yield f"{path}: contacts: {len(impossible) - MOST_SHOWN} more such contradictions"
+
+
+def _left_open(known: Certainty) -> str:
+    """Count what some cues leave unknown."""
+    modes = known.floppy_modes
+    told = (
+        f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.turning}: "
+        f"{'too many robots to count the' if modes is None else modes} floppy modes of "
+        f"{known.unknowns}"
+    )
+    return told if known.loose is None else f"{told}, {known.loose.sum()} robots loose"
 
 
 def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:

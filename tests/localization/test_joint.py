@@ -162,6 +162,7 @@ def test_a_bias_of_yaw_is_found(towers):
         assert np.sqrt(np.mean((s.yaw - bias) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
         assert _rmse(s.position, history) < 0.6 * _rmse(t.position, history)
         assert t.yaw is None
+        assert (s.certainty.turning, t.certainty.turning) == (True, False)
     assert localize(observe(towers[0], NOISY), SHORT).yaw is None
 
 

@@ -36,7 +36,8 @@ def score(
     """
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
-    modes = floppy_modes(weld(equations(true, log, cues), log.robot_count))
+    turning = estimate.yaw is not None
+    modes = floppy_modes(weld(equations(true, log, cues, turning=turning)))
     return {
         "robots": log.robot_count,
         "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),

@@ -67,7 +67,8 @@ def localize_many(
         method = METHODS[params[members[0]].method]
         batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
         for n, estimate in zip(members, batch, strict=True):
-            known = certainty(logs[n], params[n].cues, estimate.position)
+            turning = estimate.yaw is not None
+            known = certainty(logs[n], params[n].cues, estimate.position, turning=turning)
             estimates[n] = replace(estimate, certainty=known)
         tell(len(members))
     return [estimates[n] for n in range(len(logs))]

@@ -27,6 +27,17 @@ class Certainty:
     cues: tuple[str, ...]
     """The cues that count."""
 
+    turning: bool
+    """Whether each robot's yaw is unknown."""
+
+    unknowns: int
+    """What there is to be known: coordinates of all robots but the anchor, and where yaw is unknown
+    how far each robot is turned, seen from the mean of all."""
+
+    swing: float | None
+    """Where yaw is unknown and nothing but the mean of all compasses holds the swarm as a whole
+    against turning about the anchor, the standard deviation of that [rad]; else None."""
+
     floppy_modes: int | None
     """Independent motions of the swarm that nothing sensed would notice, or None where there are
     too many robots to count them."""
@@ -49,7 +60,11 @@ class Certainty:
 
 
 def certainty(
-    log: SensingLog, cues: Collection[str], position: NDArray[np.float64] | None = None
+    log: SensingLog,
+    cues: Collection[str],
+    position: NDArray[np.float64] | None = None,
+    *,
+    turning: bool = False,
 ) -> Certainty:
     """Find what some cues leave unknown.
 
@@ -58,24 +73,32 @@ def certainty(
         cues: Cues in use; those that add no equation are passed over.
         position: Where the robots are thought to be, shape (N, 3). Without it they are put
             anywhere at random, for what can be known hardly depends on where they are.
+        turning: Whether each robot's yaw is unknown too.
     """
     counting = tuple(cue for cue in (*TYING, *LEVEL) if cue in cues)
     if position is None:
         robot = np.arange(log.robot_count)[:, None]
         spread = 10.0 * log.dock_radius
         position = spread * random.normal(0, "anywhere", robot, np.arange(3))
-    bodies = weld(equations(position, log, counting), log.robot_count)
+    bodies = weld(equations(position, log, counting, turning=turning))
     tied = equations(position, log, [cue for cue in counting if cue in TYING])
+    bias = np.radians(0.0 if log.noise is None else log.noise.yaw_bias_deg or 0.0)
     return Certainty(
         cues=counting,
+        turning=turning,
+        unknowns=bodies.ways * (log.robot_count - 1),
+        swing=float(bias / np.sqrt(log.robot_count)) if bodies.swings else None,
         floppy_modes=floppy_modes(bodies),
         loose=loose(bodies),
-        apart=_apart(tied, log.robot_count),
+        apart=_apart(tied),
     )
 
 
 def by_cue(log: SensingLog) -> Iterator[Certainty]:
-    """Find what is left unknown by a log's contacts, and then with each further cue it has."""
+    """Find what is left unknown by a log's contacts, and then with each further cue it has.
+
+    Where the log states that yaw is biased it counts as unknown, and at last as known once more.
+    """
     stances = log.stances
     has = {
         "contacts": True,
@@ -85,12 +108,15 @@ def by_cue(log: SensingLog) -> Iterator[Certainty]:
         "odometry": stances is not None and bool(np.isfinite(log.spawn_position).any()),
     }
     cues = [cue for cue, there in has.items() if there]
+    turning = bool(log.noise and log.noise.yaw_bias_deg)
     for count in range(1, len(cues) + 1):
-        yield certainty(log, cues[:count])
+        yield certainty(log, cues[:count], turning=turning)
+    if turning:
+        yield certainty(log, cues)
 
 
-def _apart(tied: Equations, robot_count: int) -> NDArray[np.bool_]:
-    shape = (robot_count, robot_count)
+def _apart(tied: Equations) -> NDArray[np.bool_]:
+    shape = (len(tied.center), len(tied.center))
     graph = coo_array((np.ones(len(tied.first)), (tied.first, tied.second)), shape=shape)
     _, part = connected_components(graph, directed=False)
-    return np.asarray(part != part[0])
+    return np.asarray(part[:-1] != part[0])

@@ -18,9 +18,12 @@ HELD = 0.1
 """A robot counts as held where floppy motions shift it by less than this part of what they shift
 a robot that nothing holds."""
 
+SHIFTS = 3
+"""Ways in which a robot moves without turning: x, y and z."""
+
 PROBES = 16
-MOST_BODIES = 30_000
-"""Matrices of more bodies are not factored: too much memory."""
+MOST_UNKNOWNS = 90_000
+"""Matrices of more are not factored: too much memory."""
 
 
 class Ties(NamedTuple):
@@ -29,36 +32,65 @@ class Ties(NamedTuple):
     first: NDArray[np.integer]
     second: NDArray[np.integer]
     stiffness: NDArray[np.float64]
-    """Sum of the outer products of their unit vectors, shape (pairs, 3, 3)."""
+    """Sum of the outer products of their ways, shape (pairs, ways, ways); 3 ways to move, or 4."""
 
 
 class Bodies(NamedTuple):
     """Robots that cannot part, taken as one."""
 
     of_robot: NDArray[np.integer]
-    """Body of each robot, shape (N,)."""
+    """Body of each robot and of the world, shape (N + 1,)."""
 
-    size: int
-    """Bodies in all."""
+    lever: NDArray[np.float64]
+    """From the center of its body to that of each of them [dock radius], shape (N + 1, 3)."""
+
+    center: NDArray[np.float64]
+    """Mean of the centers of each body's robots [dock radius], shape (bodies, 3)."""
 
     ties: Ties
 
     @property
+    def size(self) -> int:
+        """Bodies in all."""
+        return len(self.center)
+
+    @property
+    def ways(self) -> int:
+        """Ways in which each can move: 4 where yaw is unknown, else 3."""
+        return self.ties.stiffness.shape[1]
+
+    @property
+    def unknowns(self) -> int:
+        """Ways in which all can move."""
+        return self.ways * (self.size - 1)
+
+    @property
     def fixed(self) -> int:
-        """Body of the anchor, which stays where it is."""
-        return int(self.of_robot[0])
+        """Body of the world, which stays where it is."""
+        return int(self.of_robot[-1])
+
+    @property
+    def swings(self) -> bool:
+        """Whether everything sensed lets the swarm turn about the anchor as a whole."""
+        if self.ways == SHIFTS or (self.of_robot[:-1] == self.fixed).any():
+            return False
+        of_world = (self.ties.first == self.fixed) | (self.ties.second == self.fixed)
+        return not self.ties.stiffness[of_world, SHIFTS, SHIFTS].any()
 
 
-def weld(known: Equations, robot_count: int) -> Bodies:
+def weld(known: Equations) -> Bodies:
     """Join robots that cannot part into bodies, until no two bodies are held to each other."""
-    body: NDArray[np.integer] = np.arange(robot_count)
-    count = robot_count
-    ties = Ties(*known[:2], known.unit[:, :, None] * known.unit[:, None, :])
+    count = len(known.center)
+    body: NDArray[np.integer] = np.arange(count)
+    ties = Ties(*known[:2], known.way[:, :, None] * known.way[:, None, :])
     while True:
         ties = _summed(ties, count)
-        stiff = _rank(ties.stiffness) == 3  # noqa: PLR2004 - every direction
+        members = np.bincount(body, minlength=count)[:, None]
+        center = np.column_stack([np.bincount(body, axis) for axis in known.center.T]) / members
+        seen = _seen_from(center[ties.first], ties.stiffness)
+        stiff = _rank(seen) == known.way.shape[1]
         if not stiff.any():
-            return Bodies(body, count, ties)
+            return Bodies(body, known.center - center[body], center, ties)
         graph = coo_array(
             (np.ones(stiff.sum()), (ties.first[stiff], ties.second[stiff])), shape=(count, count)
         )
@@ -71,32 +103,50 @@ def floppy_modes(bodies: Bodies) -> int | None:
     """Count the independent motions that change nothing sensed; None where that is too dear.
 
     What is left after peeling has as many as its stiffness matrix has eigenvalues below
-    UNNOTICED^2.
+    UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor is not counted: the
+    mean of all compasses holds it.
     """
     peeled, core = _peel(bodies)
-    if core.size > MOST_BODIES:
+    if core.unknowns > MOST_UNKNOWNS:
         return None
     factors = _factors(core)
-    return peeled if factors is None else peeled + int((factors.U.diagonal() < 0.0).sum())
+    left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
+    return peeled + left - bodies.swings
 
 
 def loose(bodies: Bodies) -> NDArray[np.bool_] | None:
     """Whether floppy motions shift each robot, shape (N,); None where that is too dear.
 
     Of random motions x the factors of the stiffness matrix K tell what is left once K has damped
-    all that it notices: -s (K - s 1)^-1 x with s = UNNOTICED^2.
+    all that it notices: -s (K - s 1)^-1 x with s = UNNOTICED^2. Where the swarm may turn as a whole
+    that is seen from a mean robot.
     """
-    if bodies.size > MOST_BODIES:
+    if bodies.unknowns > MOST_UNKNOWNS:
         return None
     factors = _factors(bodies)
     if factors is None:
-        return np.zeros(len(bodies.of_robot), np.bool_)
-    coordinate = np.arange(factors.shape[0])[:, None]
+        return np.zeros(len(bodies.of_robot) - 1, np.bool_)
+    coordinate = np.arange(bodies.unknowns)[:, None]
     motion = random.normal(0, "floppy motion", coordinate, np.arange(PROBES))
-    left = -(UNNOTICED**2) * factors.solve(motion)
-    shifted = np.sqrt(np.mean(left.reshape(-1, 3 * PROBES) ** 2, axis=1))
-    is_loose: NDArray[np.bool_] = np.insert(shifted > HELD, bodies.fixed, False)[bodies.of_robot]
-    return is_loose
+    left = -(UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.ways, PROBES)
+    moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
+    if bodies.ways > SHIFTS:
+        turn, lever = moved[:, SHIFTS], bodies.lever[:-1]
+        moved[:, :2] += _swept(turn, lever)
+        if bodies.swings:
+            from_anchor = bodies.center[bodies.of_robot[:-1]] + lever
+            moved[:, :2] -= _swept(turn.mean(axis=0), from_anchor)
+    shifted = np.sqrt(np.mean(moved[:, :SHIFTS] ** 2, axis=(1, 2)))
+    return np.asarray(shifted > HELD)
+
+
+def _swept(turn: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much turns (..., PROBES) about the vertical move the ends of arms (N, 3) in x and y.
+
+    Shape (N, 2, PROBES).
+    """
+    x, y, _ = arm.T[:, :, None]
+    return np.stack([-turn * y, turn * x], axis=1)
 
 
 def _summed(ties: Ties, bodies: int) -> Ties:
@@ -111,11 +161,36 @@ def _summed(ties: Ties, bodies: int) -> Ties:
 def _by_row(
     row: NDArray[np.integer], matrix: NDArray[np.float64], rows: int
 ) -> NDArray[np.float64]:
-    """Sum 3 x 3 matrices that belong to the same row, shape (rows, 3, 3)."""
-    total = np.empty((rows, 9))
-    for place, entry in enumerate(matrix.reshape(-1, 9).T):
+    """Sum square matrices that belong to the same row, shape (rows, ways, ways)."""
+    ways = matrix.shape[1]
+    total = np.empty((rows, ways**2))
+    for place, entry in enumerate(matrix.reshape(-1, ways**2).T):
         total[:, place] = np.bincount(row, entry, rows)
-    return total.reshape(-1, 3, 3)
+    return total.reshape(-1, ways, ways)
+
+
+def _from(center: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Motions of bodies told from the anchor's axis, by those told from their own centers.
+
+    Shape (..., 4, 4).
+    """
+    told = np.tile(np.eye(4), (*center.shape[:-1], 1, 1))
+    told[..., 0, 3], told[..., 1, 3] = center[..., 1], -center[..., 0]
+    return told
+
+
+def _seen_from(
+    center: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    other: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Tell stiffness by motions of bodies about their own centers, not about the anchor's axis."""
+    if stiffness.shape[1] == SHIFTS:  # the same from everywhere
+        return stiffness
+    seen: NDArray[np.float64] = (
+        _from(center).swapaxes(1, 2) @ stiffness @ _from(center if other is None else other)
+    )
+    return seen
 
 
 def _rank(stiffness: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -133,24 +208,28 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
     Returns:
         Floppy modes of what was taken away, and the rest.
     """
-    ties, rank = bodies.ties, _rank(bodies.ties.stiffness)
+    ties, center = bodies.ties, bodies.center
+    rank = _rank(_seen_from(center[ties.first], ties.stiffness))
     rests = np.ones(bodies.size, np.bool_)
     modes = 0
     while True:
         end = np.concatenate([ties.first, ties.second])
         total = np.bincount(end, np.tile(rank, 2), bodies.size)
-        held = _rank(_by_row(end, np.tile(ties.stiffness, (2, 1, 1)), bodies.size))
+        held = _rank(
+            _seen_from(center, _by_row(end, np.tile(ties.stiffness, (2, 1, 1)), bodies.size))
+        )
         peels = rests & (total == held)
         peels[bodies.fixed] = False
         if not peels.any():
             break
         rests &= ~peels
         cut = peels[ties.first] | peels[ties.second]
-        modes += 3 * int(peels.sum()) - int(rank[cut].sum())
+        modes += bodies.ways * int(peels.sum()) - int(rank[cut].sum())
         ties, rank = Ties(*(column[~cut] for column in ties)), rank[~cut]
     number = np.cumsum(rests) - 1
     left = Ties(number[ties.first], number[ties.second], ties.stiffness)
-    return modes, Bodies(number[[bodies.fixed]], int(rests.sum()), left)
+    core = Bodies(number[[bodies.fixed]], np.zeros((1, 3)), center[rests], left)
+    return modes, core
 
 
 def _factors(bodies: Bodies) -> SuperLU | None:
@@ -164,12 +243,13 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     row = np.concatenate([first, second, first, second])
     column = np.concatenate([first, second, second, first])
     block = np.concatenate([stiffness, stiffness, -stiffness, -stiffness])
+    block = _seen_from(bodies.center[row], block, bodies.center[column])
     free = (row != bodies.fixed) & (column != bodies.fixed)
     row, column, block = row[free], column[free], block[free]
     row, column = row - (row > bodies.fixed), column - (column > bodies.fixed)
-    rows = np.broadcast_to(3 * row[:, None, None] + np.arange(3)[:, None], block.shape)
-    columns = np.broadcast_to(3 * column[:, None, None] + np.arange(3), block.shape)
-    unknowns = 3 * (bodies.size - 1)
+    ways, unknowns = np.arange(bodies.ways), bodies.unknowns
+    rows = np.broadcast_to(len(ways) * row[:, None, None] + ways[:, None], block.shape)
+    columns = np.broadcast_to(len(ways) * column[:, None, None] + ways, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
     return splu(
         csc_array(matrix - UNNOTICED**2 * eye_array(unknowns)),
