@@ -13,7 +13,11 @@ from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.params import CantileverParams
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
@@ -70,6 +74,31 @@ def test_robots_are_found_without_noise(towers):
         assert np.mean(error[1:] < 1.55 * estimate.sd[1:]) > 0.5
         assert estimate.residual[-1] < 0.3 * estimate.residual[0]
         np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
+
+
+def test_a_long_arm_is_not_torn_from_its_anchor():
+    """A thousand robots come to the one that stands still, whose contacts are not given up."""
+    params = CantileverParams(movers=10, solve_every=100, mechanics=MechanicsParams(model="rigid"))
+    history = grow(params, robots=1000, seeds=[1000], robot=RobotGeometry())[0]
+    log = observe(history, SensingParams())
+
+    estimate = localize(log, JointParams(chains=1, walk_contacts=False))
+
+    assert _rmse(estimate.position, history) < 2.5
+    assert not any("judged wrong, of robot 1 with 0" in note for note in estimate.notes)
+
+
+@pytest.mark.parametrize("spawn_noise", [None, 0.2])
+def test_anchors_end_where_they_are(towers, spawn_noise):
+    """Anchors float only where all could be moved alike, and all are moved back with them."""
+    log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
+    known = equations(log, SHORT)
+
+    found = anneal.anneal([log], [SHORT], [known])[0]
+
+    assert known.floating.tolist() == [spawn_noise is None] * 2 + [False]
+    for positions in (found.mean, found.last, found.trace):
+        np.testing.assert_allclose(positions[:, 0] - log.anchor_position, 0.0, atol=1e-12)
 
 
 def test_company_threads_names_and_order_do_not_change_a_byte(towers):

@@ -85,7 +85,8 @@ class Swarm:
                 take each step together. By what is quicker if None; no bit depends on it.
         """
         running = backend.current()
-        memory = Memory(running, on_host=False)
+        self.memory = memory = Memory(running, on_host=False)
+        self.anchor = np.array([g.anchor_position / g.dock_radius for g in logs])
         self.chains = params[0].chains
         self.schedule = params[0]
         self.size = [log.robot_count for log in logs]
@@ -127,6 +128,7 @@ class Swarm:
             for values in (
                 self.tolerance,
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
+                _of_anchors(known)[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
                 *_by_robot(known, self.start, np.argsort(self.order)),
@@ -152,11 +154,16 @@ class Swarm:
     def run(self) -> list[Annealed]:
         """Take all steps."""
         steps, holding = len(self.tolerance), self.schedule.hold_steps
-        frames = np.unique(np.linspace(0, steps, FRAMES).astype(np.int64))
+        frames = np.linspace(0, steps, FRAMES).astype(np.int64)
+        frames = np.union1d(frames, self.schedule.steps)
         trace = []
         for frame in frames.tolist():
             self.advance(frame)
-            trace.append(self.by_robot(self.position)[0])
+            landed = self.landed()
+            trace.append(landed[0])
+            if frame == self.schedule.steps:
+                self.memory.refill(self.position, landed[:, self.order].reshape(-1, 3))
+                self.stale.fill(1)
         last = self.by_robot(self.position)
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
             raise backend.faulty_driver()
@@ -197,6 +204,13 @@ class Swarm:
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 self.stale.fill(1)
+
+    def landed(self) -> NDArray[np.float64]:
+        """Where robots are once each structure is moved so far that its anchor is where it is."""
+        position = self.by_robot(self.position)
+        drift = position[:, self.start[:-1]] - self.anchor
+        landed: NDArray[np.float64] = position - np.repeat(drift, self.size, axis=1)
+        return landed
 
     def _tolerances(self) -> NDArray[np.float64]:
         """Tolerance of each step, shape (T,)."""
@@ -244,6 +258,12 @@ def _by_robot(
         np.pad(np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order], ((0, room), (0, 0))),
         np.pad(np.tile(variance, 2)[order], (0, room), constant_values=1.0),
     )
+
+
+def _of_anchors(known: Sequence[Equations]) -> NDArray[np.int64]:
+    """Axes along which each robot floats, 0 for all but anchors, shape (N, 3)."""
+    floating = [np.outer(np.arange(len(e.place)) == 0, e.floating) for e in known]
+    return np.concatenate(floating).astype(np.int64)
 
 
 def _first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArray[np.float64]:

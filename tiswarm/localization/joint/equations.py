@@ -58,6 +58,10 @@ class Equations:
     """Part of x and y of `place` that is the robot's own walk, to be turned back by the yaw that it
     has been turned; added to `place` here, shape (N, 2)."""
 
+    floating: NDArray[np.bool_]
+    """Axes along which nothing but contacts with the anchor tells where robots are: all of them
+    moved alike, the anchor too, would stretch nothing. Shape (3,)."""
+
     yaw_precision: float
     """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
@@ -155,6 +159,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     robot = path.owner[row]
     place, precision, walk = _places(log, path, params)
     walk *= is_solved
+    floating: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
     loose = _untied(robot, other, is_placed)[:, None] & (precision == 0.0)
@@ -174,6 +179,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         place=place + np.pad(walk, ((0, 0), (0, 1))),
         precision=precision,
         walk=walk,
+        floating=floating,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
 

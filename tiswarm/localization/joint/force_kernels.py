@@ -77,8 +77,7 @@ def pull_of_contacts(
         within = square + variance[slot] + residual * residual * robust
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
-        if residual < 0.0:
-            stiff -= solid * touching[slot]
+        stiff -= ti.select(residual < 0.0, solid * touching[slot], 0)
         force -= with_torque(stiff * residual * within * inverse * apart, arm)
         stiffness += stiff
         inertia += stiff * arm.norm_sqr()

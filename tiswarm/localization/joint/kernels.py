@@ -87,6 +87,7 @@ def move_robot(
     averaged,
     turning: ti.template(),
     number: ti.template(),
+    floating: ti.template(),
     yaw_precision: ti.template(),
     arm: ti.template(),
     listed: ti.template(),
@@ -98,21 +99,21 @@ def move_robot(
     total: ti.template(),
     square_total: ti.template(),
 ):
-    """Move a robot, unless it is an anchor, and turn it if robots turn.
+    """Move a robot, an anchor only as far as it floats, and turn it if robots turn.
 
     Returns:
         Its squared distance from its row's place.
     """
     i = r % number.shape[0]
     strayed = 0.0 * mass[r]
-    if number[i] > 0:
-        heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / mass[r])
-        kick = kick_of(seed, r // number.shape[0], number[i], t)
-        for c in ti.static(range(3)):
+    heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / mass[r])
+    kick = kick_of(seed, r // number.shape[0], number[i], t)
+    for c in ti.static(range(3)):
+        if number[i] > 0 or (floating[i, c] == 1 and not averaged):
             speed = velocity[r, c] + STEP * force[r, c] / mass[r]
             velocity[r, c] = MEMORY * speed + heat * kick[c]
             position[r, c] += 0.5 * STEP * (speed + velocity[r, c])
-            strayed += (position[r, c] - listed[4 * r + c]) ** 2
+        strayed += (position[r, c] - listed[4 * r + c]) ** 2
     if ti.static(turning) and yaw_precision[i] > 0.0:
         turn_robot(seed, t, r, tolerance, averaged, number, arm, heading)
     if averaged:
@@ -137,6 +138,7 @@ def take_steps(
     tolerance: Reals1,
     # equations
     number: Ints1,
+    floating: Ints2,
     non_overlap: Ints1,
     robust: Reals1,
     contact_start: Ints1,
@@ -174,7 +176,7 @@ def take_steps(
     total: Reals2,
     square_total: Reals1,
 ):
-    """Move every robot but the anchors, from the step that was taken last.
+    """Move every robot, anchors only as far as they float, from the step that was taken last.
 
     Args:
         by_block: Whether one thread takes all steps of a block, and makes its rows anew when they
@@ -190,6 +192,7 @@ def take_steps(
         held: First step that counts for the averages.
         tolerance: s at each step [R], shape (T,).
         number: Join number within its structure, shape (N,).
+        floating: Axes along which an anchor moves until `held`, shape (N, 3).
         non_overlap: Whether the cue is on in its structure, shape (N,).
         robust: One over the square of the loss's width, 0 for none [1], shape (N,).
         contact_start: First contact of each robot, shape (N + 1,).
@@ -257,9 +260,9 @@ def take_steps(
                             )  # fmt: skip
                         for r in range(start[b], start[b + 1]):
                             if limit < move_robot(
-                                seed, t, r, tolerance[t], t >= held, turning, number, yaw_precision,
-                                arm, listed, position, velocity, force, mass, heading, total,
-                                square_total,
+                                seed, t, r, tolerance[t], t >= held, turning, number, floating,
+                                yaw_precision, arm, listed, position, velocity, force, mass,
+                                heading, total, square_total,
                             ):  # fmt: skip
                                 stale[b] = 1
                         taken[b] = t + 1
@@ -275,8 +278,8 @@ def take_steps(
         strayed = 0.0
         for r in range(row_count.shape[0]):
             ti.atomic_max(strayed, move_robot(
-                seed, now, r, tolerance[now], now >= held, turning, number, yaw_precision, arm,
-                listed, position, velocity, force, mass, heading, total, square_total,
+                seed, now, r, tolerance[now], now >= held, turning, number, floating, yaw_precision,
+                arm, listed, position, velocity, force, mass, heading, total, square_total,
             ))  # fmt: skip
         taken[0] = now + 1
         if strayed > limit:
