@@ -111,8 +111,7 @@ def _sensed_orientation(
         * Rotation.from_rotvec(turn)
         * Rotation.from_quat(true, scalar_first=True)
     )
-    wxyz: NDArray[np.float64] = sensed.as_quat(canonical=True, scalar_first=True)
-    return wxyz
+    return sensed.as_quat(canonical=True, scalar_first=True)
 
 
 def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:
@@ -141,8 +140,7 @@ def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]
     felt = true.copy()
     felt[:, 4] = np.where(is_wrong, (felt[:, 4] + turned) % docks, felt[:, 4])
     felt = felt[draw("missed contact", 0) >= params.missed_contacts]
-    every: NDArray[np.int32] = np.unique(np.concatenate([felt, false]), axis=0)
-    return every
+    return np.unique(np.concatenate([felt, false]), axis=0)
 
 
 def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float64]:

@@ -7,13 +7,12 @@ from PIL import Image
 from tests.report.conftest import write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import figures
-from tiswarm.report.accuracy_figure import draw_accuracy
 from tiswarm.report.canvas import png
 from tiswarm.report.case_figures import draw_convergence
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
-from tiswarm.report.profile_figure import PANELS, profile_painters
 from tiswarm.report.render.pictures import is_blank
+from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
 
 
 def ignore(_line):
@@ -195,7 +194,7 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
     rows = [
         ["baseline", *point, by, low, low + 1, 4, 0.5, 1.0 + low]
         for point in ([[value] for value in points] or [[]])
-        for by in PANELS
+        for by in PROFILED
         for low in (1, 2, 4)
     ]
     header = "condition,swept,by,low,high,count,mean_error_R,rmse_R"

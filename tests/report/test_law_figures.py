@@ -8,8 +8,13 @@ from PIL import Image
 from tests.report.conftest import write_table
 from tiswarm.errors import InputError
 from tiswarm.report.figures import draw_figures
-from tiswarm.report.law_figures import LAW_FIGURES, draw_cross_section, draw_towers
-from tiswarm.report.law_points import FILE, read_law_points
+from tiswarm.report.law_figures import (
+    LAW_FIGURES,
+    LAW_POINTS,
+    draw_cross_section,
+    draw_towers,
+    read_law_points,
+)
 from tiswarm.report.render.pictures import is_blank
 
 HEADER = "law,series,x,mean,std,structures,fitted"
@@ -39,7 +44,7 @@ def write_points(folder, laws):
         for name in SERIES[law][0]
         for place, x in enumerate(SERIES[law][1])
     ]
-    write_table(folder / FILE, HEADER, rows)
+    write_table(folder / LAW_POINTS, HEADER, rows)
 
 
 @pytest.mark.parametrize("laws", [list(SERIES), []], ids=["every law", "no law"])
@@ -76,7 +81,7 @@ def test_figures_show_the_points_and_the_published_form(tmp_path):
 def test_r2_is_what_the_form_explains(tmp_path):
     """The number on a figure is that of its own points."""
     write_points(tmp_path, SERIES)
-    table = pd.read_csv(tmp_path / FILE)
+    table = pd.read_csv(tmp_path / LAW_POINTS)
     chosen = table[table["law"] == "chain depth over F"]
 
     points = read_law_points(tmp_path)["chain depth over F"][""]
@@ -88,7 +93,7 @@ def test_r2_is_what_the_form_explains(tmp_path):
 
 def test_damaged_points_are_refused_by_name(run_folder):
     """The message names the file."""
-    (run_folder / FILE).write_text("law,series\ntower,F\n")
+    (run_folder / LAW_POINTS).write_text("law,series\ntower,F\n")
 
     with pytest.raises(InputError, match=r"law-points\.csv: cannot be read"):
         draw_figures(run_folder, ignore)

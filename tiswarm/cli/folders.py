@@ -55,7 +55,7 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Set runs side by side: one table, differences on the structures they share, one figure."""
-    from tiswarm.report.comparison_figure import draw_comparison
+    from tiswarm.report.table_figures import draw_comparison
     from tiswarm.study.comparison import compare as tabulate
 
     tabulate(runs, out)

@@ -20,8 +20,7 @@ def dock_offsets(
         Center to dock, world frame, shape (N, docks, 3).
     """
     matrix = Rotation.from_quat(orientation_wxyz, scalar_first=True).as_matrix()
-    turned: NDArray[np.float64] = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
-    return turned
+    return np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
 
 
 @ti.func

@@ -19,8 +19,7 @@ def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> N
         estimate: Estimated centers [R], shape (N, 3).
         truth: True centers [R], shape (N, 3).
     """
-    distance: NDArray[np.float64] = np.linalg.norm(estimate - truth, axis=1)
-    return distance
+    return np.linalg.norm(estimate - truth, axis=1)
 
 
 def sse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -48,8 +47,7 @@ def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> ND
     (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
     yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
     turn = Rotation.from_euler("z", yaw)
-    aligned: NDArray[np.float64] = turn.apply(estimate - mean) + truth.mean(axis=0)
-    return aligned
+    return turn.apply(estimate - mean) + truth.mean(axis=0)
 
 
 def rigidly_aligned(
@@ -70,8 +68,7 @@ def rigidly_aligned(
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - mean)
-    aligned: NDArray[np.float64] = rotation.apply(estimate - mean) + truth.mean(axis=0)
-    return aligned
+    return rotation.apply(estimate - mean) + truth.mean(axis=0)
 
 
 def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:

@@ -101,8 +101,7 @@ class Localizer:
         self._height[n] = np.nan if line.flip_height is None else line.flip_height / self._unit
         self._place(np.array(felt.contacts, np.int32).reshape(-1, 3))
         self._count += 1
-        place: NDArray[np.float64] = self._position[n].astype(np.float64) * self._unit
-        return place
+        return self._position[n].astype(np.float64) * self._unit
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""

@@ -24,10 +24,7 @@ def hops(log: SensingLog, start: NDArray[np.int64]) -> NDArray[np.float64]:
     Returns:
         Count of contacts, shape (n, N).
     """
-    distance: NDArray[np.float64] = dijkstra(
-        _graph(log), directed=False, indices=start, unweighted=True
-    )
-    return distance
+    return dijkstra(_graph(log), directed=False, indices=start, unweighted=True)
 
 
 def contact_count(log: SensingLog) -> NDArray[np.int64]:

@@ -31,5 +31,4 @@ def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
     )
     step = before[row, stances.pivot_dock] - after
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    displaced: NDArray[np.float64] = walked[:-1] - walked[stances.start[1:]][owners(stances)]
-    return displaced
+    return walked[:-1] - walked[stances.start[1:]][owners(stances)]

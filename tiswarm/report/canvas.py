@@ -4,14 +4,22 @@ import io
 import re
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
 
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 """Colors that stay apart for color-blind readers (Okabe and Ito)."""
 
+LINE_STYLES = ("-", "--", ":")
+MARKERS = "osD^vPX"
 COLUMN_WIDTH = 3.5
 """Width of a paper's column [inch]."""
 
@@ -43,6 +51,28 @@ def new_figure(width: float, height: float) -> "Figure":
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+
+
+def panel_grid(
+    figure: "Figure", count: int, columns: int, *, sharex: bool = False, sharey: bool = False
+) -> "list[Axes]":
+    """Make so many panels in rows of so many columns."""
+    rows = -(-count // columns)
+    grid = figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel()
+    for unused in grid[count:]:
+        unused.set_axis_off()
+    return list(grid[:count])
+
+
+def line_style(place: int) -> dict[str, Any]:
+    """Color and dashes of the line at a place among others."""
+    dashes = LINE_STYLES[place // len(PALETTE) % len(LINE_STYLES)]
+    return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes}
+
+
+def dot_area(count: int) -> float:
+    """Shrink dots as they get many, so that a cloud stays a cloud [pt^2]."""
+    return float(np.clip(9000.0 / max(count, 1), 1.0, 12.0))
 
 
 def shortened(name: str) -> str:

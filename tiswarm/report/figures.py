@@ -6,19 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiswarm.records.atomic import write_bytes
-from tiswarm.report.accuracy_figure import draw_accuracy, has_table
 from tiswarm.report.canvas import STYLE, pdf, png
 from tiswarm.report.case_figures import (
+    by_kind,
     draw_convergence,
     draw_error_against_height,
-    draw_positions,
+    draw_error_along_growth,
 )
-from tiswarm.report.folder import Series, Tell, read_cases, subfolder
-from tiswarm.report.kind_figures import by_kind, kind_painters
-from tiswarm.report.law_figures import LAW_FIGURES
-from tiswarm.report.law_points import has_laws, read_law_points
-from tiswarm.report.profile_figure import profile_painters
+from tiswarm.report.folder import Series, Tell, has_table, read_cases, subfolder
+from tiswarm.report.law_figures import LAW_FIGURES, LAW_POINTS, read_law_points
+from tiswarm.report.positions_figure import draw_positions
 from tiswarm.report.scaling_figure import draw_scaling, has_scaling
+from tiswarm.report.table_figures import draw_accuracy, profile_painters
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,17 +62,22 @@ def draw_figures(folder: Path, tell: Tell, *, vector: bool = False) -> list[Path
 
 def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[], "Figure"]]:
     """By file name, what draws each figure that a run has."""
-    if has_laws(folder):
+    if has_table(folder, LAW_POINTS):
         laws = read_law_points(folder)
         return {name: partial(draw, laws, note) for name, draw in LAW_FIGURES.items()}
     painters: dict[str, Callable[[], Figure]] = {
         name: partial(draw, series, note) for name, draw in FIGURES.items()
     }
     if kinds := by_kind(series):
-        painters = {"convergence": painters["convergence"], **kind_painters(kinds, note)}
+        painters = {
+            "convergence": painters["convergence"],
+            "error-along-growth": partial(draw_error_along_growth, kinds, note),
+        }
+        for kind, of_kind in kinds.items():
+            painters[f"positions-{kind}"] = partial(draw_positions, of_kind, note)
     if has_scaling(folder):
         painters["scaling"] = partial(draw_scaling, folder, note)
-    if has_table(folder):
+    if has_table(folder, "table.csv"):
         painters["accuracy"] = partial(draw_accuracy, folder, note)
     return painters | profile_painters(folder, note)
 

@@ -122,6 +122,16 @@ def read_table(
     return table
 
 
+def has_table(folder: Path, name: str) -> bool:
+    """Whether a run has a table that not every run has."""
+    return (folder / name).is_file()
+
+
+def swept_columns(table: "pd.DataFrame", *, before: str = "cases") -> list[str]:
+    """Columns that tell rows of a table apart: the condition and what is swept."""
+    return list(table.columns[: table.columns.get_loc(before)])
+
+
 def read_columns(path: Path, names: list[str]) -> NDArray[np.float64]:
     """Read columns of numbers as `read_table` does, shape (rows, names)."""
     return read_table(path, numbers=names)[names].to_numpy()

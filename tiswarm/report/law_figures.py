@@ -5,20 +5,19 @@ stretched so that a published form is a straight line.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.report.canvas import COLUMN_WIDTH, PAGE_WIDTH, TRUE_BLUE, add_note, new_figure
-from tiswarm.report.law_points import Array, LawPoints, Points
+from tiswarm.report.canvas import COLUMN_WIDTH, PAGE_WIDTH, TRUE_BLUE, Array, add_note, new_figure
+from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-HEIGHT = "Height [R]"
 PEAK = "Peak stress\n[weight of a dock / R²]"
-THRESHOLD = "Threshold F [weight of a dock]"
 ROBOTS = "Robots N"
 TOWER_AXES = ("F [weight of a dock]", "B", "J", ROBOTS)
 
@@ -37,9 +36,48 @@ ONLY = (TRUE_BLUE, "o")
 STALLS = {"F = 1": 5.0, "F = 2.5": 17.0, "F = 5": 20.0}
 """N at which cantilevers were published to stall (ReactiveBuild, DARS 2021)."""
 
+LAW_POINTS = "law-points.csv"
 Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
 INVERSE: Scale = (lambda x: -1.0 / np.maximum(x, 0.1), lambda x: -1.0 / x)
+
+
+class Points(NamedTuple):
+    """One series of a law, n points in rising x, as `law-points.csv` has them: shapes (n,)."""
+
+    x: Array
+    mean: Array
+    std: Array
+    """Standard deviation over structures, 0 where there is one."""
+
+    structures: Array
+    fitted: Array
+    """The published form, NaN where there is none."""
+
+    @property
+    def r2(self) -> float:
+        """Share of the variance of the means that the published form explains [1], or NaN."""
+        spread = float(np.sum((self.mean - self.mean.mean()) ** 2))
+        return 1.0 - float(np.sum((self.mean - self.fitted) ** 2)) / spread if spread else np.nan
+
+
+LawPoints = dict[str, dict[str, Points]]
+"""Points by law and series, such as `F = 5`."""
+
+
+def read_law_points(folder: Path) -> LawPoints:
+    """Read the points of every law.
+
+    Raises:
+        InputError: the table or a column is missing or damaged.
+    """
+    columns = list(Points._fields)
+    table = read_table(folder / LAW_POINTS, ["law", "series"], columns)
+    table = table.fillna({"series": "", "std": 0.0})
+    found: LawPoints = {}
+    for (law, series), group in table.groupby(["law", "series"], sort=False):
+        found.setdefault(str(law), {})[str(series)] = Points(*group[columns].to_numpy().T)
+    return found
 
 
 def _power(exponent: float) -> Scale:
@@ -50,7 +88,7 @@ def draw_towers(laws: LawPoints, note: str) -> "Figure":
     """Draw height and peak stress of towers against F, B, J and N."""
     figure = new_figure(PAGE_WIDTH, 4.2)
     panels = figure.subplots(2, 4, sharey="row", squeeze=False)
-    for row, (name, label) in enumerate((("height", HEIGHT), ("peak", PEAK))):
+    for row, (name, label) in enumerate((("height", "Height [R]"), ("peak", PEAK))):
         over_f, over_b, over_j, over_n = panels[row]
         _dots(over_f, laws.get(f"tower {name} over F", {}))
         _dots(over_b, laws.get(f"tower {name} over B", {}))
@@ -144,7 +182,7 @@ def draw_chains(laws: LawPoints, note: str) -> "Figure":
     over_f, over_n = figure.subplots(1, 2, sharey=True)
     _dots(over_f, laws.get("chain depth over F", {}))
     _stretch(over_f, _power(0.75), (2.5, 5, 10, 25), (1.5, 28.0))
-    over_f.set(xlabel=THRESHOLD, ylabel="Depth below the ground [R]")
+    over_f.set(xlabel="Threshold F [weight of a dock]", ylabel="Depth below the ground [R]")
     _title(over_f, "F$^{3/4}$")
     of_series = laws.get("chain depth over N", {})
     _lines(over_n, of_series)

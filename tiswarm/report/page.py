@@ -169,8 +169,7 @@ def _top_of(scenario: str) -> dict[str, str]:
     """Name and description of a scenario."""
     import yaml  # noqa: PLC0415 - nothing else here needs it
 
-    content: dict[str, str] = yaml.safe_load(scenario)
-    return content
+    return yaml.safe_load(scenario)
 
 
 def _read_text(path: Path) -> str:

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from tiswarm.report.folder import swept_columns
+
 MOST_CASES = 2_000
 """Rows of the table of cases; more are left to `summary.csv`."""
 
@@ -27,22 +29,19 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of the page."""
+    """A table of the page, between its title and a note."""
 
     header: list[str]
-    """Names of the columns."""
-
     rows: list[list[Cell]]
-    """A cell for each."""
-
     title: str = ""
-    """What stands above it."""
-
     note: str = ""
-    """What stands below it."""
 
-    sortable: bool = False
-    """Whether a click on a column sorts it."""
+    @classmethod
+    def of(cls, table: pd.DataFrame, columns: Sequence[Column], *, title: str, note: str) -> "Table":
+        """Show a row of cells for each row of a table."""
+        rows = [[cell(row) for _, cell in columns] for row in table.to_dict("records")]
+        header = [label for label, _ in columns]
+        return cls(header=header, rows=rows, title=title, note=note)
 
 
 ACCURACY = (
@@ -94,22 +93,17 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame)
 
 def case_table(summary: pd.DataFrame) -> Table:
     """One row a case, to be sorted and filtered."""
-    columns = [column for column in CASE if column[1] in summary]
-    rows = [
+    left_out = len(summary) - MOST_CASES
+    return Table.of(
+        summary.head(MOST_CASES),
         [
-            Cell(str(row["case"])),
-            Cell(str(row["status"])),
-            *(_number(row[name], digits) for _, name, digits in columns),
-            Cell("" if pd.isna(row["reason"]) else str(row["reason"])),
-        ]
-        for row in summary.head(MOST_CASES).to_dict("records")
-    ]
-    left_out = len(summary) - len(rows)
-    return Table(
-        header=["case", "status", *(label for label, _, _ in columns), "reason"],
-        rows=rows,
+            _words("case"),
+            _words("status"),
+            *(_numbers(*column) for column in CASE if column[1] in summary),
+            _words("reason"),
+        ],
+        title="",
         note=f"{left_out} more cases are in summary.csv." if left_out > 0 else "",
-        sortable=True,
     )
 
 
@@ -181,48 +175,34 @@ def _headline(table: pd.DataFrame) -> Table:
     """Accuracy beside the published numbers, and what limits it."""
     published = [column for column in PUBLISHED if table[column[1]].notna().any()]
     rmse, rho, disparity = ACCURACY
-    of_paper = {name: [_number_column(label, name, digits)] for label, name, digits in published}
-    columns = [
-        *_mean_columns(table, [rmse, rho]),
-        *of_paper.get("paper_rmse_radii", []),
-        *_mean_columns(table, [disparity]),
-        *of_paper.get("paper_procrustes_disparity", []),
-        *_mean_columns(table, LIMITS),
-    ]
     notes = ["Mean ± half width of its 95 % confidence interval over structures."]
     if published:
         notes.append(
             "R is the radius of a dock, rho the distance from a robot's center to a dock; the "
             'published "robot radius" is not defined, so both stand beside it.'
         )
-    return Table(
-        title="Localization",
-        header=[*_swept(table), "structures", *(label for label, _ in columns)],
-        rows=[
-            [
-                *(_point(row[name]) for name in _swept(table)),
-                _number(row["cases"], 0),
-                *(cell(row) for _, cell in columns),
-            ]
-            for row in table.to_dict("records")
+    return Table.of(
+        table,
+        [
+            *_swept(table),
+            ("structures", lambda row: _number(row["cases"], 0)),
+            *_means(table, [rmse, rho]),
+            *(_numbers(*column) for column in published if column in PUBLISHED[:1]),
+            *_means(table, [disparity]),
+            *(_numbers(*column) for column in published if column in PUBLISHED[1:]),
+            *_means(table, LIMITS),
         ],
+        title="Localization",
         note=" ".join(notes),
     )
 
 
 def _parts(table: pd.DataFrame) -> Table:
     """What the error is made of."""
-    columns = _mean_columns(table, PARTS)
-    return Table(
+    return Table.of(
+        table,
+        [*_swept(table), *_means(table, PARTS)],
         title="RMSE after alignment [R]",
-        header=[*_swept(table), *(label for label, _ in columns)],
-        rows=[
-            [
-                *(_point(row[name]) for name in _swept(table)),
-                *(cell(row) for _, cell in columns),
-            ]
-            for row in table.to_dict("records")
-        ],
         note=(
             "What an alignment takes away was a turned or shifted frame; what stays is a wrong "
             "shape. Between robots in contact: of one robot's place as seen from the other."
@@ -232,25 +212,20 @@ def _parts(table: pd.DataFrame) -> Table:
 
 def _differences(paired: pd.DataFrame) -> Table:
     """RMSE and disparity between conditions, structure by structure."""
-    first = paired["against"] == paired["against"].iloc[0]
-    chosen = paired[first & paired["measure"].isin(["rmse_R", "procrustes_disparity"])]
-    swept = list(paired.columns[2 : paired.columns.get_loc("measure")])
     labels = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
-    return Table(
-        title="Differences on the same structures",
-        header=["condition", "against", *swept, "measure", "difference", "smaller in", "p"],
-        rows=[
-            [
-                Cell(str(row["condition"])),
-                Cell(str(row["against"])),
-                *(_point(row[name]) for name in swept),
-                Cell(labels[row["measure"]]),
-                _mean(row, "difference", 3, sign="+"),
-                Cell(f"{row['smaller']} of {row['structures']}", float(row["smaller"])),
-                _chance(row["wilcoxon_p"]),
-            ]
-            for row in chosen.to_dict("records")
+    first = paired["against"] == paired["against"].iloc[0]
+    return Table.of(
+        paired[first & paired["measure"].isin(labels)],
+        [
+            _words("condition"),
+            _words("against"),
+            *_swept(paired, before="measure")[2:],
+            ("measure", lambda row: Cell(labels[row["measure"]])),
+            ("difference", lambda row: _mean(row, "difference", 3, sign="+")),
+            ("smaller in", _smaller),
+            ("p", lambda row: _chance(row["wilcoxon_p"])),
         ],
+        title="Differences on the same structures",
         note=(
             "p by Wilcoxon's signed-rank test, not corrected for how many are made. More measures, "
             "and other pairs of conditions, are in paired.csv."
@@ -260,44 +235,42 @@ def _differences(paired: pd.DataFrame) -> Table:
 
 def _scorecard(laws: pd.DataFrame) -> Table:
     """Structures against published laws, as `laws.csv` has it."""
-    return Table(
-        title="Structures against published laws",
-        header=[str(name) for name in laws.columns],
-        rows=[
-            [
-                _number(value, 3) if isinstance(value, float) else Cell(str(value))
-                for value in row.values()
-            ]
-            for row in laws.to_dict("records")
-        ],
-    )
+    columns = [_numbers(n, n, 3) if laws[n].dtype == float else _words(n) for n in laws.columns]
+    return Table.of(laws, columns, title="Structures against published laws", note="")
 
 
-def _swept(table: pd.DataFrame) -> list[str]:
-    """Columns that tell rows of `table.csv` apart: the condition and what is swept."""
-    return list(table.columns[: table.columns.get_loc("cases")])
+def _swept(table: pd.DataFrame, *, before: str = "cases") -> list[Column]:
+    """What tells rows of a table apart: the condition and what is swept, be it a whole section."""
+    return [_point(name) for name in swept_columns(table, before=before)]
 
 
-def _point(value: object) -> Cell:
-    """A value of the sweep, be it a number, a word or a section of a scenario."""
-    return Cell(re.sub(r"[{}']", "", str(value)))
+def _point(name: str) -> Column:
+    return (name, lambda row: Cell(re.sub(r"[{}']", "", str(row[name]))))
 
 
-def _mean_columns(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Column]:
+def _means(table: pd.DataFrame, columns: Sequence[tuple[str, str, int]]) -> list[Column]:
     """Label and cell of each mean that a table has."""
     return [
-        _mean_column(label, name, digits)
-        for label, name, digits in columns
-        if f"{name}_mean" in table and table[f"{name}_mean"].notna().any()
+        _mean_of(*column)
+        for column in columns
+        if f"{column[1]}_mean" in table and table[f"{column[1]}_mean"].notna().any()
     ]
 
 
-def _mean_column(label: str, name: str, digits: int) -> Column:
+def _mean_of(label: str, name: str, digits: int) -> Column:
     return (label, lambda row: _mean(row, name, digits))
 
 
-def _number_column(label: str, name: str, digits: int) -> Column:
+def _numbers(label: str, name: str, digits: int) -> Column:
     return (label, lambda row: _number(row[name], digits))
+
+
+def _words(name: str) -> Column:
+    return (name, lambda row: Cell("" if pd.isna(row[name]) else str(row[name])))
+
+
+def _smaller(row: Row) -> Cell:
+    return Cell(f"{row['smaller']} of {row['structures']}", float(row["smaller"]))
 
 
 def _mean(row: Row, name: str, digits: int, *, sign: str = "") -> Cell:

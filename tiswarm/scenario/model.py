@@ -136,5 +136,4 @@ ADAPTER = TypeAdapter(Scenario)
 
 def plain(scenario: Scenario) -> Plain:
     """Turn a scenario into plain data, every default written out."""
-    data: Plain = ADAPTER.dump_python(scenario, mode="json")
-    return data
+    return ADAPTER.dump_python(scenario, mode="json")

@@ -36,8 +36,7 @@ def _around(params: TowerParams, _side: int, docks: Array, draw: Array) -> Array
     rim = _greatest(np.hypot(docks[:, 0], docks[:, 1]))
     angle = 2.0 * np.pi * draw[0]
     distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
-    place: Array = distance * np.array([np.cos(angle), np.sin(angle)])
-    return place
+    return distance * np.array([np.cos(angle), np.sin(angle)])
 
 
 def _behind(params: EdgeParams, _side: int, docks: Array, draw: Array) -> Array:

@@ -124,8 +124,7 @@ class Frame:
     def joints(self) -> NDArray[np.intp]:
         """Docks that touch, rows of (dock, dock), shape (C, 2)."""
         self._admit()
-        joints: NDArray[np.intp] = self.ends[self.ends[:, 1] != GROUND]
-        return joints
+        return self.ends[self.ends[:, 1] != GROUND]
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""
@@ -215,8 +214,7 @@ class Frame:
             )
         except RuntimeError as error:
             raise StructureFailure(UNHELD) from error
-        motion: Array = factor.solve(weight.ravel()).reshape(-1, 6)
-        return motion
+        return factor.solve(weight.ravel()).reshape(-1, 6)
 
     def _loads(self, force: Array, acting: Array) -> Loads:
         """Turn end forces of beams, (n, 2, 6), and what acts on docks, (d, 6), into loads."""
@@ -240,8 +238,7 @@ class Frame:
         moment = acting[:, 3:]
         bending = moment - np.sum(moment * link, axis=1, keepdims=True) * link
         felt = axial + np.linalg.norm(bending, axis=1)
-        sensed: Array = felt.reshape(-1, len(self.body)).mean(axis=1)
-        return sensed
+        return felt.reshape(-1, len(self.body)).mean(axis=1)
 
 
 def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array:
@@ -265,8 +262,7 @@ def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array
     torque, bend = _split(moment, axis)
     sigma = pull / area + bend / modulus
     tau = 4.0 / 3.0 * shear / area + torque / (2.0 * modulus)
-    stress: Array = np.sqrt(sigma**2 + 3.0 * tau**2)
-    return stress
+    return np.sqrt(sigma**2 + 3.0 * tau**2)
 
 
 def _split(vector: Array, axis: Array) -> tuple[Array, Array]:
@@ -294,5 +290,4 @@ def _condensed_robot(dock_offset_body: Array, params: MechanicsParams) -> Array:
         whole[np.ix_(at, at)] += link
     center, docks = slice(0, 6), slice(6, None)
     passed_on = np.linalg.solve(whole[center, center], whole[center, docks])
-    condensed: Array = whole[docks, docks] - whole[docks, center] @ passed_on
-    return condensed
+    return whole[docks, docks] - whole[docks, center] @ passed_on

@@ -48,8 +48,7 @@ class Terrain:
         """
         feet = [self._foot(point, x) for x in self._spine_x(point)]
         distance = [np.linalg.norm(point - foot, axis=1) for foot in feet]
-        nearest: Array = np.where((distance[0] <= distance[-1])[:, None], feet[0], feet[-1])
-        return nearest
+        return np.where((distance[0] <= distance[-1])[:, None], feet[0], feet[-1])
 
     def depth(self, point: Array, radius: float) -> Array:
         """How deep spheres around points reach into the ground, negative for a gap [R]."""
@@ -59,14 +58,12 @@ class Terrain:
             EDGE_RADIUS + radius - np.hypot(point[:, 0] - x, point[:, 2] - self._spine_z)
             for x in self._spine_x(point)
         ]
-        deepest: Array = np.max(depths, axis=0)
-        return deepest
+        return np.max(depths, axis=0)
 
     def is_flat_at(self, point: Array) -> NDArray[np.bool_]:
         """Whether the ground below each point is flat and the point above it, shape (n,)."""
         inland = (point[:, 0] <= self.left_edge) | (point[:, 0] >= self.right_edge)
-        flat: NDArray[np.bool_] = inland & (point[:, 2] > self._spine_z)
-        return flat
+        return inland & (point[:, 2] > self._spine_z)
 
     @property
     def _spine_z(self) -> float:
@@ -82,5 +79,4 @@ class Terrain:
     def _foot(self, point: Array, spine_x: Array) -> Array:
         spine = np.column_stack([spine_x, point[:, 1], np.full(len(point), self._spine_z)])
         out = point - spine
-        foot: Array = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
-        return foot
+        return spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)

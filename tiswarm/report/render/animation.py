@@ -74,10 +74,7 @@ def animate_run(
 
 def _joins(robots: int) -> list[int]:
     """How many robots are there in each frame, ascending to all of them."""
-    joined: list[int] = (
-        np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
-    )
-    return joined
+    return np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
 
 
 def _scenes(subject: Subject, joined: Sequence[int]) -> list[Scene]:

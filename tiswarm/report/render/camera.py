@@ -53,8 +53,7 @@ class Camera:
         middle = np.array([self.width, self.height], dtype=np.float32) / 2
         slope = (pixels - middle) / np.float32(self.pixels_per_slope)
         right, up, forward = (self.axes * [[1.0], [-1.0], [1.0]]).astype(np.float32)
-        direction: NDArray[np.float32] = slope[:, :1] * right + slope[:, 1:] * up + forward
-        return direction
+        return slope[:, :1] * right + slope[:, 1:] * up + forward
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Turn world points to right, up and forward parts as the eye sees them, shape (n, 3)."""

@@ -63,11 +63,9 @@ def color_of_ground(ground: Ground, points: Array) -> tuple[Array, NDArray[np.bo
 
 
 def _dot(a: Array, b: Array) -> Array:
-    product: Array = np.einsum("ij,ij->i", a, b)
-    return product
+    return np.einsum("ij,ij->i", a, b)
 
 
 def _unit(vectors: Array) -> Array:
     length = np.sqrt(np.maximum(_dot(vectors, vectors), np.float32(1e-12)))
-    unit: Array = (vectors / length[:, None]).astype(np.float32)
-    return unit
+    return (vectors / length[:, None]).astype(np.float32)
