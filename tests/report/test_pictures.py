@@ -9,9 +9,16 @@ from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.report.folder import read_cases
-from tiswarm.report.render import packages, pictures, render_run
-from tiswarm.report.render.pictures import RENDERERS, RendererError, draw_in_child, is_blank
-from tiswarm.report.render.probe import missing_packages, probe_renderers
+from tiswarm.report.render import packages, pictures
+from tiswarm.report.render.packages import missing_packages
+from tiswarm.report.render.pictures import (
+    RENDERERS,
+    RendererError,
+    draw_in_child,
+    is_blank,
+    render_run,
+)
+from tiswarm.report.render.probe import probe_renderers
 from tiswarm.report.render.subjects import build_pictures
 
 BROKEN_CHILDREN = {

@@ -41,7 +41,7 @@ def schema() -> None:
 @app.command(epilog="Example: tiswarm doctor")
 def doctor(
     *,
-    missing_packages: Annotated[
+    only_packages: Annotated[
         bool,
         typer.Option(
             "--missing-packages", help="Print only the system packages to install, in one line."
@@ -49,11 +49,12 @@ def doctor(
     ] = False,
 ) -> None:
     """Say what works on this machine, and what to install for what does not."""
-    from tiswarm import doctor as examination
+    from tiswarm.doctor import examine
+    from tiswarm.report.render.packages import missing_packages
 
-    if missing_packages:
-        typer.echo(" ".join(examination.missing_packages()), nl=True)
+    if only_packages:
+        typer.echo(" ".join(missing_packages()), nl=True)
         return
-    for finding in examination.examine():
+    for finding in examine():
         mark = "ok" if finding.works else "--"
         typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")

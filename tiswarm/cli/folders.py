@@ -15,12 +15,13 @@ ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
     """Redraw every table, every figure and report.html of a run from its stored data."""
     from tiswarm import study
-    from tiswarm.drawing import draw_figures_of, write_page_of
+    from tiswarm.report.figures import draw_figures
+    from tiswarm.report.page import write_page
 
     watcher = ConsoleWatcher(quiet=quiet)
     study.tabulate(run)
-    draw_figures_of(run, watcher.say, pdf=pdf)
-    write_page_of(run, watcher.say)
+    draw_figures(run, watcher.say, vector=pdf)
+    write_page(run, watcher.say)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -38,13 +39,15 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
-    from tiswarm.drawing import animate_first, draw_renders_of, write_page_of
+    from tiswarm.drawing import draw_renders
+    from tiswarm.report.page import write_page
+    from tiswarm.report.render.animation import animate_run
 
     watcher = ConsoleWatcher(quiet=quiet)
-    draw_renders_of(run, watcher.say, renderer=renderer, case=case)
+    draw_renders(run, watcher.say, renderer=renderer, case=case)
     if animate:
-        animate_first(run, watcher.say, movie, renderer=renderer, case=case)
-    write_page_of(run, watcher.say)
+        animate_run(run, movie, tell=watcher.say, renderer=renderer, case=case)
+    write_page(run, watcher.say)
 
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")

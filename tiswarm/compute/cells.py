@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.dialect import Ref, ti
 
 STRIDE_Y = 1_640_531_527
 STRIDE_Z = 1_013_904_223
@@ -59,7 +59,7 @@ def bucket_of(cube, buckets):
 
 
 @ti.func
-def link(head: ti.template(), following: ti.template(), structure, item, cube):
+def link(head: Ref, following: Ref, structure, item, cube):
     """Put an item in front of its bucket's chain."""
     bucket = bucket_of(cube, head.shape[1])
     following[structure, item] = head[structure, bucket]
@@ -67,7 +67,7 @@ def link(head: ti.template(), following: ti.template(), structure, item, cube):
 
 
 @ti.func
-def relink(head: ti.template(), following: ti.template(), structure, item, old, new):
+def relink(head: Ref, following: Ref, structure, item, old, new):
     """Move an item from the chain of one cube to the front of another's."""
     bucket = bucket_of(old, head.shape[1])
     if bucket != bucket_of(new, head.shape[1]):

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     I32 = int
     Vec3 = Any
     Vec4 = Any
+    Ref = Any
     Reals1 = Any
     Reals2 = Any
     Reals3 = Any
@@ -58,6 +59,7 @@ else:
     I32 = ti.i32
     Vec3 = ti.types.vector(3, ti.f64)
     Vec4 = ti.types.vector(4, ti.f64)
+    Ref = ti.template()  # an array or struct that a kernel function is lent, not given a copy of
     # Without a dtype an array argument takes what it is given: one source for f32 and f64.
     Reals1 = ti.types.ndarray(ndim=1)
     Reals2 = ti.types.ndarray(ndim=2)
@@ -91,6 +93,7 @@ __all__ = [
     "Reals1",
     "Reals2",
     "Reals3",
+    "Ref",
     "Vec3",
     "Vec4",
     "kernel_struct",

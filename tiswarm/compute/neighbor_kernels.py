@@ -7,7 +7,7 @@ functions are given as `grid` is what `tiswarm.compute.sort_kernels` has, and
 - entry_stride: from one entry of a row to the next in `row`
 """
 
-from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, ti
+from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, Ref, ti
 from tiswarm.compute.sort_kernels import (
     BLOCK,
     CELL_LENGTH,
@@ -33,7 +33,7 @@ def nearer_side(value, index, per_width):
 
 
 @ti.func
-def near_slots(here, square_cutoff, first, sorted_at: ti.template()):
+def near_slots(here, square_cutoff, first, sorted_at: Ref):
     """Which of the BLOCK sorted docks from `first` on are near, a bit each.
 
     Nothing is written and all are looked at, wanted or not, so that compilers compare many
@@ -51,26 +51,16 @@ def near_slots(here, square_cutoff, first, sorted_at: ti.template()):
 
 
 @ti.func
-def structure_at(slot, sorted_at: ti.template()):
+def structure_at(slot, sorted_at: Ref):
     """Structure of a sorted dock."""
     return sorted_at[slot + sorted_at.shape[0] // 4 * 3]
 
 
 @ti.func
 def add_run(
-    grid: ti.template(),
-    here,
-    own,
-    own_first,
-    first,
-    last,
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-    row: ti.template(),
-    place,
-    room,
-    count,
-):
+    grid: Ref, here, own, own_first, first, last, sorted_dock: Ref, sorted_at: Ref, row: Ref, place,
+    room, count,
+):  # fmt: skip
     """Add those of the sorted docks `first` to `last` to a row that are near an own dock."""
     square_cutoff = grid.cutoff * grid.cutoff
     at = first
@@ -94,18 +84,9 @@ def add_run(
 
 @ti.func
 def add_dock(
-    grid: ti.template(),
-    here,
-    own,
-    own_first,
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-    row: ti.template(),
-    place,
-    room,
-    count,
-):
+    grid: Ref, here, own, own_first, begin: Ref, sorted_dock: Ref, sorted_at: Ref, row: Ref, place,
+    room, count,
+):  # fmt: skip
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
@@ -142,7 +123,7 @@ def add_dock(
 
 
 @ti.func
-def without_contacts(grid: ti.template(), contacts, row: ti.template(), place, count):
+def without_contacts(grid: Ref, contacts, row: Ref, place, count):
     """Take those docks off a row that stand at its head as contacts."""
     flag = 1 << grid.own_bits
     for c in range(contacts):
@@ -158,19 +139,9 @@ def without_contacts(grid: ti.template(), contacts, row: ti.template(), place, c
 
 @ti.func
 def fill_row(
-    grid: ti.template(),
-    base,
-    robot,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-    contact_start: ti.template(),
-    contact: ti.template(),
-    row: ti.template(),
-    place,
-    room,
-):
+    grid: Ref, base, robot, dock: Ref, begin: Ref, sorted_dock: Ref, sorted_at: Ref,
+    contact_start: Ref, contact: Ref, row: Ref, place, room,
+):  # fmt: skip
     """List a robot's contacts, then all other docks near its own; return how many there are.
 
     The row starts at `place`, where there is room for `room` entries and one that holds nothing.
@@ -193,22 +164,10 @@ def fill_row(
 
 @ti.func
 def fill_rows_of(
-    grid: ti.template(),
-    base,
-    first_robot,
-    last_robot,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-    contact_start: ti.template(),
-    contact: ti.template(),
-    row: ti.template(),
-    row_first: ti.template(),
-    row_count: ti.template(),
-    place,
-    room,
-):
+    grid: Ref, base, first_robot, last_robot, dock: Ref, begin: Ref, sorted_dock: Ref,
+    sorted_at: Ref, contact_start: Ref, contact: Ref, row: Ref, row_first: Ref, row_count: Ref,
+    place, room,
+):  # fmt: skip
     """Write rows of successive robots, one behind the other; return how many entries they have."""
     used = 0
     for robot in range(first_robot, last_robot):
@@ -224,22 +183,10 @@ def fill_rows_of(
 
 @ti.func
 def list_structure(
-    grid: ti.template(),
-    base,
-    first_robot,
-    last_robot,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-    contact_start: ti.template(),
-    contact: ti.template(),
-    row: ti.template(),
-    row_first: ti.template(),
-    row_count: ti.template(),
-    place,
-    room,
-):
+    grid: Ref, base, first_robot, last_robot, dock: Ref, begin: Ref, sorted_dock: Ref,
+    sorted_at: Ref, contact_start: Ref, contact: Ref, row: Ref, row_first: Ref, row_count: Ref,
+    place, room,
+):  # fmt: skip
     """Write the rows of one small structure, on one thread; return how many entries they have."""
     sort_structure(
         grid, base, first_robot * grid.docks, last_robot * grid.docks, dock, begin, sorted_dock,
@@ -253,27 +200,11 @@ def list_structure(
 
 @ti.kernel
 def fill_rows(
-    docks: I32,
-    own_bits: I32,
-    cutoff: Float,
-    stride_y: I32,
-    stride_z: I32,
-    entry_stride: I32,
-    run: I32,
-    run_stride: I32,
-    room: I32,
-    base: I32,
-    dock: Reals1,
-    begin: Ints1,
-    sorted_dock: Ints1,
-    sorted_at: Reals1,
-    contact_start: Ints1,
-    contact: Ints1,
-    row: Ints1,
-    row_first: Ints1,
-    row_count: Ints1,
-    longest: Ints1,
-):
+    docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32, entry_stride: I32,
+    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1, begin: Ints1, sorted_dock: Ints1,
+    sorted_at: Reals1, contact_start: Ints1, contact: Ints1, row: Ints1, row_first: Ints1,
+    row_count: Ints1, longest: Ints1,
+):  # fmt: skip
     """Write every robot's row; arguments as above and as `sort_docks` has them.
 
     Args:

@@ -15,7 +15,7 @@ What functions are given as `grid`:
 which `base` is where the current ones start.
 """
 
-from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, ti
+from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, Ref, ti
 
 STRIDE_STRUCTURE = 1_779_033_703
 CELL_LENGTH = 0.25
@@ -29,7 +29,7 @@ SCAN_BLOCK = 512
 
 
 @ti.func
-def dock_at(dock: ti.template(), base, m):
+def dock_at(dock: Ref, base, m):
     """Place of dock `m` and, last, the number of its structure."""
     at = base + 4 * m
     return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
@@ -42,7 +42,7 @@ def cell(value, per_length):
 
 
 @ti.func
-def bucket_of_cell(grid: ti.template(), x, y, z, structure):
+def bucket_of_cell(grid: Ref, x, y, z, structure):
     """Bucket of a cell: a linear hash, so that cells along x have buckets in a row."""
     key = (
         x
@@ -54,7 +54,7 @@ def bucket_of_cell(grid: ti.template(), x, y, z, structure):
 
 
 @ti.func
-def own_bucket(grid: ti.template(), at):
+def own_bucket(grid: Ref, at):
     """Bucket of the cell that holds a dock."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
@@ -64,20 +64,13 @@ def own_bucket(grid: ti.template(), at):
 
 
 @ti.func
-def count_dock(grid: ti.template(), base, m, dock: ti.template(), begin: ti.template()):
+def count_dock(grid: Ref, base, m, dock: Ref, begin: Ref):
     """Count a dock in its bucket, two places on: there scan and scatter will leave the start."""
     ti.atomic_add(begin[grid.table + own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
 
 
 @ti.func
-def scatter_dock(
-    grid: ti.template(),
-    base,
-    m,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-):
+def scatter_dock(grid: Ref, base, m, dock: Ref, begin: Ref, sorted_dock: Ref):
     """Put a dock into the next free slot of its bucket."""
     bucket = own_bucket(grid, dock_at(dock, base, m))
     slot = grid.slot + ti.atomic_add(begin[grid.table + bucket + 1], 1)
@@ -85,15 +78,7 @@ def scatter_dock(
 
 
 @ti.func
-def sort_bucket(
-    grid: ti.template(),
-    base,
-    bucket,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
-):
+def sort_bucket(grid: Ref, base, bucket, dock: Ref, begin: Ref, sorted_dock: Ref, sorted_at: Ref):
     """Order the docks of a bucket by number: threads have scattered them in any order."""
     first = grid.slot + begin[grid.table + bucket]
     last = grid.slot + begin[grid.table + bucket + 1]
@@ -111,7 +96,7 @@ def sort_bucket(
 
 
 @ti.func
-def scan_block(grid: ti.template(), block, begin: ti.template()):
+def scan_block(grid: Ref, block, begin: Ref):
     """Sum up the counts of a block of buckets, each on top of those before it."""
     total = 0
     for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
@@ -122,14 +107,7 @@ def scan_block(grid: ti.template(), block, begin: ti.template()):
 
 @ti.func
 def sort_structure(
-    grid: ti.template(),
-    base,
-    first,
-    last,
-    dock: ti.template(),
-    begin: ti.template(),
-    sorted_dock: ti.template(),
-    sorted_at: ti.template(),
+    grid: Ref, base, first, last, dock: Ref, begin: Ref, sorted_dock: Ref, sorted_at: Ref
 ):
     """Sort the docks `first` to `last` of one small structure, on one thread."""
     for k in range(grid.buckets + 2):
@@ -146,17 +124,9 @@ def sort_structure(
 
 @ti.kernel
 def sort_docks(
-    docks: I32,
-    cutoff: Float,
-    stride_y: I32,
-    stride_z: I32,
-    base: I32,
-    dock: Reals1,
-    begin: Ints1,
-    block_total: Ints1,
-    sorted_dock: Ints1,
-    sorted_at: Reals1,
-):
+    docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1, begin: Ints1,
+    block_total: Ints1, sorted_dock: Ints1, sorted_at: Reals1,
+):  # fmt: skip
     """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
 
     Args:

@@ -6,7 +6,7 @@ never scattered, so runs repeat bit for bit. Docks are read from the half of `do
 `law` holds the gains, D and the largest step.
 """
 
-from tiswarm.compute.dialect import (
+from tiswarm.compute.dialect import (  # fmt: skip
     GRAIN,
     I32,
     Float,
@@ -14,8 +14,9 @@ from tiswarm.compute.dialect import (
     Ints2,
     Reals1,
     Reals2,
+    Ref,
     ti,
-)  # fmt: skip
+)
 from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.neighbor_kernels import list_structure
 from tiswarm.compute.rotations import rotate
@@ -28,17 +29,7 @@ UNKNOWN = -1e30
 
 
 @ti.func
-def virtual_force(
-    grid: ti.template(),
-    law: ti.template(),
-    ramp,
-    base,
-    robot,
-    first,
-    entries,
-    dock: ti.template(),
-    row: ti.template(),
-):
+def virtual_force(grid: Ref, law: Ref, ramp, base, robot, first, entries, dock: Ref, row: Ref):
     """Sum of Eqs. (1) and (2) over a robot's row."""
     force = ti.Vector([0.0, 0.0, 0.0])
     flag = 1 << grid.own_bits
@@ -63,21 +54,9 @@ def virtual_force(
 
 @ti.func
 def step_robot(
-    grid: ti.template(),
-    law: ti.template(),
-    ramp,
-    base,
-    next_base,
-    robot,
-    first,
-    entries,
-    dock: ti.template(),
-    row: ti.template(),
-    arm: ti.template(),
-    height: ti.template(),
-    reference: ti.template(),
-    position: ti.template(),
-):
+    grid: Ref, law: Ref, ramp, base, next_base, robot, first, entries, dock: Ref, row: Ref,
+    arm: Ref, height: Ref, reference: Ref, position: Ref,
+):  # fmt: skip
     """Move a robot by its forces; return its squared step and distance from its list's place."""
     here = vector_at(position, robot)
     force = virtual_force(grid, law, ramp, base, robot, first, entries, dock, row)
@@ -98,28 +77,11 @@ def step_robot(
 
 @ti.kernel
 def take_steps(
-    docks: I32,
-    own_bits: I32,
-    entry_stride: I32,
-    attraction_gain: Float,
-    repulsion_gain: Float,
-    height_gain: Float,
-    spacing: Float,
-    max_step: Float,
-    stray_limit: Float,
-    first_t: I32,
-    ramp: Reals1,
-    dock: Reals1,
-    row: Ints1,
-    row_first: Ints1,
-    row_count: Ints1,
-    arm: Reals2,
-    height: Reals1,
-    reference: Reals2,
-    position: Reals2,
-    control: Ints1,
-    largest_move: Reals1,
-):
+    docks: I32, own_bits: I32, entry_stride: I32, attraction_gain: Float, repulsion_gain: Float,
+    height_gain: Float, spacing: Float, max_step: Float, stray_limit: Float, first_t: I32,
+    ramp: Reals1, dock: Reals1, row: Ints1, row_first: Ints1, row_count: Ints1, arm: Reals2,
+    height: Reals1, reference: Reals2, position: Reals2, control: Ints1, largest_move: Reals1,
+):  # fmt: skip
     """Move every robot a few times, as long as the list has not gone stale.
 
     One launch for several steps, since each takes as long as a thousand robots do.
@@ -212,35 +174,13 @@ def start_interval(position: Reals2, reference: Reals2, control: Ints1):
 
 @ti.kernel
 def relax_structures(
-    docks: I32,
-    own_bits: I32,
-    cutoff: Float,
-    capacity: I32,
-    attraction_gain: Float,
-    repulsion_gain: Float,
-    height_gain: Float,
-    spacing: Float,
-    max_step: Float,
-    start: Ints1,
-    ramp: Reals1,
-    dock: Reals1,
-    table: Ints2,
-    begin: Ints1,
-    sorted_dock: Ints1,
-    sorted_at: Reals1,
-    contact_start: Ints1,
-    contact: Ints1,
-    row: Ints1,
-    row_first: Ints1,
-    row_count: Ints1,
-    arm: Reals2,
-    height: Reals1,
-    reference: Reals2,
-    position: Reals2,
-    builds: Ints1,
-    longest: Ints1,
+    docks: I32, own_bits: I32, cutoff: Float, capacity: I32, attraction_gain: Float,
+    repulsion_gain: Float, height_gain: Float, spacing: Float, max_step: Float, start: Ints1,
+    ramp: Reals1, dock: Reals1, table: Ints2, begin: Ints1, sorted_dock: Ints1, sorted_at: Reals1,
+    contact_start: Ints1, contact: Ints1, row: Ints1, row_first: Ints1, row_count: Ints1,
+    arm: Reals2, height: Reals1, reference: Reals2, position: Reals2, builds: Ints1, longest: Ints1,
     largest_move: Reals2,
-):
+):  # fmt: skip
     """Take every step of small structures, each on one thread; others as `take_step` has them.
 
     Args:

@@ -4,7 +4,7 @@ Structures are independent and run in parallel; within one, robots follow each o
 """
 
 from tiswarm.compute.cells import cube_of, link, relink
-from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, ti
+from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.kernels import vector_at
 from tiswarm.engine.force_kernels import capped
 from tiswarm.localization.kernels import dock_at, law_of, turn_dock, virtual_force
@@ -12,13 +12,7 @@ from tiswarm.localization.kernels import dock_at, law_of, turn_dock, virtual_for
 
 @ti.func
 def initial_position(
-    law: ti.template(),
-    robot,
-    base,
-    contact_start: ti.template(),
-    contact: ti.template(),
-    initial_direction: ti.template(),
-    position: ti.template(),
+    law: Ref, robot, base, contact_start: Ref, contact: Ref, initial_direction: Ref, position: Ref
 ):
     """Mean of the earlier neighbors, each counted once, plus the offset of Algorithm 1.
 
@@ -41,14 +35,14 @@ def initial_position(
 
 
 @ti.func
-def write_row(array: ti.template(), i, vector):
+def write_row(array: Ref, i, vector):
     """Write a row of an (n, 3) array."""
     for c in ti.static(range(3)):
         array[i, c] = vector[c]
 
 
 @ti.func
-def record(trace: ti.template(), step_length: ti.template(), frame, robot, place, moved):
+def record(trace: Ref, step_length: Ref, frame, robot, place, moved):
     """Write where a robot is thought to be in a frame, and how far it came in the last step."""
     for c in ti.static(range(3)):
         trace[frame, robot, c] = place[c]
@@ -56,13 +50,13 @@ def record(trace: ti.template(), step_length: ti.template(), frame, robot, place
 
 
 @ti.func
-def step_of(law: ti.template(), force, gain):
+def step_of(law: Ref, force, gain):
     """How far a robot goes by a share of the force on it, no farther than it may."""
     return capped(gain * ti.Vector([force[0], force[1], force[2]]), law.max_step)
 
 
 @ti.func
-def turn_of(law: ti.template(), torque, gain, turned):
+def turn_of(law: Ref, torque, gain, turned):
     """How far a robot turns [rad]: by the virtual torque, and back to what it senses.
 
     Args:
@@ -78,18 +72,9 @@ def turn_of(law: ti.template(), torque, gain, turned):
 
 @ti.func
 def move(
-    law: ti.template(),
-    robot,
-    base,
-    structure,
-    step,
-    turn,
-    dock_offset: ti.template(),
-    yaw: ti.template(),
-    position: ti.template(),
-    head: ti.template(),
-    following: ti.template(),
-):
+    law: Ref, robot, base, structure, step, turn, dock_offset: Ref, yaw: Ref, position: Ref,
+    head: Ref, following: Ref,
+):  # fmt: skip
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     for k in range(dock_offset.shape[1]):
         item = (robot - base) * dock_offset.shape[1] + k
@@ -103,28 +88,15 @@ def move(
 
 @ti.kernel
 def localize_in_join_order(
-    iterations: I32,
-    sweep_every: I32,
-    sweeps: I32,
-    trace_every: I32,
-    gains: Reals2,
+    iterations: I32, sweep_every: I32, sweeps: I32, trace_every: I32, gains: Reals2,
     # logs, end to end
-    start: Ints1,
-    placed_before: Ints1,
-    contact_start: Ints1,
-    contact: Ints2,
-    dock_offset: Reals3,
-    initial_direction: Reals2,
-    flip_height: Reals1,
+    start: Ints1, placed_before: Ints1, contact_start: Ints1, contact: Ints2, dock_offset: Reals3,
+    initial_direction: Reals2, flip_height: Reals1,
     # scratch
-    head: Ints2,
-    following: Ints2,
+    head: Ints2, following: Ints2,
     # out
-    yaw: Reals1,
-    position: Reals2,
-    trace: Reals3,
-    step_length: Reals2,
-):
+    yaw: Reals1, position: Reals2, trace: Reals3, step_length: Reals2,
+):  # fmt: skip
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
 
     In back-propagation, all robots that have been placed step one after the other, in join

@@ -109,25 +109,12 @@ class Localizer:
         every = self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
         localize_in_join_order(
-            every,
-            1,
-            0,
-            every,
-            np.array([gains(self._params, self._noise)], dtype),
-            np.array([0, count + 1], np.int32),
-            np.array([count], np.int32),
-            self._contact_start,
-            contact,
-            self._dock_offset,
-            self._direction,
-            self._height,
-            self._chains.head,
-            self._chains.following,
-            self._yaw,
-            self._position,
-            np.empty((2, *self._position.shape), dtype),
-            np.empty((2, len(self._position)), dtype),
-        )
+            every, 1, 0, every, np.array([gains(self._params, self._noise)], dtype),
+            np.array([0, count + 1], np.int32), np.array([count], np.int32), self._contact_start,
+            contact, self._dock_offset, self._direction, self._height, self._chains.head,
+            self._chains.following, self._yaw, self._position,
+            np.empty((2, *self._position.shape), dtype), np.empty((2, len(self._position)), dtype),
+        )  # fmt: skip
         check_placed(self._position[: count + 1])
 
 

@@ -4,22 +4,19 @@ Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 """
 
 from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
-from tiswarm.compute.dialect import ti
-from tiswarm.compute.kernels import vector_at
+from tiswarm.compute.dialect import Ref, ti
+from tiswarm.compute.kernels import vector_at, vector_in
 from tiswarm.engine.force_kernels import dock_pair_force
 
 
 @ti.func
-def dock_at(position: ti.template(), dock_offset: ti.template(), robot, k):
+def dock_at(position: Ref, dock_offset: Ref, robot, k):
     """Where dock `k` of a robot is thought to be."""
-    offset = ti.Vector(
-        [dock_offset[robot, k, 0], dock_offset[robot, k, 1], dock_offset[robot, k, 2]]
-    )
-    return vector_at(position, robot) + offset
+    return vector_at(position, robot) + vector_in(dock_offset, robot, k)
 
 
 @ti.func
-def turn_dock(turn, robot, k, dock_offset: ti.template()):
+def turn_dock(turn, robot, k, dock_offset: Ref):
     """Turn dock `k` of a robot about the vertical through its center."""
     if turn != 0.0:
         c, s = ti.cos(turn), ti.sin(turn)
@@ -35,7 +32,7 @@ ALL_DOCKS = 2
 
 
 @ti.func
-def law_of(gains: ti.template(), structure):
+def law_of(gains: Ref, structure):
     """Read the gains of a structure; see `VirtualForceParams`."""
     return ti.Struct(
         attraction_gain=gains[structure, 0],
@@ -54,7 +51,7 @@ def law_of(gains: ti.template(), structure):
 
 
 @ti.func
-def is_connected(contact: ti.template(), first, last, own, robot, k):
+def is_connected(contact: Ref, first, last, own, robot, k):
     """Whether the contact rows `first` to `last` hold (own dock, robot, dock `k`)."""
     found = False
     for row in range(first, last):
@@ -65,7 +62,7 @@ def is_connected(contact: ti.template(), first, last, own, robot, k):
 
 
 @ti.func
-def touches(contact: ti.template(), first, last, robot):
+def touches(contact: Ref, first, last, robot):
     """Whether the contact rows `first` to `last` hold any dock of a robot."""
     found = False
     for row in range(first, last):
@@ -81,16 +78,9 @@ def with_torque(force, arm):
 
 @ti.func
 def connected_force(
-    law: ti.template(),
-    robot,
-    base,
-    placed,
-    ramp,
-    contact_start: ti.template(),
-    contact: ti.template(),
-    dock_offset: ti.template(),
-    position: ti.template(),
-):
+    law: Ref, robot, base, placed, ramp, contact_start: Ref, contact: Ref, dock_offset: Ref,
+    position: Ref,
+):  # fmt: skip
     """Sum of Eq. (1) over the robot's contacts with the first `placed` robots, with its torque."""
     here = vector_at(position, robot)
     force = with_torque(0.0 * here, here)
@@ -107,18 +97,9 @@ def connected_force(
 
 @ti.func
 def undocked_force(
-    law: ti.template(),
-    robot,
-    base,
-    structure,
-    ramp,
-    contact_start: ti.template(),
-    contact: ti.template(),
-    dock_offset: ti.template(),
-    position: ti.template(),
-    head: ti.template(),
-    following: ti.template(),
-):
+    law: Ref, robot, base, structure, ramp, contact_start: Ref, contact: Ref, dock_offset: Ref,
+    position: Ref, head: Ref, following: Ref,
+):  # fmt: skip
     """Sum of Eq. (2) over docks in the cell list closer than D, but not connected, to the robot's.
 
     The paper prints the force with a unit vector from the other dock to the robot's own and
@@ -148,20 +129,9 @@ def undocked_force(
 
 @ti.func
 def virtual_force(
-    law: ti.template(),
-    robot,
-    base,
-    structure,
-    placed,
-    ramp,
-    contact_start: ti.template(),
-    contact: ti.template(),
-    dock_offset: ti.template(),
-    flip_height: ti.template(),
-    position: ti.template(),
-    head: ti.template(),
-    following: ti.template(),
-):
+    law: Ref, robot, base, structure, placed, ramp, contact_start: Ref, contact: Ref,
+    dock_offset: Ref, flip_height: Ref, position: Ref, head: Ref, following: Ref,
+):  # fmt: skip
     """Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure.
 
     Each force acts at a dock; the fourth component is their torque about the vertical.

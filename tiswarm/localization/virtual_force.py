@@ -64,39 +64,22 @@ def localize_batch(
     yaw = np.zeros(start[-1], dtype)
     trace = np.empty((len(frames), start[-1], 3), dtype)
     step_length = np.empty((len(frames), start[-1]), dtype)
+    both = list(zip(logs, params, strict=True))
     localize_in_join_order(
-        iterations,
-        rounds.every,
-        rounds.sweeps,
-        every,
-        np.array([gains(p, log.noise) for log, p in zip(logs, params, strict=True)], dtype),
-        start,
-        np.zeros(len(logs), np.int32),
-        contact_start,
-        contact,
+        iterations, rounds.every, rounds.sweeps, every,
+        np.array([gains(p, log.noise) for log, p in both], dtype),
+        start, np.zeros(len(logs), np.int32), contact_start, contact,
         np.concatenate([_dock_offsets(log) for log in logs]).astype(dtype),
-        np.concatenate(
-            [directions(log.orientation_wxyz, p) for log, p in zip(logs, params, strict=True)]
-        ).astype(dtype),
+        np.concatenate([directions(log.orientation_wxyz, p) for log, p in both]).astype(dtype),
         np.concatenate([log.flip_height / log.dock_radius for log in logs]).astype(dtype),
-        chains.head,
-        chains.following,
-        yaw,
-        position,
-        trace,
-        step_length,
-    )
+        chains.head, chains.following, yaw, position, trace, step_length,
+    )  # fmt: skip
     check_placed(position)
-    return [
-        _estimate(
-            log,
-            frames,
-            trace[:, a:b],
-            step_length[:, a:b],
-            yaw[a:b] if torque_of(p, log.noise).gain else None,
-        )
-        for log, p, a, b in zip(logs, params, start[:-1], start[1:], strict=True)
-    ]
+    estimates = []
+    for (log, p), a, b in zip(both, start[:-1], start[1:], strict=True):
+        turned = yaw[a:b] if torque_of(p, log.noise).gain else None
+        estimates.append(_estimate(log, frames, trace[:, a:b], step_length[:, a:b], turned))
+    return estimates
 
 
 def check_placed(position: NDArray[np.floating]) -> None:

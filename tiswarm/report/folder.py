@@ -29,13 +29,8 @@ class Case:
     """Name of its folder: the seed, a dash, the series."""
 
     folder: Path
-    """Where its tables are."""
-
     done: bool
-    """Whether it has results."""
-
     condition: str = ""
-    """Name of its condition, if it is known."""
 
     @property
     def series(self) -> str:

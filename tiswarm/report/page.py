@@ -36,22 +36,16 @@ SMALL_ON_PAGE = 0.72
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """A picture within the page."""
+    """A picture within the page; sizes in pixels."""
 
     source: str
-    """The picture itself, as a data URL."""
+    """The picture itself, as a data URL, or its file."""
 
     caption: str
-    """What it shows, and the file it came from."""
-
     width: int
-    """Width [pixels]."""
-
     height: int
-    """Height [pixels]."""
-
     wide: int
-    """Width on the page [pixels]."""
+    """Width on the page."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +101,7 @@ def _gather(folder: Path) -> Page:
     summary = read_table(folder / "summary.csv")
     table = read_table(folder / "table.csv")
     said = _top_of(scenario)
-    backend = manifest.get("backend", {})
+    arch = manifest.get("backend", {}).get("arch", "cpu")
     return Page(
         name=said.get("name", folder.name),
         description=said.get("description", ""),
@@ -119,7 +113,7 @@ def _gather(folder: Path) -> Page:
         renders=[],
         cases=case_table(summary),
         version=str(manifest.get("tiswarm", "of the same version")),
-        command=f"tiswarm run scenario.yaml --out again --arch {backend.get('arch', 'cpu')}",
+        command=f"tiswarm run scenario.yaml --out again --arch {arch}",
         machine=machine_table(manifest),
         scenario=scenario,
     )

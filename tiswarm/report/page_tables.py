@@ -37,7 +37,9 @@ class Table:
     note: str = ""
 
     @classmethod
-    def of(cls, table: pd.DataFrame, columns: Sequence[Column], *, title: str, note: str) -> "Table":
+    def of(
+        cls, table: pd.DataFrame, columns: Sequence[Column], *, title: str, note: str
+    ) -> "Table":
         """Show a row of cells for each row of a table."""
         rows = [[cell(row) for _, cell in columns] for row in table.to_dict("records")]
         header = [label for label, _ in columns]

@@ -24,7 +24,6 @@ class View:
     """Dock offsets [R], and of each case poses and errors [R] in join order."""
 
     note: str
-    """What is left out."""
 
 
 def build_view(cases: Sequence[Case]) -> View | None:

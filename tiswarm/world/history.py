@@ -1,5 +1,6 @@
 """What happened while a structure grew: every stance of every robot, as it truly was."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -52,19 +53,19 @@ class Walk:
 class Strain:
     """How a structure bears its weight; NaN where it was not solved after that join."""
 
-    peak: float
+    peak: float = math.nan
     """Largest stress in any contact [weight of a dock / R^2]."""
 
-    sensed_max: float
+    sensed_max: float = math.nan
     """Most that any robot senses [weight of a dock]."""
 
-    calling: int
+    calling: int = 0
     """Robots that call for help."""
 
-    least_support: float
+    least_support: float = math.nan
     """Least upward force of the ground on a dock; negative where the ground pulls."""
 
-    imbalance: float
+    imbalance: float = math.nan
     """Weight less ground forces, per weight [1]."""
 
 

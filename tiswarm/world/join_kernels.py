@@ -1,23 +1,16 @@
 """Joining: how robots that climbed at the same time become part of the structure in turn."""
 
 from tiswarm.compute.cells import bucket_of, cube_of, link, neighbor_cube
-from tiswarm.compute.dialect import GRAIN, Ints1, Ints2, Reals2, Reals3, ti
+from tiswarm.compute.dialect import GRAIN, Ints1, Ints2, Reals2, Reals3, Ref, ti
+from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
 from tiswarm.compute.rotations import rotate
-from tiswarm.world.kernels import DOCKS, body_dock
-from tiswarm.world.meeting import ClimbLaw, row
+from tiswarm.world.kernels import DOCKS
+from tiswarm.world.meeting import ClimbLaw
 
 
 @ti.func
 def is_disturbed(
-    law,
-    here,
-    q,
-    structure,
-    newest,
-    head: ti.template(),
-    following: ti.template(),
-    dock: ti.template(),
-    dock_offset_body: ti.template(),
+    law, here, q, structure, newest, head: Ref, following: Ref, dock: Ref, dock_offset_body: Ref
 ):
     """Whether a dock that joined as item `newest` or later could matter to this stance.
 
@@ -25,12 +18,12 @@ def is_disturbed(
     """
     found = False
     for k in range(DOCKS):
-        point = here + rotate(q, body_dock(dock_offset_body, k))
+        point = here + rotate(q, vector_at(dock_offset_body, k))
         cube = cube_of(point, law.inverse_edge)
         for which in range(27):
             item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
             while item >= newest:  # chains run from the newest item to the oldest
-                offset = row(dock, structure, item) - point
+                offset = vector_in(dock, structure, item) - point
                 found = found or offset.norm_sqr() < law.reach * law.reach
                 item = following[structure, item]
     return found
@@ -38,24 +31,15 @@ def is_disturbed(
 
 @ti.func
 def first_disturbed(
-    law,
-    mover,
-    last,
-    structure,
-    newest,
-    center: ti.template(),
-    orientation: ti.template(),
-    head: ti.template(),
-    following: ti.template(),
-    dock: ti.template(),
-    dock_offset_body: ti.template(),
-):
+    law, mover, last, structure, newest, center: Ref, orientation: Ref, head: Ref, following: Ref,
+    dock: Ref, dock_offset_body: Ref,
+):  # fmt: skip
     """First stance of a walk that items from `newest` on could matter to, or -1."""
     disturbed = -1
     for stance in range(last + 1):
         if disturbed < 0:
-            here = row(center, mover, stance)
-            q = ti.Vector([orientation[mover, stance, c] for c in range(4)])
+            here = vector_in(center, mover, stance)
+            q = quaternion_at(orientation, mover, stance)
             if is_disturbed(
                 law, here, q, structure, newest, head, following, dock, dock_offset_body
             ):
@@ -67,23 +51,13 @@ def first_disturbed(
 def join_undisturbed(
     law: ClimbLaw,
     # movers, structure by structure
-    first_mover: Ints1,
-    movers: Ints1,
-    wants: Ints1,
-    dock_offset_body: Reals2,
-    center: Reals3,
-    orientation: Reals3,
-    last: Ints1,
-    stay: Ints1,
+    first_mover: Ints1, movers: Ints1, wants: Ints1, dock_offset_body: Reals2, center: Reals3,
+    orientation: Reals3, last: Ints1, stay: Ints1,
     # what it changes
-    dock: Reals3,
-    robot_count: Ints1,
-    head: Ints2,
-    following: Ints2,
+    dock: Reals3, robot_count: Ints1, head: Ints2, following: Ints2,
     # what it writes
-    disturbed: Ints1,
-    joined: Ints1,
-):
+    disturbed: Ints1, joined: Ints1,
+):  # fmt: skip
     """Let movers that climbed at the same time join one after the other, as far as they can.
 
     A mover joins if nothing that joined before it in this round lies near any stance of its
@@ -122,10 +96,10 @@ def join_undisturbed(
                     )  # fmt: skip
                 if wants[m] and passed < 0 and DOCKS * robot_count[s] < dock.shape[1]:
                     joined[m] = robot_count[s]
-                    here = row(center, m, stay[m])
-                    q = ti.Vector([orientation[m, stay[m], c] for c in range(4)])
+                    here = vector_in(center, m, stay[m])
+                    q = quaternion_at(orientation, m, stay[m])
                     for k in range(DOCKS):
-                        point = here + rotate(q, body_dock(dock_offset_body, k))
+                        point = here + rotate(q, vector_at(dock_offset_body, k))
                         item = DOCKS * joined[m] + k
                         for c in ti.static(range(3)):
                             dock[s, item, c] = point[c]

@@ -5,7 +5,6 @@ angles to the line from that dock to the robot's center, until another dock firs
 something. Lengths in R, angles in rad, everything in float64.
 """
 
-from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.dialect import (
     F64,
     GRAIN,
@@ -16,18 +15,17 @@ from tiswarm.compute.dialect import (
     Ints4,
     Reals2,
     Reals3,
+    Ref,
     Vec3,
     Vec4,
     kernel_struct,
     ti,
 )
-from tiswarm.compute.kernels import vector_at
+from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
 from tiswarm.compute.rotations import axis_rotation, quaternion_product, rotate
-from tiswarm.world.meeting import ClimbLaw, ground_kind, meeting_angles, row
+from tiswarm.world.meeting import ClimbLaw, feel, gather_near, meeting_angles
 
 DOCKS = 3
-MAX_TOUCHING = 12
-"""No more unit spheres than this can touch one (the kissing number)."""
 
 WALKING = 0
 ENDED = 1
@@ -48,94 +46,13 @@ class Flip:
 
 
 @ti.func
-def body_dock(dock_offset_body: ti.template(), k):
-    """Center to dock `k` in the body frame."""
-    return ti.Vector([dock_offset_body[k, 0], dock_offset_body[k, 1], dock_offset_body[k, 2]])
-
-
-@ti.func
-def gather_near(
-    near: ti.template(),
-    mover,
-    pivot,
-    law,
-    head: ti.template(),
-    following: ti.template(),
-    structure,
-    dock: ti.template(),
-):
-    """List the vectors from `pivot` to the structure's docks in reach; return how many."""
-    count = 0
-    cube = cube_of(pivot, law.inverse_edge)
-    for which in range(27):
-        item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
-        while item >= 0:
-            offset = row(dock, structure, item) - pivot
-            if offset.norm_sqr() < law.reach * law.reach:
-                if count < near.shape[1]:
-                    for c in ti.static(range(3)):
-                        near[mover, count, c] = offset[c]
-                count += 1
-            item = following[structure, item]
-    return count
-
-
-@ti.func
-def feel(
-    touching: ti.template(),
-    on_ground: ti.template(),
-    mover,
-    stance,
-    k,
-    point,
-    law,
-    head: ti.template(),
-    following: ti.template(),
-    structure,
-    dock: ti.template(),
-    relay: ti.template(),
-):
-    """Record what dock `k` at `point` touches; return how many things, and if one recruits."""
-    count = 0
-    called = 0
-    limit = law.spacing + law.contact_gap
-    for slot in range(MAX_TOUCHING):
-        touching[mover, stance, k, slot] = -1
-    cube = cube_of(point, law.inverse_edge)
-    for which in range(27):
-        item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
-        while item >= 0:
-            if (row(dock, structure, item) - point).norm_sqr() < limit * limit:
-                touching[mover, stance, k, count] = item
-                count += 1
-                if relay[structure, item] > 0:
-                    called = 1
-            item = following[structure, item]
-    ground = ground_kind(point, law)
-    on_ground[mover, stance, k] = ground
-    return ti.Vector([count + ground, called])
-
-
-@ti.func
 def nearest_flip(
-    law,
-    goal,
-    mover,
-    stance,
-    structure,
-    k,
-    here,
-    q,
-    head: ti.template(),
-    following: ti.template(),
-    dock: ti.template(),
-    dock_offset_body: ti.template(),
-    near: ti.template(),
-    center: ti.template(),
-):
+    law, goal, mover, stance, structure, k, here, q, head: Ref, following: Ref, dock: Ref,
+    dock_offset_body: Ref, near: Ref, center: Ref,
+):  # fmt: skip
     """Of all flips about dock `k`, find the one that ends nearest to the goal."""
     chosen = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
-    body_in = body_dock(dock_offset_body, k)
+    body_in = vector_at(dock_offset_body, k)
     to_center = -rotate(q, body_in)
     pivot = here - to_center
     count = gather_near(near, mover, pivot, law, head, following, structure, dock)
@@ -149,7 +66,7 @@ def nearest_flip(
         axis = ti.cos(turn) * normal + ti.sin(turn) * side
         first = ti.Vector([law.full_turn, law.full_turn])
         for step in range(1, DOCKS):
-            arm = rotate(q, body_dock(dock_offset_body, (k + step) % DOCKS) - body_in)
+            arm = rotate(q, vector_at(dock_offset_body, (k + step) % DOCKS) - body_in)
             first = ti.min(first, meeting_angles(arm, axis, pivot, near, mover, count, law))
         for way in ti.static(range(2)):
             angle = first[way]
@@ -167,48 +84,35 @@ def nearest_flip(
 
 
 @ti.func
-def was_there(center: ti.template(), mover, stance, point, law):
+def was_there(center: Ref, mover, stance, point, law):
     """Whether the walk up to `stance` has had its center at `point` before."""
     seen = False
     for earlier in range(stance + 1):
-        seen = seen or (point - row(center, mover, earlier)).norm() < law.revisit_distance
+        seen = seen or (point - vector_in(center, mover, earlier)).norm() < law.revisit_distance
     return seen
 
 
 @ti.func
-def move_to(mover, stance, flip, center: ti.template(), orientation: ti.template()):
-    """Write the stance that a flip leads to."""
+def move_to(mover, stance, here, q, center: Ref, orientation: Ref):
+    """Write where a robot is at a stance, and how it is turned."""
     for c in ti.static(range(3)):
-        center[mover, stance, c] = flip.center[c]
+        center[mover, stance, c] = here[c]
     for c in ti.static(range(4)):
-        orientation[mover, stance, c] = flip.orientation[c]
+        orientation[mover, stance, c] = q[c]
 
 
 @ti.kernel
 def climb(
     law: ClimbLaw,
     # structure
-    head: Ints2,
-    following: Ints2,
-    dock: Reals3,
-    relay: Ints2,
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # movers
-    movers: Ints1,
-    structure_of: Ints1,
-    first_stance: Ints1,
-    goal: Reals2,
-    dock_offset_body: Reals2,
+    movers: Ints1, structure_of: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2,
     near: Reals3,
     # what they write
-    center: Reals3,
-    orientation: Reals3,
-    pivot_dock: Ints2,
-    touching: Ints4,
-    on_ground: Ints3,
-    last: Ints1,
-    best: Ints1,
-    state: Ints1,
-):
+    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
+    last: Ints1, best: Ints1, state: Ints1,
+):  # fmt: skip
     """Walk each mover up its structure, one flip at a time, toward its goal.
 
     Of all flips about all attached docks the one that ends nearest to the goal is taken,
@@ -247,21 +151,21 @@ def climb(
             target = vector_at(goal, m)
             stance = first_stance[m]
             best_stance = 0
-            best_distance = (row(center, m, 0) - target).norm()
+            best_distance = (vector_in(center, m, 0) - target).norm()
             for earlier in range(1, stance + 1):
-                distance = (row(center, m, earlier) - target).norm()
+                distance = (vector_in(center, m, earlier) - target).norm()
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
             state[m] = WALKING
             while state[m] == WALKING:
-                here = row(center, m, stance)
-                q = ti.Vector([orientation[m, stance, c] for c in range(4)])
+                here = vector_in(center, m, stance)
+                q = quaternion_at(orientation, m, stance)
                 flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
                 attached = ti.Vector([0, 0, 0])
                 called = 0
                 for k in range(DOCKS):
-                    point = here + rotate(q, body_dock(dock_offset_body, k))
+                    point = here + rotate(q, vector_at(dock_offset_body, k))
                     felt = feel(
                         touching, on_ground, m, stance, k, point,
                         law, head, following, s, dock, relay,
@@ -290,7 +194,7 @@ def climb(
                     else:
                         pivot_dock[m, stance] = flip.pivot
                         stance += 1
-                        move_to(m, stance, flip, center, orientation)
+                        move_to(m, stance, flip.center, flip.orientation, center, orientation)
                         if flip.distance < best_distance:
                             best_distance = flip.distance
                             best_stance = stance
@@ -299,7 +203,7 @@ def climb(
 
 
 @ti.func
-def odd_one_out(touching: ti.template(), on_ground: ti.template(), mover, stance):
+def odd_one_out(touching: Ref, on_ground: Ref, mover, stance):
     """The only dock that touches nothing, or -1 where none or several do."""
     loose = -1
     count = 0
@@ -314,25 +218,14 @@ def odd_one_out(touching: ti.template(), on_ground: ti.template(), mover, stance
 def settle(
     law: ClimbLaw,
     # structure
-    head: Ints2,
-    following: Ints2,
-    dock: Reals3,
-    relay: Ints2,
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,
     # movers
-    movers: Ints1,
-    structure_of: Ints1,
-    dock_offset_body: Reals2,
-    near: Reals3,
-    last: Ints1,
+    movers: Ints1, structure_of: Ints1, dock_offset_body: Reals2, near: Reals3, last: Ints1,
     best: Ints1,
     # what they write
-    center: Reals3,
-    orientation: Reals3,
-    pivot_dock: Ints2,
-    touching: Ints4,
-    on_ground: Ints3,
+    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
     stay: Ints1,
-):
+):  # fmt: skip
     """Let robots that touch with two docks turn about these until the third touches too.
 
     They turn the way that takes the smaller angle. The stance they come to is written behind
@@ -347,11 +240,11 @@ def settle(
             loose = odd_one_out(touching, on_ground, m, best[m])
             if loose >= 0:
                 one = (loose + 1) % DOCKS
-                here = row(center, m, best[m])
-                q = ti.Vector([orientation[m, best[m], c] for c in range(4)])
-                body_in = body_dock(dock_offset_body, one)
-                across = rotate(q, body_dock(dock_offset_body, (loose + 2) % DOCKS) - body_in)
-                arm = rotate(q, body_dock(dock_offset_body, loose) - body_in)
+                here = vector_in(center, m, best[m])
+                q = quaternion_at(orientation, m, best[m])
+                body_in = vector_at(dock_offset_body, one)
+                across = rotate(q, vector_at(dock_offset_body, (loose + 2) % DOCKS) - body_in)
+                arm = rotate(q, vector_at(dock_offset_body, loose) - body_in)
                 pivot = here + rotate(q, body_in)
                 axis = across.normalized()
                 count = gather_near(near, m, pivot, law, head, following, s, dock)
@@ -364,12 +257,9 @@ def settle(
                     end = pivot - rotate(turned, body_in)
                     stay[m] = last[m] + 1
                     pivot_dock[m, stay[m]] = one
-                    for c in ti.static(range(3)):
-                        center[m, stay[m], c] = end[c]
-                    for c in ti.static(range(4)):
-                        orientation[m, stay[m], c] = turned[c]
+                    move_to(m, stay[m], end, turned, center, orientation)
                     for k in range(DOCKS):
-                        point = end + rotate(turned, body_dock(dock_offset_body, k))
+                        point = end + rotate(turned, vector_at(dock_offset_body, k))
                         feel(
                             touching, on_ground, m, stay[m], k, point,
                             law, head, following, s, dock, relay,

@@ -9,7 +9,9 @@ which has a closed form. At a rounded edge the squared distance to its axis is f
 steps that cannot jump over a contact.
 """
 
-from tiswarm.compute.dialect import F64, I32, kernel_struct, ti
+from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
+from tiswarm.compute.dialect import F64, I32, Ref, kernel_struct, ti
+from tiswarm.compute.kernels import vector_in
 
 SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""
@@ -29,6 +31,9 @@ NUDGE = 1e-3
 MAX_STEPS = 500
 """Steps along an edge; some 10 to 40 are taken."""
 
+MAX_TOUCHING = 12
+"""No more unit spheres than this can touch one (the kissing number)."""
+
 
 @kernel_struct
 class ClimbLaw:
@@ -47,12 +52,6 @@ class ClimbLaw:
     inverse_edge: F64
     twists: I32
     patience: I32
-
-
-@ti.func
-def row(array: ti.template(), i, j):
-    """Vector from the last axis of a three-dimensional array."""
-    return ti.Vector([array[i, j, 0], array[i, j, 1], array[i, j, 2]])
 
 
 @ti.func
@@ -162,7 +161,7 @@ def ground_kind(point, law):
 
 
 @ti.func
-def meeting_angles(arm, axis, pivot, near: ti.template(), mover, near_count, law):
+def meeting_angles(arm, axis, pivot, near: Ref, mover, near_count, law):
     """Angles, forward and backward, at which a dock at `arm` from the pivot meets something."""
     along = arm.dot(axis)
     across = arm - along * axis
@@ -171,9 +170,53 @@ def meeting_angles(arm, axis, pivot, near: ti.template(), mover, near_count, law
     first = slab_angles(middle, across, onward, law.left_edge, 1.0, law)
     first = ti.min(first, slab_angles(middle, across, onward, law.right_edge, -1.0, law))
     for k in range(near_count):
-        to_other = row(near, mover, k)
+        to_other = vector_in(near, mover, k)
         level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - law.spacing * law.spacing)
         level -= along * to_other.dot(axis)
         met = rise_angles(to_other.dot(across), to_other.dot(onward), level, law.full_turn)
         first = ti.min(first, met)
     return first
+
+
+@ti.func
+def gather_near(near: Ref, mover, pivot, law, head: Ref, following: Ref, structure, dock: Ref):
+    """List the vectors from `pivot` to the structure's docks in reach; return how many."""
+    count = 0
+    cube = cube_of(pivot, law.inverse_edge)
+    for which in range(27):
+        item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
+        while item >= 0:
+            offset = vector_in(dock, structure, item) - pivot
+            if offset.norm_sqr() < law.reach * law.reach:
+                if count < near.shape[1]:
+                    for c in ti.static(range(3)):
+                        near[mover, count, c] = offset[c]
+                count += 1
+            item = following[structure, item]
+    return count
+
+
+@ti.func
+def feel(
+    touching: Ref, on_ground: Ref, mover, stance, k, point, law, head: Ref, following: Ref,
+    structure, dock: Ref, relay: Ref,
+):  # fmt: skip
+    """Record what dock `k` at `point` touches; return how many things, and if one recruits."""
+    count = 0
+    called = 0
+    limit = law.spacing + law.contact_gap
+    for slot in range(MAX_TOUCHING):
+        touching[mover, stance, k, slot] = -1
+    cube = cube_of(point, law.inverse_edge)
+    for which in range(27):
+        item = head[structure, bucket_of(neighbor_cube(cube, which), head.shape[1])]
+        while item >= 0:
+            if (vector_in(dock, structure, item) - point).norm_sqr() < limit * limit:
+                touching[mover, stance, k, count] = item
+                count += 1
+                if relay[structure, item] > 0:
+                    called = 1
+            item = following[structure, item]
+    ground = ground_kind(point, law)
+    on_ground[mover, stance, k] = ground
+    return ti.Vector([count + ground, called])

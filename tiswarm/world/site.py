@@ -1,7 +1,5 @@
 """One growing structure's own story: who has joined, what it bears, who tries next."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -19,8 +17,6 @@ Array = NDArray[np.float64]
 
 MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
-
-UNSOLVED = math.nan
 
 
 class Site:
@@ -116,15 +112,7 @@ class Site:
         self.frame.join(walk.center[-1], turn, contacts, footing)
         self.unsolved += 1
         self._mark_side(j, other, docks[standing, 0])
-        self.strain.append(
-            Strain(
-                peak=UNSOLVED,
-                sensed_max=UNSOLVED,
-                calling=0,
-                least_support=UNSOLVED,
-                imbalance=UNSOLVED,
-            )
-        )
+        self.strain.append(Strain())
 
     def _mark_side(self, j: int, others: NDArray[np.int32], standing_x: Array) -> None:
         """End growth when what came from both sides of a gap holds together."""

@@ -10,7 +10,7 @@ from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world import kernels
 from tiswarm.world.history import Walk
 from tiswarm.world.join_kernels import join_undisturbed
-from tiswarm.world.meeting import ClimbLaw
+from tiswarm.world.meeting import MAX_TOUCHING, ClimbLaw
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.structure import Structures
 from tiswarm.world.terrain import Terrain
@@ -67,7 +67,7 @@ class Walks:
         self.center = np.empty((slots, stances, 3))
         self.orientation_wxyz = np.empty((slots, stances, 4))
         self.pivot_dock = np.empty((slots, stances), np.int32)
-        self.touching = np.empty((slots, stances, DOCK_COUNT, kernels.MAX_TOUCHING), np.int32)
+        self.touching = np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32)
         self.on_ground = np.empty((slots, stances, DOCK_COUNT), np.int32)
         self.last = np.zeros(slots, np.int32)
         self.best = np.zeros(slots, np.int32)
@@ -92,26 +92,11 @@ class Walks:
     def climb(self, law: ClimbLaw, structures: Structures, movers: Slots) -> None:
         """Let the robots in the slots `movers` walk on from their first stance."""
         kernels.climb(
-            law,
-            structures.chains.head,
-            structures.chains.following,
-            structures.dock,
-            structures.relay,
-            movers,
-            self.structure_of,
-            self.first_stance,
-            self.goal,
-            self.body,
-            self.near,
-            self.center,
-            self.orientation_wxyz,
-            self.pivot_dock,
-            self.touching,
-            self.on_ground,
-            self.last,
-            self.best,
-            self.state,
-        )
+            law, structures.chains.head, structures.chains.following, structures.dock,
+            structures.relay, movers, self.structure_of, self.first_stance, self.goal, self.body,
+            self.near, self.center, self.orientation_wxyz, self.pivot_dock, self.touching,
+            self.on_ground, self.last, self.best, self.state,
+        )  # fmt: skip
         if (self.state[movers] == kernels.SCRATCH_FULL).any():
             msg = "more docks than fit stand within one flip of a robot: the structure overlaps"
             raise TiswarmError(msg)
@@ -122,24 +107,11 @@ class Walks:
     def _settle(self, law: ClimbLaw, structures: Structures, movers: Slots) -> None:
         """Let robots that touch with two docks touch with the third."""
         kernels.settle(
-            law,
-            structures.chains.head,
-            structures.chains.following,
-            structures.dock,
-            structures.relay,
-            movers,
-            self.structure_of,
-            self.body,
-            self.near,
-            self.last,
-            self.best,
-            self.center,
-            self.orientation_wxyz,
-            self.pivot_dock,
-            self.touching,
-            self.on_ground,
+            law, structures.chains.head, structures.chains.following, structures.dock,
+            structures.relay, movers, self.structure_of, self.body, self.near, self.last, self.best,
+            self.center, self.orientation_wxyz, self.pivot_dock, self.touching, self.on_ground,
             self.stay,
-        )
+        )  # fmt: skip
 
     def join(
         self, law: ClimbLaw, structures: Structures, movers: Slots, wants: NDArray[np.int32]
@@ -156,22 +128,10 @@ class Walks:
             self.structure_of[movers], np.arange(len(structures.robot_count) + 1)
         )
         join_undisturbed(
-            law,
-            first.astype(np.int32),
-            movers,
-            wants,
-            self.body,
-            self.center,
-            self.orientation_wxyz,
-            self.last,
-            self.stay,
-            structures.dock,
-            structures.robot_count,
-            structures.chains.head,
-            structures.chains.following,
-            self.disturbed,
-            self.joined,
-        )
+            law, first.astype(np.int32), movers, wants, self.body, self.center,
+            self.orientation_wxyz, self.last, self.stay, structures.dock, structures.robot_count,
+            structures.chains.head, structures.chains.following, self.disturbed, self.joined,
+        )  # fmt: skip
 
     def touches(self, slot: int) -> bool:
         """Whether the robot touches another one where it stays."""

@@ -52,7 +52,6 @@ class Robots:
     """Red, green, blue of each, 0 to 1, shape (N, 3)."""
 
     look: Look
-    """How stout they are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,10 +65,7 @@ class Rods:
     """Other end of each [R], shape (n, 3)."""
 
     radius: float
-    """Radius of all [R]."""
-
     color: tuple[float, float, float]
-    """Red, green, blue, 0 to 1."""
 
 
 def build_scene(

@@ -34,10 +34,8 @@ class Camera:
     """Half height of the picture at distance 1."""
 
     width: int
-    """Width of the picture [pixels]."""
-
     height: int
-    """Height of the picture [pixels]."""
+    """Size of the picture [pixels]."""
 
     @property
     def pixels_per_slope(self) -> float:
@@ -90,12 +88,9 @@ def _view_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     along = direction[:, 1] if spread[1] > 2.0 * spread[0] else np.array([1.0, 0.0])
     facing = math.atan2(-abs(along[0]), along[1] * np.sign(along[0] or 1.0))
     azimuth = facing + OBLIQUE
+    flat_part = math.cos(ELEVATION)
     return np.array(
-        [
-            math.cos(ELEVATION) * math.cos(azimuth),
-            math.cos(ELEVATION) * math.sin(azimuth),
-            math.sin(ELEVATION),
-        ]
+        [flat_part * math.cos(azimuth), flat_part * math.sin(azimuth), math.sin(ELEVATION)]
     )
 
 

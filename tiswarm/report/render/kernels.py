@@ -36,19 +36,13 @@ def tube_depth(direction, start, span, radius):
 @ti.kernel
 def trace_capsules(
     # rays
-    pixel: Reals2,
-    camera: Reals2,
+    pixel: Reals2, camera: Reals2,
     # capsules as seen from the eye, by distance within each tile
-    tile_start: Ints1,
-    tile_item: Ints1,
-    start: Reals2,
-    end: Reals2,
-    radius: Reals1,
+    tile_start: Ints1, tile_item: Ints1, start: Reals2, end: Reals2, radius: Reals1,
     nearest: Reals1,
     # out
-    depth: Reals1,
-    seen: Ints1,
-):
+    depth: Reals1, seen: Ints1,
+):  # fmt: skip
     """Find the first capsule along each ray.
 
     Args:

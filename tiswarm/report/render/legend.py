@@ -9,20 +9,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 TRUE_BLUE = (0.0, 0.447, 0.698)
 ESTIMATE_ORANGE = (0.902, 0.624, 0.0)
-JOIN_COLORS = np.array(
-    [
-        [0.283, 0.141, 0.458],
-        [0.254, 0.265, 0.530],
-        [0.207, 0.372, 0.553],
-        [0.164, 0.471, 0.558],
-        [0.128, 0.567, 0.551],
-        [0.135, 0.659, 0.518],
-        [0.267, 0.749, 0.441],
-        [0.478, 0.821, 0.318],
-        [0.741, 0.873, 0.150],
-        [0.993, 0.906, 0.144],
-    ]
-)
+JOIN_COLORS = np.array([
+    [0.283, 0.141, 0.458], [0.254, 0.265, 0.530], [0.207, 0.372, 0.553], [0.164, 0.471, 0.558],
+    [0.128, 0.567, 0.551], [0.135, 0.659, 0.518], [0.267, 0.749, 0.441], [0.478, 0.821, 0.318],
+    [0.741, 0.873, 0.150], [0.993, 0.906, 0.144],
+])  # fmt: skip
 """The viridis scale without its darkest end, from the first robot to the last."""
 
 MARGIN = 18
@@ -32,16 +23,10 @@ BAND = 62
 FONT = 26
 INK = (40, 40, 40)
 
-
-FORCE_COLORS = np.array(
-    [
-        [0.65, 0.72, 0.80],
-        [0.91, 0.80, 0.62],
-        [0.95, 0.58, 0.33],
-        [0.84, 0.26, 0.20],
-        [0.53, 0.03, 0.15],
-    ]
-)
+FORCE_COLORS = np.array([
+    [0.65, 0.72, 0.80], [0.91, 0.80, 0.62], [0.95, 0.58, 0.33], [0.84, 0.26, 0.20],
+    [0.53, 0.03, 0.15],
+])  # fmt: skip
 """From idle to heavily loaded: pale gray-blue over orange to dark red."""
 
 ERROR_COLORS = np.array(
@@ -55,7 +40,6 @@ class Keys:
     """What single colors mean."""
 
     entries: tuple[tuple[tuple[float, float, float], str], ...]
-    """Color and meaning of each."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +50,7 @@ class Scale:
     """Red, green, blue along the range, shape (n, 3)."""
 
     low: str
-    """What its first color means."""
-
     high: str
-    """What its last color means."""
 
 
 Legend = Keys | Scale

@@ -40,11 +40,7 @@ class Rendered:
     """A picture that was drawn."""
 
     path: Path
-    """Where it is."""
-
     renderer: str
-    """Who drew it."""
-
     reason: str
     """Why better renderers did not, or nothing."""
 

@@ -2,33 +2,27 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import TRUE_BLUE
-from tiswarm.report.render.packages import installation_advice, missing_packages
+from tiswarm.report.render.packages import installation_advice
 from tiswarm.report.render.pictures import RENDERERS, RendererError, draw_in_child
 from tiswarm.report.render.scene import Scene
 from tiswarm.report.render.subjects import TRUE_SIZE
 from tiswarm.robot import RobotGeometry
 
-__all__ = ["RendererStatus", "missing_packages", "probe_renderers"]
 
-
-@dataclass(frozen=True, kw_only=True)
-class RendererStatus:
+class RendererStatus(NamedTuple):
     """Whether a renderer works on this machine."""
 
     name: str
-    """Name of the renderer."""
-
     works: bool
-    """Whether it drew the test picture."""
-
     detail: str
-    """How long that took, or what went wrong and what to install."""
+    """How long the test picture took, or what went wrong and what to install."""
 
 
 def probe_renderers() -> list[RendererStatus]:
@@ -44,9 +38,9 @@ def _probe(name: str, scene: Scene) -> RendererStatus:
         draw_in_child([scene], name)
     except RendererError as error:
         advice = [] if name == "taichi" else installation_advice()
-        return RendererStatus(name=name, works=False, detail="; ".join([str(error), *advice]))
+        return RendererStatus(name, works=False, detail="; ".join([str(error), *advice]))
     took = time.perf_counter() - begin
-    return RendererStatus(name=name, works=True, detail=f"drew a test picture in {took:.1f} s")
+    return RendererStatus(name, works=True, detail=f"drew a test picture in {took:.1f} s")
 
 
 def _tiny_scene() -> Scene:

@@ -54,10 +54,7 @@ class Scene:
     """Light blocked: on average, and toward x, y and z, shape (P, 4)."""
 
     camera: Camera
-    """Where the scene is seen from."""
-
     ground: Ground | None
-    """What it stands on."""
 
     def save(self, path: Path) -> None:
         """Write the scene to one file, for `load`."""

@@ -60,8 +60,6 @@ class Subject:
     """N robots of a case: where they are, where they are thought to be, what they feel."""
 
     case: Case
-    """Where its tables are."""
-
     pose: NDArray[np.float64]
     """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
 
