@@ -46,7 +46,6 @@ class Run:
     """A run as data frames and figures; a row of `summary` says of each case how it went."""
 
     folder: Path
-    """Where all of it lies."""
 
     @property
     def table(self) -> "pd.DataFrame":

@@ -1,21 +1,18 @@
 """What is drawn of a run folder, and noted in its manifest."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import Tell
 from tiswarm.report.page import write_page
 from tiswarm.report.render.animation import Movie, animate_run
 from tiswarm.report.render.pictures import render_run
+from tiswarm.study import RunResult
 from tiswarm.study.manifest import write_manifest
-
-if TYPE_CHECKING:
-    from tiswarm.study import RunResult
 
 
 def draw_all(
-    result: "RunResult",
+    result: RunResult,
     tell: Tell,
     *,
     pictures: bool = True,

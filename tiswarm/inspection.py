@@ -35,13 +35,7 @@ def inspect(path: Path) -> Inspection:
 
 
 def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[str]:
-    """Say line by line what a log cannot tell.
-
-    Args:
-        log: What was sensed.
-        path: File that it came from.
-        found: What some cues leave unknown.
-    """
+    """Say line by line what a log cannot tell."""
     if (lost := np.flatnonzero(~located(log))).size:
         yield f"tied to the anchor by no chain of contacts: {_robots(log, lost)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:

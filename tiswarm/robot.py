@@ -18,8 +18,6 @@ from tiswarm.params import STRICT
 DOCK_COUNT = 3
 FIREANT_RHO = 1.506
 TANGENT_RHO = 2.0 / math.sqrt(3.0)
-DOCK_RADIUS_MM = 32.9
-"""Radius of a FireAntV3 dock sphere [mm]; for display only."""
 
 
 class Robot(Protocol):

@@ -41,7 +41,7 @@ def test_the_table_looks_as_documented(tmp_path):
     path = tmp_path / "estimate.csv"
     position = np.array([[0.0, 1.0, -2.5], [1e-9, 1 / 3, 1e22]])
 
-    write_positions(path, np.array([7, 3]), position, np.array([0.25, np.nan]))
+    write_positions(path, np.array([7, 3]), position, {"sd_R": [0.25, ""]})
 
     assert path.read_text() == (
         "robot,x_R,y_R,z_R,sd_R\n7,0.0,1.0,-2.5,0.25\n3,1e-09,0.3333333333333333,1e+22,\n"
@@ -49,7 +49,7 @@ def test_the_table_looks_as_documented(tmp_path):
     assert read_positions(path)[0].tolist() == [7, 3]
 
     write_positions(
-        path, np.array([7, 3]), position, known=["yes", "loose"], yaw=np.radians([0, -9])
+        path, np.array([7, 3]), position, {"known": ["yes", "loose"], "yaw_deg": [0.0, -9.0]}
     )
 
     assert path.read_text() == (

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.report.conftest import ignore
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.report.figures import FIGURES, draw_figures
 from tiswarm.report.render.animation import LAST_MS, animate_run
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 def colored(frame):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.report.conftest import write_case, write_table
+from tests.report.conftest import ignore, write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import figures
 from tiswarm.report.canvas import png
@@ -13,10 +13,6 @@ from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render.pictures import is_blank
 from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 def test_every_figure_is_drawn(run_folder):

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.report.conftest import write_table
+from tests.report.conftest import ignore, write_table
 from tiswarm.errors import InputError
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.law_figures import (
@@ -30,10 +30,6 @@ SERIES = {
     "chain depth over F": ([""], [2.5, 5.0, 10.0, 25.0]),
     "chain depth over N": (["F = 2.5", "F = 25"], [25.0, 50.0, 100.0]),
 }
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 def write_points(folder, laws):

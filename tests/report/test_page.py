@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tests.report.conftest import write_table
+from tests.report.conftest import ignore, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import page_view
 from tiswarm.report.folder import read_cases
@@ -13,10 +13,6 @@ from tiswarm.report.page_view import build_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,unlocated"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.report.conftest import ignore
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render import packages, pictures
@@ -31,15 +32,12 @@ BROKEN_CHILDREN = {
     "Image.new('RGB', (8, 8), 'red').save(sys.argv[2])": "wrong size, 8 x 8",
 }
 PREAMBLE = """
-import sys, numpy
+import pickle, sys
 from PIL import Image
-with numpy.load(sys.argv[1]) as scene:
-    size = int(scene["camera.width"]), int(scene["camera.height"])
+with open(sys.argv[1], "rb") as file:
+    camera = pickle.load(file).camera
+size = camera.width, camera.height
 """
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 def child_that_does(code):

@@ -1,4 +1,4 @@
-"""Scenes are framed, survive their file, and are traced exactly."""
+"""Scenes are framed and traced exactly."""
 
 from dataclasses import replace
 
@@ -8,7 +8,6 @@ import pytest
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render.camera import frame
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.scene import Scene
 from tiswarm.report.render.subjects import build_pictures
 from tiswarm.report.render.tiles import tile_tracer
 
@@ -33,18 +32,6 @@ def test_every_ball_is_inside_the_picture(shape):
         for place, half in ((right, width), (up, height))
     ]
     assert 1.0 <= np.min(slack) < 1.0 + 0.1 * max(width, height) * depth.max()
-
-
-def test_a_scene_comes_back_from_its_file(scene, tmp_path):
-    """The child draws what the parent built."""
-    scene.save(tmp_path / "scene.npz")
-
-    loaded = Scene.load(tmp_path / "scene.npz")
-
-    np.testing.assert_equal(vars(loaded.camera), vars(scene.camera))
-    np.testing.assert_equal(vars(loaded.ground), vars(scene.ground))
-    for name in ("start", "end", "radius", "color", "shade"):
-        np.testing.assert_array_equal(getattr(loaded, name), getattr(scene, name))
 
 
 def test_robots_without_an_estimate_are_drawn_once(run_folder):

@@ -58,7 +58,6 @@ def run(
     A run that was interrupted goes on where it was.
     """
     from tiswarm import study
-    from tiswarm.drawing import draw_all
     from tiswarm.scenario import load_scenario
 
     watcher = ConsoleWatcher(quiet=quiet)
@@ -84,6 +83,8 @@ def run(
     if result.missing:
         watcher.say(f"part {shard} is done; {result.missing} cases of other parts are missing")
     else:
+        from tiswarm.drawing import draw_all
+
         shown = movie if animate else None
         draw_all(result, watcher.say, pictures=pictures, pdf=pdf, movie=shown)
         if not quiet:

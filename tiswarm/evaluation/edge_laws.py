@@ -79,7 +79,7 @@ def chain_depth_over_threshold(grown: Grown) -> Iterator[Row]:
     """Mean depth of finished chains over F: affine in F^0.75; exponent; robots that joined."""
     chains = grown.swept("chain", F)
     points = chains.over(F, "depth_R")
-    curve = Curve.through(points, Form(name="F^0.75", of=lambda x: x**0.75))
+    curve = Curve.through(points, Form("F^0.75", lambda x: x**0.75))
     yield Row.of_fit("a + b F^0.75", curve)
     yield Row.of_curve("exponent", curve.exponent(), curve, "0.75")
     yield Row(quantity="robots that joined", ours=chains.mean("robots"), structures=chains.count)
@@ -89,5 +89,5 @@ def chain_depth_over_robots(grown: Grown) -> Iterator[Row]:
     """Mean depth of growing chains over N from 25 up: affine in log N."""
     for threshold in CHAIN_THRESHOLDS:
         points = grown.swept("chain", **{F: threshold}).over_robots("depth_R", least=SETTLED)
-        curve = Curve.through(points, Form(name="ln N", of=np.log), series=f"F = {threshold:g}")
+        curve = Curve.through(points, Form("ln N", np.log), series=f"F = {threshold:g}")
         yield Row.of_fit("a + b ln N", curve, "log N")

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,19 +15,16 @@ FEWEST = 3
 """A fit of two numbers through fewer points than this says nothing."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Form:
+class Form(NamedTuple):
     """What a published law is linear in."""
 
     name: str
     """How it is written, such as F^0.5."""
 
     of: Callable[[Array], Array]
-    """The function itself."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fit:
+class Fit(NamedTuple):
     """A form fitted to some points by least squares."""
 
     text: str
@@ -40,19 +38,13 @@ class Fit:
 
 
 def affine(x: Array, y: Array, form: Form) -> Fit:
-    """Fit y = a + b form(x).
-
-    Args:
-        x: Places, shape (n,).
-        y: Values there, shape (n,).
-        form: What y should be linear in.
-    """
+    """Fit y = a + b form(x) to values at places, each of shape (n,)."""
     shape = form.of(x)
     if len(np.unique(shape)) < FEWEST:
         return _unfit(y)
     slope, intercept = np.polyfit(shape, y, 1)
     fitted: Array = intercept + slope * shape
-    return Fit(text=f"{intercept:.3g} + {slope:.3g} {form.name}", r2=_r2(y, fitted), fitted=fitted)
+    return Fit(f"{intercept:.3g} + {slope:.3g} {form.name}", _r2(y, fitted), fitted)
 
 
 def proportional(x: Array, y: Array, form: Form) -> Fit:
@@ -62,7 +54,7 @@ def proportional(x: Array, y: Array, form: Form) -> Fit:
         return _unfit(y)
     factor = float(shape @ y) / float(shape @ shape)
     fitted: Array = factor * shape
-    return Fit(text=f"{factor:.3g} {form.name}", r2=_r2(y, fitted), fitted=fitted)
+    return Fit(f"{factor:.3g} {form.name}", _r2(y, fitted), fitted)
 
 
 def exponent(x: Array, y: Array) -> float:
@@ -83,7 +75,6 @@ class Curve:
     """Columns x, mean, std and structures, the number of them."""
 
     fit: Fit
-    """The fit to the means."""
 
     @classmethod
     def through(
@@ -117,7 +108,7 @@ class Curve:
 
 
 def _unfit(y: Array) -> Fit:
-    return Fit(text="", r2=math.nan, fitted=np.full(len(y), math.nan))
+    return Fit("", math.nan, np.full(len(y), math.nan))
 
 
 def _r2(y: Array, fitted: Array) -> float:

@@ -6,6 +6,7 @@ is measured, each law's function says.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pandas as pd
 
@@ -21,8 +22,8 @@ LAWS: dict[str, Law] = {
     "tower cross-section": tower_laws.cross_section,
     "tower height over N": tower_laws.height_over_robots,
     "tower peak over N": tower_laws.peak_over_robots,
-    "tower height over B": tower_laws.height_over_base,
-    "tower peak over B": tower_laws.peak_over_base,
+    "tower height over B": partial(tower_laws.over_base, "height_R"),
+    "tower peak over B": partial(tower_laws.over_base, "peak_stress"),
     "tower height over J": tower_laws.height_over_limit,
     "tower peak over J": tower_laws.peak_over_limit,
     "tower without recruitment": tower_laws.no_recruitment,

@@ -25,15 +25,7 @@ def score(
     *,
     cues: Collection[str],
 ) -> dict[str, float | int]:
-    """Score one estimate, beside what decides how good it can be.
-
-    Args:
-        truth: Where the robots are.
-        log: What they sensed.
-        estimate: Where they are thought to be.
-        robot: Their shape; an RMSE is also given in units of its rho.
-        cues: What the localizer used; the more, the fewer floppy modes.
-    """
+    """Score one estimate, beside what decides how good it can be."""
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
     turning = estimate.yaw is not None

@@ -23,7 +23,7 @@ SWEEP_THRESHOLDS = (2.5, 5.0)
 def height_over_threshold(grown: Grown) -> Iterator[Row]:
     """Mean height of finished towers over F: affine in sqrt F; exponent from F = 2.5 up."""
     points = grown.swept("tower", F).over(F, "height_R")
-    curve = Curve.through(points, Form(name="F^0.5", of=np.sqrt))
+    curve = Curve.through(points, Form("F^0.5", np.sqrt))
     yield Row.of_fit("a + b F^0.5", curve, "1.000", at_least(0.97))
     yield Row.of_curve("exponent, F >= 2.5", curve.exponent(2.5), curve, "0.5", within(0.5, 0.75))
 
@@ -31,7 +31,7 @@ def height_over_threshold(grown: Grown) -> Iterator[Row]:
 def peak_over_threshold(grown: Grown) -> Iterator[Row]:
     """Mean peak of finished towers over F: affine in F; exponent."""
     points = grown.swept("tower", F).over(F, "peak_stress")
-    curve = Curve.through(points, Form(name="F", of=np.positive))
+    curve = Curve.through(points, Form("F", np.positive))
     yield Row.of_fit("a + b F", curve, "0.999", at_least(0.95))
     yield Row.of_curve("exponent", curve.exponent(), curve, "1", within(0.55, 0.95))
 
@@ -42,7 +42,7 @@ def cross_section(grown: Grown) -> Iterator[Row]:
     A cross-section is the number of dock spheres whose centers are within 1 R of a height; see
     `Grown.cross_sections`. The fit has no constant.
     """
-    square = Form(name="d^2", of=np.square)
+    square = Form("d^2", np.square)
     for threshold in (5.0, 10.0):
         sections = grown.swept("tower", **{F: threshold}).cross_sections()
         curve = Curve.through(sections, square, series=f"F = {threshold:g}", by=proportional)
@@ -55,7 +55,7 @@ def height_over_robots(grown: Grown) -> Iterator[Row]:
     Bands are for F = 10.
     """
     for threshold in THRESHOLDS:
-        curve = _over_robots(grown, threshold, "height_R", Form(name="N^0.5", of=np.sqrt))
+        curve = _over_robots(grown, threshold, "height_R", Form("N^0.5", np.sqrt))
         standard = threshold == STANDARD[F]
         yield Row.of_fit("a + b N^0.5", curve, "0.983", at_least(0.93) if standard else None)
         yield Row.of_curve(
@@ -70,18 +70,17 @@ def height_over_robots(grown: Grown) -> Iterator[Row]:
 def peak_over_robots(grown: Grown) -> Iterator[Row]:
     """Mean peak of growing towers over N from 25 up: affine in N."""
     for threshold in THRESHOLDS:
-        curve = _over_robots(grown, threshold, "peak_stress", Form(name="N", of=np.positive))
+        curve = _over_robots(grown, threshold, "peak_stress", Form("N", np.positive))
         yield Row.of_fit("a + b N", curve, "0.870")
 
 
-def height_over_base(grown: Grown) -> Iterator[Row]:
-    """Mean height of finished towers over B: affine in 1 / B."""
-    yield from _over_base(grown, "height_R")
-
-
-def peak_over_base(grown: Grown) -> Iterator[Row]:
-    """Mean peak of finished towers over B: affine in 1 / B."""
-    yield from _over_base(grown, "peak_stress")
+def over_base(column: str, grown: Grown) -> Iterator[Row]:
+    """Mean height or peak of finished towers over B: affine in 1 / B."""
+    inverse = Form("/ B", np.reciprocal)
+    for threshold in SWEEP_THRESHOLDS:
+        points = grown.swept("tower", B, **{F: threshold}).over(B, column)
+        curve = Curve.through(points, inverse, series=f"F = {threshold:g}")
+        yield Row.of_fit("a + b / B", curve, "0.99", at_least(0.93))
 
 
 def height_over_limit(grown: Grown) -> Iterator[Row]:
@@ -139,14 +138,6 @@ def _over_robots(grown: Grown, threshold: float, column: str, form: Form) -> Cur
     towers = grown.swept("tower", **{F: threshold})
     points = towers.over_robots(column, least=SETTLED)
     return Curve.through(points, form, series=f"F = {threshold:g}")
-
-
-def _over_base(grown: Grown, column: str) -> Iterator[Row]:
-    inverse = Form(name="/ B", of=np.reciprocal)
-    for threshold in SWEEP_THRESHOLDS:
-        points = grown.swept("tower", B, **{F: threshold}).over(B, column)
-        curve = Curve.through(points, inverse, series=f"F = {threshold:g}")
-        yield Row.of_fit("a + b / B", curve, "0.99", at_least(0.93))
 
 
 def _over_limit(grown: Grown, column: str) -> Iterator[Curve]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from tiswarm.evaluation.fits import Curve
 
@@ -12,40 +13,36 @@ REPORTED = "reported"
 NOT_MEASURED = "not measured"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Band:
-    """Where a number should lie."""
+class Band(NamedTuple):
+    """Where a number should lie, in words and as a test."""
 
     text: str
-    """In words."""
-
     holds: Callable[[float], bool]
-    """Whether it does."""
 
 
 def within(least: float, most: float) -> Band:
     """From one number to another, both allowed."""
-    return Band(text=f"{least:g} to {most:g}", holds=lambda value: least <= value <= most)
+    return Band(f"{least:g} to {most:g}", lambda value: least <= value <= most)
 
 
 def at_least(least: float) -> Band:
     """No less than a number."""
-    return Band(text=f">= {least:g}", holds=lambda value: value >= least)
+    return Band(f">= {least:g}", lambda value: value >= least)
 
 
 def at_most(most: float) -> Band:
     """No more than a number."""
-    return Band(text=f"<= {most:g}", holds=lambda value: value <= most)
+    return Band(f"<= {most:g}", lambda value: value <= most)
 
 
 def above(least: float) -> Band:
     """More than a number."""
-    return Band(text=f"> {least:g}", holds=lambda value: value > least)
+    return Band(f"> {least:g}", lambda value: value > least)
 
 
 def below(most: float) -> Band:
     """Less than a number."""
-    return Band(text=f"< {most:g}", holds=lambda value: value < most)
+    return Band(f"< {most:g}", lambda value: value < most)
 
 
 @dataclass(frozen=True, kw_only=True)

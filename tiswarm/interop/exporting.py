@@ -1,7 +1,6 @@
 """Hands a case of a run to other programs: as tables or as shapes in space."""
 
 import io
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -11,36 +10,30 @@ from numpy.typing import NDArray
 
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.interop.files import write_gltf, write_ply
-from tiswarm.interop.shapes import shapes_of
-from tiswarm.records.atomic import write_bytes
-from tiswarm.report.folder import choose_case, read_cases
-from tiswarm.report.render.subjects import POSE, Subject, read_subject
+from tiswarm.interop.files import Shape, write_gltf, write_ply
+from tiswarm.records.atomic import make_folder, write_bytes
+from tiswarm.report.folder import Tell, choose_case, read_cases
+from tiswarm.report.render.build import Robots, build_scene
+from tiswarm.report.render.legend import ERROR_COLORS, colors_along
+from tiswarm.report.render.mesh import mesh_capsules
+from tiswarm.report.render.subjects import POSE, TRUE_SIZE, Subject, read_subject
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
-Tell = Callable[[str], None]
+SIDES = 10
+"""Sides of a dock sphere's equator: round enough, and files stay small."""
+
+EDGE_GRAY = 0.2
 
 
 def export_case(run: Path, form: Format, out: Path, case: str | None, tell: Tell) -> None:
     """Write structure, estimate and contacts of one case of a run.
-
-    Args:
-        run: The run folder.
-        form: What to write.
-        out: Folder for the files; made if need be.
-        case: Name of the case; the first that is done if None.
-        tell: Hears of each file.
 
     Raises:
         InputError: for a damaged run, or a case that is not there.
         EnvironmentTroubleError: where `out` cannot be made or a library is missing.
     """
     subject = read_subject(choose_case(read_cases(run), case, run))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{out}: cannot be made: {error.strerror}; choose another --out"
-        raise EnvironmentTroubleError(msg) from error
+    make_folder(out)
     if form == "gltf":
         write_gltf(shapes_of(subject), out / "case.glb")
         tell(str(out / "case.glb"))
@@ -54,6 +47,43 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, tell: Tell
             tell(str(out / f"{name}.{form}"))
 
 
+def shapes_of(subject: Subject) -> list[Shape]:
+    """The structure, its estimate colored by error, and its contacts between true centers."""
+    worst = max(np.nanmax(subject.error, initial=0.0), 1e-9)
+    by_error = colors_along(np.nan_to_num(subject.error) / worst, ERROR_COLORS)
+    pairs = subject.log.contacts[:, [0, 2]].astype(np.uint32)
+    center = subject.pose[:, :3].astype(np.float32)
+    return [
+        _solid("structure", subject.robots(subject.pose, subject.by_join, TRUE_SIZE)),
+        _solid("estimate", subject.robots(subject.estimated_pose, by_error, TRUE_SIZE)),
+        Shape(
+            name="contacts",
+            point=center,
+            normal=None,
+            color=np.full((len(center), 3), EDGE_GRAY, np.float32),
+            index=pairs,
+        ),
+    ]
+
+
+def _solid(name: str, robots: Robots) -> Shape:
+    """Mesh robots; a point's normal leads away from the axis of its capsule."""
+    scene = build_scene([robots], None)
+    mesh = mesh_capsules(scene, sides=SIDES)
+    start, end = scene.start[mesh.point_capsule], scene.end[mesh.point_capsule]
+    span = end - start
+    length = np.maximum(np.sum(span**2, axis=1), 1e-12)
+    along = np.clip(np.sum((mesh.point - start) * span, axis=1) / length, 0.0, 1.0)
+    away = mesh.point - start - along[:, None] * span
+    return Shape(
+        name=name,
+        point=mesh.point,
+        normal=(away / np.linalg.norm(away, axis=1, keepdims=True)).astype(np.float32),
+        color=scene.color[mesh.point_capsule],
+        index=mesh.triangle.astype(np.uint32),
+    )
+
+
 def tables_of(subject: Subject) -> dict[str, pd.DataFrame]:
     """Poses as `tiswarm import` reads them, and contacts with the place where docks meet."""
     log = subject.log
@@ -61,12 +91,7 @@ def tables_of(subject: Subject) -> dict[str, pd.DataFrame]:
     offsets = dock_offsets(subject.pose[:, 3:], subject.dock_offset_body)
     dock = subject.pose[:, None, :3] + offsets
     contacts = pd.DataFrame(
-        {
-            "robot": subject.robot[j],
-            "dock": b,
-            "other_robot": subject.robot[i],
-            "other_dock": a,
-        }
+        {"robot": subject.robot[j], "dock": b, "other_robot": subject.robot[i], "other_dock": a}
     )
     contacts[POSE[:3]] = (dock[i, a] + dock[j, b]) / 2.0
     return {

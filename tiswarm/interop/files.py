@@ -2,13 +2,13 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.interop.shapes import Shape
 from tiswarm.records.atomic import write_bytes
 
 Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
@@ -19,6 +19,24 @@ VERTICES, INDICES = 34962, 34963
 LINES, TRIANGLES = 1, 4
 TYPES = {1: "SCALAR", 3: "VEC3"}
 MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.7}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """V points, joined to triangles or to lines."""
+
+    name: str
+    point: NDArray[np.float32]
+    """Places [R], shape (V, 3)."""
+
+    normal: NDArray[np.float32] | None
+    """Which way is out at each point, of triangles alone, shape (V, 3)."""
+
+    color: NDArray[np.float32]
+    """Red, green, blue (sRGB) of each point, 0 to 1, shape (V, 3)."""
+
+    index: NDArray[np.uint32]
+    """Points of each triangle, shape (T, 3), or of each line, shape (L, 2)."""
 
 
 def write_gltf(shapes: Sequence[Shape], path: Path) -> None:
@@ -90,12 +108,7 @@ class _Buffer:
         """Append an array; returns its number."""
         data = np.ascontiguousarray(array).tobytes()
         self.views.append(
-            {
-                "buffer": 0,
-                "byteOffset": len(self.data),
-                "byteLength": len(data),
-                "target": target,
-            }
+            {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data), "target": target}
         )
         self.data += data
         width = array.shape[1] if array.ndim > 1 else 1

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tiswarm.compute.rotations import dock_offsets
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.errors import InputError
 from tiswarm.interop.poses import Poses, read_poses
+from tiswarm.records.atomic import make_folder
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog, canonical_contacts
 from tiswarm.records.tables import write_positions
@@ -24,8 +25,6 @@ class Assumptions:
     """What a table of poses does not say; lengths in its own unit."""
 
     dock_radius: float
-    """Radius of a dock sphere."""
-
     tolerance: float
     """Two docks touch whose distance is their diameter to within this."""
 
@@ -40,11 +39,7 @@ class Assumptions:
 
 
 def import_poses(
-    path: Path,
-    out: Path,
-    dock_offset_body: NDArray[np.float64],
-    assumed: Assumptions,
-    tell: Tell,
+    path: Path, out: Path, dock_offset_body: NDArray[np.float64], assumed: Assumptions, tell: Tell
 ) -> None:
     """Turn a table of poses into `sensing.jsonl` and `truth.csv`.
 
@@ -65,11 +60,7 @@ def import_poses(
     contacts, too_close = _contacts(docks, assumed)
     order = _join_order(poses, contacts, assumed.anchor, path, tell)
     log = _log(poses, contacts, docks, order, assumed, unit)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{out}: cannot be made: {error.strerror}; choose another --out"
-        raise EnvironmentTroubleError(msg) from error
+    make_folder(out)
     write_sensing_log(log, out / "sensing.jsonl")
     write_positions(out / "truth.csv", log.robot_id, poses.position[order], length_unit=unit)
     tell(f"{log.robot_count} robots, {len(contacts)} contacts -> {out}")

@@ -114,10 +114,7 @@ def _row(
     number: int, text: str, header: Sequence[str], columns: dict[str, int], path: Path
 ) -> _Row:
     with placed(path, number):
-        cells = read_cells(text)
-        if len(cells) != len(header):
-            problem = f"has {len(cells)} cells; {len(header)} are needed"
-            raise InputError(problem)
+        cells = read_cells(text, len(header))
         whole = {
             name: read_whole(cells[columns[name]], name) if name in columns else 0
             for name in ("robot", "sphere", "join")

@@ -34,12 +34,7 @@ METHODS = {
 
 
 def localize(log: SensingLog, params: LocalizationParams) -> Estimate:
-    """Work out from what a swarm sensed where every robot is.
-
-    Args:
-        log: What the swarm sensed.
-        params: Method and settings.
-    """
+    """Work out from what a swarm sensed where every robot is."""
     return localize_many([log], [params])[0]
 
 

@@ -47,6 +47,19 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, and those above it, unless it is there.
+
+    Raises:
+        EnvironmentTroubleError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"{folder}: cannot be made: {error.strerror}; choose another --out"
+        raise EnvironmentTroubleError(problem) from error
+
+
 def _flush_folder(folder: Path) -> None:
     """Make the new name outlive a power cut, where the system lets a folder be flushed."""
     with suppress(OSError):

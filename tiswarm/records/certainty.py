@@ -25,8 +25,6 @@ class Certainty:
     """What some cues can tell of N robots."""
 
     cues: tuple[str, ...]
-    """The cues that count."""
-
     turning: bool
     """Whether each robot's yaw is unknown."""
 

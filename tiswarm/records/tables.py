@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,7 @@ def write_positions(
     path: Path,
     robot_id: NDArray[np.int64],
     position: NDArray[np.float64],
-    sd: NDArray[np.float64] | None = None,
-    known: Sequence[str] | None = None,
-    yaw: NDArray[np.float64] | None = None,
+    certainty: Mapping[str, Sequence[object]] | None = None,
     *,
     length_unit: str = "R",
 ) -> None:
@@ -35,9 +33,7 @@ def write_positions(
         path: Where to.
         robot_id: Name of each robot, shape (N,).
         position: Centers, finite, shape (N, 3).
-        sd: Standard deviation of each position, NaN where unknown, shape (N,).
-        known: Whether each position can be known, in a word, shape (N,).
-        yaw: Turn about the vertical to be added to what each robot senses [rad], shape (N,).
+        certainty: Further columns, by name.
         length_unit: Unit of all lengths; part of the column names.
 
     Raises:
@@ -46,14 +42,8 @@ def write_positions(
     if not np.isfinite(position).all():
         message = f"{path.name}: positions must be finite"
         raise ValueError(message)
-    header = _header(length_unit)
-    columns = dict(zip(header, [robot_id.tolist(), *position.T.tolist()], strict=False))
-    if sd is not None:
-        columns[header[4]] = ["" if math.isnan(value) else value for value in sd.tolist()]
-    if known is not None:
-        columns[KNOWN] = list(known)
-    if yaw is not None:
-        columns[YAW] = np.degrees(yaw).tolist()
+    places = [robot_id.tolist(), *position.T.tolist()]
+    columns = dict(zip(_header(length_unit), places, strict=False)) | dict(certainty or {})
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -63,16 +53,15 @@ def write_positions(
 
 def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") -> None:
     """Write an estimate with all that is known of its certainty."""
-    known = None if estimate.certainty is None else estimate.certainty.known
-    write_positions(
-        path,
-        estimate.robot_id,
-        estimate.position,
-        estimate.sd,
-        known,
-        estimate.yaw,
-        length_unit=length_unit,
-    )
+    known: dict[str, Sequence[object]] = {}
+    if estimate.sd is not None:
+        sds = estimate.sd.tolist()
+        known[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
+    if estimate.certainty is not None:
+        known[KNOWN] = estimate.certainty.known
+    if estimate.yaw is not None:
+        known[YAW] = np.degrees(estimate.yaw).tolist()
+    write_positions(path, estimate.robot_id, estimate.position, known, length_unit=length_unit)
 
 
 def read_positions(
@@ -118,17 +107,21 @@ def _header(length_unit: str) -> list[str]:
     return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN, YAW]
 
 
-def read_cells(line: str) -> list[str]:
-    """Split a row of a table.
+def read_cells(line: str, count: int | None = None) -> list[str]:
+    """Split a row of a table into so many cells.
 
     Raises:
-        InputError: quotes do not match; without file and line.
+        InputError: quotes do not match, or there are more or less; without file and line.
     """
     try:
-        return next(csv.reader([line], strict=True), [])
+        cells = next(csv.reader([line], strict=True), [])
     except csv.Error as error:
         problem = f"not a row of a table: {error}; write numbers with commas between them"
         raise InputError(problem) from error
+    if count is not None and len(cells) != count:
+        problem = f"has {len(cells)} cells; {count} are needed"
+        raise InputError(problem)
+    return cells
 
 
 def _rows(
@@ -137,10 +130,7 @@ def _rows(
     seen: set[int] = set()
     for number, text in lines:
         with placed(path, number):
-            cells = read_cells(text)
-            if len(cells) != len(header):
-                problem = f"has {len(cells)} cells; {len(header)} are needed"
-                raise InputError(problem)
+            cells = read_cells(text, len(header))
             robot = read_whole(cells[0], "robot")
             if robot in seen:
                 problem = f"robot {robot} has a row already; keep one"

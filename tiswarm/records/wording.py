@@ -46,12 +46,7 @@ MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_
 
 
 def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
-    """Put one pydantic error into plain words.
-
-    Args:
-        error: What pydantic found.
-        allowed: Keys that may stand where it was found.
-    """
+    """Put one pydantic error into plain words; `allowed` are the keys of the section at fault."""
     kind = error["type"]
     if kind in UNKNOWN_KEY:
         return unknown_key(str(error["loc"][-1]), allowed)

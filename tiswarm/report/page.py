@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import yaml
 from PIL import Image
 
 from tiswarm.errors import InputError
 from tiswarm.records.atomic import write_text
 from tiswarm.report.folder import Tell, read_cases, read_table
 from tiswarm.report.page_tables import (
-    Table,
     case_table,
     machine_table,
     result_tables,
     warnings_of,
 )
-from tiswarm.report.page_view import View, build_view
+from tiswarm.report.page_view import build_view
 
 LARGEST = 7_900_000
 """Largest page [bytes]; pictures that do not fit are named instead."""
@@ -48,25 +48,6 @@ class Shown:
     """Width on the page."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Page:
-    """What the template puts on the page."""
-
-    name: str
-    description: str
-    what: str
-    warnings: list[str]
-    tables: list[Table]
-    view: View | None
-    figures: list[Shown]
-    renders: list[Shown]
-    cases: Table
-    version: str
-    command: str
-    machine: Table
-    scenario: str
-
-
 def write_page(folder: Path, tell: Tell) -> Path:
     """Write `report.html` into a run's folder.
 
@@ -85,38 +66,38 @@ def write_page(folder: Path, tell: Tell) -> Path:
     template = environment.get_template("report.html")
     page = _gather(folder)
     room = LARGEST - len(template.render(page=page).encode())
-    page.figures.extend(_pictures(folder / "figures", room, lossless=True))
-    room -= sum(len(picture.source) for picture in page.figures)
-    page.renders.extend(_pictures(folder / "renders", room, lossless=False))
+    page["figures"] = list(_pictures(folder / "figures", room, lossless=True))
+    room -= sum(len(picture.source) for picture in page["figures"])
+    page["renders"] = list(_pictures(folder / "renders", room, lossless=False))
     path = folder / "report.html"
     write_text(path, template.render(page=page) + "\n")
     tell(path.name)
     return path
 
 
-def _gather(folder: Path) -> Page:
-    """Read everything but the pictures."""
+def _gather(folder: Path) -> dict[str, Any]:
+    """Gather what the template puts on the page, but for the pictures."""
     cases = read_cases(folder)
     scenario, manifest = _read_text(folder / "scenario.yaml"), _manifest(folder)
     summary = read_table(folder / "summary.csv")
     table = read_table(folder / "table.csv")
-    said = _top_of(scenario)
+    said = yaml.safe_load(scenario)
     arch = manifest.get("backend", {}).get("arch", "cpu")
-    return Page(
-        name=said.get("name", folder.name),
-        description=said.get("description", ""),
-        what=_in_words(summary, manifest),
-        warnings=warnings_of(summary, manifest),
-        tables=result_tables(table, *_optional(folder, "paired.csv", "laws.csv")),
-        view=build_view(cases),
-        figures=[],
-        renders=[],
-        cases=case_table(summary),
-        version=str(manifest.get("tiswarm", "of the same version")),
-        command=f"tiswarm run scenario.yaml --out again --arch {arch}",
-        machine=machine_table(manifest),
-        scenario=scenario,
-    )
+    return {
+        "name": said.get("name", folder.name),
+        "description": said.get("description", ""),
+        "what": _in_words(summary, manifest),
+        "warnings": warnings_of(summary, manifest),
+        "tables": result_tables(table, *_optional(folder, "paired.csv", "laws.csv")),
+        "view": build_view(cases),
+        "figures": [],
+        "renders": [],
+        "cases": case_table(summary),
+        "version": manifest.get("tiswarm", "of the same version"),
+        "command": f"tiswarm run scenario.yaml --out again --arch {arch}",
+        "machine": machine_table(manifest),
+        "scenario": scenario,
+    }
 
 
 def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
@@ -157,13 +138,6 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
             height=height,
             wide=round(width * (ON_PAGE[folder.name] if kind == "webp" else SMALL_ON_PAGE)),
         )
-
-
-def _top_of(scenario: str) -> dict[str, str]:
-    """Name and description of a scenario."""
-    import yaml  # noqa: PLC0415 - nothing else here needs it
-
-    return yaml.safe_load(scenario)
 
 
 def _read_text(path: Path) -> str:

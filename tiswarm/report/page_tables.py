@@ -79,13 +79,7 @@ CASE = (
 
 
 def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame) -> list[Table]:
-    """Everything a reader wants to know first.
-
-    Args:
-        table: `table.csv`.
-        paired: `paired.csv`, or nothing.
-        laws: `laws.csv`, or nothing.
-    """
+    """Everything a reader wants to know first; `paired` and `laws` may be empty."""
     tables = [_scorecard(laws)] if len(laws) else []
     tables += [_headline(table), _parts(table)]
     if "wilcoxon_p" in paired:

@@ -24,11 +24,7 @@ class Mistake(NamedTuple):
     """One thing that is wrong."""
 
     path: tuple[Part, ...]
-    """The way to the value at fault."""
-
     problem: str
-    """What is wrong, a semicolon, what to do."""
-
     about_key: bool = False
     """Whether the key itself is wrong, not the value."""
 

@@ -31,8 +31,6 @@ class Variant:
     """Name, fit for a folder: `baseline`, or `robots=300,baseline`."""
 
     condition: str
-    """Name of the condition."""
-
     point: Mapping[str, Any]
     """Swept values by dotted key, without those that follow another key."""
 

@@ -18,7 +18,6 @@ class Case:
     """Seed of the structure and of every noise."""
 
     variant: Variant
-    """Sweep point and condition, with the settings they come to."""
 
     @property
     def name(self) -> str:
@@ -43,11 +42,8 @@ def plan(scenario: Scenario) -> list[Case]:
 def chunks(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Iterator[list[Case]]:
     """Split cases into lists that grow structures of one kind together.
 
-    All conditions of a structure are in the same chunk, so each is grown once.
-
-    Args:
-        cases: Cases to split.
-        robots_at_once: A chunk is closed once its structures have this many robots.
+    All conditions of a structure are in the same chunk, so each is grown once. A chunk is closed
+    once its structures have `robots_at_once` robots.
     """
     for _, alike in groupby(structures(cases), key=lambda group: _kind(group[0])[:2]):
         chunk: list[Case] = []

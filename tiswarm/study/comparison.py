@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.errors import InputError
 from tiswarm.evaluation.statistics import paired_difference
+from tiswarm.records.atomic import make_folder
 from tiswarm.study.storage import DONE, CaseRecord, RunFolder, write_table
 from tiswarm.study.tables import ACCURACY
 
@@ -23,10 +24,6 @@ def compare(runs: Sequence[Path], out: Path) -> None:
     Two runs, or two conditions, are held against each other on the structures that both have: those
     whose true positions are the same to the last bit, whatever the scenarios call them.
 
-    Args:
-        runs: Run folders.
-        out: Folder for the two tables; made if need be.
-
     Raises:
         InputError: for less than two different runs, or a folder without one.
         EnvironmentTroubleError: where `out` cannot be made.
@@ -39,11 +36,7 @@ def compare(runs: Sequence[Path], out: Path) -> None:
     swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in tables]
     first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
     both = pd.concat(tables, ignore_index=True)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f"{out}: cannot be made: {error.strerror}; choose another --out"
-        raise EnvironmentTroubleError(msg) from error
+    make_folder(out)
     write_table(both[[*first, *both.columns.difference(first, sort=False)]], out / TABLE)
     write_table(_paired(dict(zip(names, runs, strict=True))), out / PAIRED)
 

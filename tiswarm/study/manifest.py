@@ -21,25 +21,13 @@ from tiswarm.study.costs import Cost, total
 
 FILE = "manifest.json"
 LIBRARIES = (
-    "matplotlib",
-    "numpy",
-    "open3d",
-    "open3d-cpu",
-    "pandas",
-    "pydantic",
-    "quadrants",
-    "scipy",
+    "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
     "taichi",
-)
+)  # fmt: skip
 
 
 def describe(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str, object]:
-    """Gather everything a reader needs to judge or repeat a run.
-
-    Args:
-        backend: What ran the kernels.
-        costs: By stage what each case has cost.
-    """
+    """Gather everything a reader needs to judge or repeat a run; costs are by case and stage."""
     stages, peak_memory_mb = total(costs)
     return {
         "tiswarm": tiswarm.__version__,

@@ -67,8 +67,6 @@ class Pool:
     """Takes jobs."""
 
     submit: Callable[[Job], "Future[Outcome]"]
-    """Start a job."""
-
     width: int
     """Jobs done at the same time."""
 

@@ -32,8 +32,6 @@ class RunResult:
     """What a run left behind."""
 
     folder: Path
-    """The run folder."""
-
     computed: int
     """Cases computed now."""
 
@@ -41,8 +39,6 @@ class RunResult:
     """Cases that an earlier run had finished."""
 
     failed: tuple[CaseRecord, ...]
-    """Cases that failed."""
-
     missing: int
     """Cases left to other shards that are not there yet; tables are written once none is."""
 

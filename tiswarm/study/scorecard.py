@@ -27,11 +27,6 @@ def write_scorecard(
     """Write `laws.csv` and the means behind it, `law-points.csv`, from the stored cases.
 
     Of several conditions the first alone is looked at, for they share their structures.
-
-    Args:
-        folder: Where the cases are stored.
-        cases: Every case.
-        records: What came of each.
     """
     first = cases[0].variant.condition if cases else ""
     finished = [

@@ -15,7 +15,7 @@ import pandas as pd
 
 import tiswarm
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.records.atomic import write_text
+from tiswarm.records.atomic import make_folder, write_text
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
@@ -36,14 +36,10 @@ class CaseRecord:
     """What `case.json` says; nothing in it depends on the machine or the clock."""
 
     case: str
-    """Folder of the case."""
-
     seed: int
     """Seed of the structure and of every noise."""
 
     condition: str
-    """Name of the condition."""
-
     point: Mapping[str, Any]
     """Values of the swept keys."""
 
@@ -74,11 +70,8 @@ class RunFolder:
     def of(cls, scenario: Scenario, parent: Path) -> "RunFolder":
         """Make the folder of a scenario below `parent`, or open it where it exists."""
         folder = cls(parent / f"{scenario.name}-{scenario_hash(scenario)}")
-        try:
-            folder.cases.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            msg = f"{folder.path}: cannot be made: {error.strerror}; choose another --out"
-            raise EnvironmentTroubleError(msg) from error
+        make_folder(folder.path)
+        make_folder(folder.cases)
         write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
         return folder
 
@@ -153,7 +146,7 @@ class RunFolder:
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write by stage what a stored case has cost, which no run repeats."""
-        self._write_cost(self.cases / name, cost)
+        _write_json(self.cases / name / COST, cost)
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -169,16 +162,7 @@ class RunFolder:
         tables: Mapping[str, pd.DataFrame],
         cost: Mapping[str, Cost],
     ) -> CaseRecord:
-        """Write a case and make it appear at once; return its record with the digests.
-
-        Args:
-            record: What came of the case.
-            truth: Where the robots are.
-            log: What they sensed.
-            estimate: Where they are thought to be.
-            tables: By name, each of `TABLES`.
-            cost: By stage what it has cost so far.
-        """
+        """Write a case and make it appear at once; return its record with the digests."""
         work = self._workplace(record.case)
         write_sensing_log(log, work / "sensing.jsonl")
         write_positions(work / "truth.csv", truth.robot_id, truth.position)
@@ -186,14 +170,10 @@ class RunFolder:
         for name in TABLES:
             write_table(tables[name], work / f"{name}.csv")
         files = {path.name: _digest(path) for path in sorted(work.iterdir())}
-        self._write_cost(work, cost)
+        _write_json(work / COST, cost)
         complete = CaseRecord(**{**asdict(record), "files": files})
         self._publish(complete, work)
         return complete
-
-    @staticmethod
-    def _write_cost(place: Path, cost: Mapping[str, Cost]) -> None:
-        write_text(place / COST, json.dumps(cost, indent=1) + "\n")
 
     def _workplace(self, name: str) -> Path:
         """Make an empty folder that a killed run may leave behind without harm."""
@@ -202,7 +182,7 @@ class RunFolder:
         return work
 
     def _publish(self, record: CaseRecord, work: Path) -> None:
-        write_text(work / "case.json", json.dumps(asdict(record), indent=1) + "\n")
+        _write_json(work / "case.json", asdict(record))
         target = self.cases / record.case
         shutil.rmtree(target, ignore_errors=True)
         try:
@@ -217,6 +197,10 @@ class RunFolder:
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write a CSV whose numbers read back to the same bits."""
     write_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def _digest(path: Path) -> str:

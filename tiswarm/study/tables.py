@@ -64,12 +64,7 @@ def summary(records: Sequence[CaseRecord]) -> pd.DataFrame:
 
 
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
-    """One row a sweep point and condition: mean over its seeds, and how far it can be trusted.
-
-    Args:
-        records: What came of each case.
-        settings: What each case was computed from.
-    """
+    """One row a sweep point and condition: mean over its seeds, and how far it can be trusted."""
     pairs = list(zip(records, settings, strict=True))
     rows = []
     for group in _grouped(pairs, lambda pair: _series(pair[0])):
@@ -80,11 +75,7 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
 
 
 def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
-    """One row a measure and pair of conditions of a sweep point: differences by structure.
-
-    Args:
-        records: What came of each case.
-    """
+    """One row a measure and pair of conditions of a sweep point: differences by structure."""
     rows = []
     for of_point in _grouped(records, lambda record: repr(record.point)):
         conditions = _grouped(of_point, lambda record: record.condition)
@@ -106,12 +97,7 @@ def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
 
 
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
-    """Rows of errors by what robots have in common, for each sweep point and condition.
-
-    Args:
-        records: What came of each case.
-        cases: Folder of the cases.
-    """
+    """Rows of errors by what robots have in common, for each sweep point and condition."""
     parts = []
     done = [record for record in records if record.status == DONE]
     for of_row in _grouped(done, _series):

@@ -58,11 +58,7 @@ class Lesson:
     """One training structure under one condition."""
 
     label: str
-    """Sweep point and condition."""
-
     log: SensingLog
-    """What the swarm sensed."""
-
     true: NDArray[np.float64]
     """True centers [R], shape (N, 3)."""
 

@@ -42,14 +42,8 @@ class Job:
     """Cases whose structures are of one kind, and all that is needed to work them off."""
 
     folder: RunFolder
-    """Where they are stored."""
-
     cases: Sequence[Case]
-    """What is computed."""
-
     arch: Arch
-    """Device."""
-
     threads: int | None
     """CPU threads; all if None."""
 

@@ -74,14 +74,8 @@ class History:
     """A structure of N robots as it grew; the truth that sensing and evaluation start from."""
 
     seed: int
-    """Seed that it grew from."""
-
     robot: RobotGeometry
-    """The robots' shape."""
-
     terrain: Terrain
-    """The ground."""
-
     walks: tuple[Walk, ...]
     """One walk for each robot, in join order."""
 

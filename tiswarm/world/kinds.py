@@ -18,8 +18,6 @@ class Kind:
     """What growth must know of a kind of structure; functions take the kind's own settings."""
 
     terrain: Callable[[Any], Terrain]
-    """The ground."""
-
     goal: Callable[[Any, int], Array]
     """Where robots that come from a side want to be [R], shape (3,)."""
 

@@ -62,28 +62,21 @@ class GrowthParams(RecruitParams):
     ] = 1
 
     solve_every: Annotated[
-        int,
-        Field(ge=1, description="Joins between two solves of the structure's mechanics."),
+        int, Field(ge=1, description="Joins between two solves of the structure's mechanics.")
     ] = 1
 
     spawn_min: Annotated[
-        float,
-        Field(ge=0.0, description="Robots start at least this far behind the structure [R]."),
+        float, Field(ge=0.0, description="Robots start at least this far behind the structure [R].")
     ] = 3.0
 
     spawn_max: Annotated[
-        float,
-        Field(gt=0.0, description="Robots start at most this far behind the structure [R]."),
+        float, Field(gt=0.0, description="Robots start at most this far behind the structure [R].")
     ] = 10.0
 
-    climb: Annotated[
-        ClimbParams,
-        Field(description="How robots walk."),
-    ] = ClimbParams()
+    climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
 
     mechanics: Annotated[
-        MechanicsParams,
-        Field(description="How stiff robots and contacts are."),
+        MechanicsParams, Field(description="How stiff robots and contacts are.")
     ] = MechanicsParams()
 
 
@@ -92,8 +85,7 @@ class EdgeParams(GrowthParams):
     """What structures at the edge of a slab have in common."""
 
     spawn_width: Annotated[
-        float,
-        Field(ge=0.0, description="Robots start at most this far from the plane y = 0 [R]."),
+        float, Field(ge=0.0, description="Robots start at most this far from the plane y = 0 [R].")
     ] = 3.0
 
 

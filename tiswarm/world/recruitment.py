@@ -27,23 +27,16 @@ class RecruitParams:
     ] = 10.0
 
     recruit_base: Annotated[
-        float,
-        Field(gt=1.0, description="B: how fast the call grows with what is sensed [1]."),
+        float, Field(gt=1.0, description="B: how fast the call grows with what is sensed [1].")
     ] = 3.0
 
     recruit_limit: Annotated[
-        int,
-        Field(ge=0, le=1_000_000, description="J: greatest call; 0 switches recruitment off."),
+        int, Field(ge=0, le=1_000_000, description="J: greatest call; 0 switches recruitment off.")
     ] = 5
 
 
 def recruit(sensed: NDArray[np.float64], params: RecruitParams) -> NDArray[np.int32]:
-    """What each robot calls for itself, shape (N,).
-
-    Args:
-        sensed: What each robot senses, shape (N,).
-        params: When it calls.
-    """
+    """What each robot calls for itself, shape (N,)."""
     ratio = sensed / params.force_threshold
     # Past the power that reaches J the call is J; capping the power avoids overflow.
     power = np.minimum(

@@ -25,14 +25,7 @@ class Site:
     def __init__(
         self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
     ) -> None:
-        """Prepare empty ground.
-
-        Args:
-            number: Place of the structure in its batch.
-            seed: What every draw depends on.
-            params: Kind of structure and how it grows.
-            robot: The robots' shape.
-        """
+        """Prepare empty ground."""
         self.number = number
         self.seed = seed
         self.params = params

@@ -60,11 +60,6 @@ class Terrain:
         ]
         return np.max(depths, axis=0)
 
-    def is_flat_at(self, point: Array) -> NDArray[np.bool_]:
-        """Whether the ground below each point is flat and the point above it, shape (n,)."""
-        inland = (point[:, 0] <= self.left_edge) | (point[:, 0] >= self.right_edge)
-        return inland & (point[:, 2] > self._spine_z)
-
     @property
     def _spine_z(self) -> float:
         return self.ground_z - EDGE_RADIUS

@@ -50,10 +50,7 @@ class Walks:
     ) -> None:
         """Reserve memory: about 90 kB a slot at the default cap on flips.
 
-        Args:
-            structure_of: Structure that each slot's robots climb, ascending, shape (slots,).
-            climb: How robots walk.
-            robot: Their shape.
+        `structure_of` is the structure that each slot's robots climb, ascending, shape (slots,).
         """
         slots, stances = len(structure_of), climb.max_flips + 2
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.

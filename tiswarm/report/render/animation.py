@@ -34,23 +34,12 @@ COLORS = 192
 
 
 def animate_run(
-    folder: Path,
-    form: Movie,
-    *,
-    tell: Tell,
-    renderer: str | None = None,
-    case: str | None = None,
+    folder: Path, form: Movie, *, tell: Tell, renderer: str | None = None, case: str | None = None
 ) -> Rendered:
     """Draw how the structure of a case grew into `renders/growth.gif` or `renders/growth.mp4`.
 
-    Camera and ground are those of the whole structure in every frame.
-
-    Args:
-        folder: The run.
-        form: Kind of file.
-        tell: Hears of it.
-        renderer: The only renderer to use; the best that works if None.
-        case: Name of the case, which becomes part of the file name; the first one done if None.
+    Camera and ground are those of the whole structure in every frame. Case and renderer are
+    chosen as `render_run` does.
 
     Raises:
         InputError: for an unknown case, or a damaged run.

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tiswarm.report.render.camera import frame
+from tiswarm.report.render.camera import Array, Array32, frame
 from tiswarm.report.render.scene import Ground, Scene
 
 GIRTH = 1.45
@@ -42,13 +41,13 @@ class Look:
 class Robots:
     """N robots to be drawn."""
 
-    center: NDArray[np.float64]
+    center: Array
     """Centers [R], shape (N, 3)."""
 
-    dock: NDArray[np.float64]
+    dock: Array
     """Dock centers [R], shape (N, docks, 3)."""
 
-    color: NDArray[np.float64]
+    color: Array
     """Red, green, blue of each, 0 to 1, shape (N, 3)."""
 
     look: Look
@@ -58,10 +57,10 @@ class Robots:
 class Rods:
     """Straight rods of one thickness and color."""
 
-    start: NDArray[np.float64]
+    start: Array
     """One end of each [R], shape (n, 3)."""
 
-    end: NDArray[np.float64]
+    end: Array
     """Other end of each [R], shape (n, 3)."""
 
     radius: float
@@ -73,7 +72,7 @@ def build_scene(
     ground_z: float | None,
     *,
     rods: Rods | None = None,
-    around: NDArray[np.float64] | None = None,
+    around: Array | None = None,
 ) -> Scene:
     """Make spheres and arms of robots, light them and put a camera before them.
 
@@ -104,7 +103,7 @@ def build_scene(
     )
 
 
-def _capsules(robots: Robots) -> list[tuple[NDArray[np.float64], ...]]:
+def _capsules(robots: Robots) -> list[tuple[Array, ...]]:
     """Make start, end, radius and color of the hubs, the arms and the docks of robots."""
     docks, look = robots.dock.shape[1], robots.look
     hub, dock = robots.center, robots.dock.reshape(-1, 3)
@@ -116,13 +115,13 @@ def _capsules(robots: Robots) -> list[tuple[NDArray[np.float64], ...]]:
     ]
 
 
-def _rods(rods: Rods) -> tuple[NDArray[np.float64], ...]:
+def _rods(rods: Rods) -> tuple[Array, ...]:
     """Make start, end, radius and color of rods."""
     count = len(rods.start)
     return rods.start, rods.end, np.full(count, rods.radius), np.tile(rods.color, (count, 1))
 
 
-def _shade(points: NDArray[np.float64], blockers: NDArray[np.float64]) -> NDArray[np.float32]:
+def _shade(points: Array, blockers: Array) -> Array32:
     """Add up the light that robots keep from points, in terms that are linear in the normal.
 
     A sphere of radius r at distance d in direction u keeps (r/d)^2 max(0, n.u) of the light
@@ -146,9 +145,7 @@ def _shade(points: NDArray[np.float64], blockers: NDArray[np.float64]) -> NDArra
     return np.column_stack(sums).astype(np.float32)
 
 
-def _ground(
-    dock: NDArray[np.float64], blockers: NDArray[np.float64], height: float
-) -> Ground | None:
+def _ground(dock: Array, blockers: Array, height: float) -> Ground | None:
     """Lay ground around the docks that stand on it, darker beneath robots."""
     standing = dock[np.abs(dock[:, 2] - 1.0 - height) < STANDING, :2]
     if not len(standing):

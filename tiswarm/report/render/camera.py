@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
 ELEVATION = math.radians(14.0)
 OBLIQUE = math.radians(20.0)
 """How far the view is turned away from facing the long side."""
@@ -24,10 +27,10 @@ PIXELS = 1_100_000
 class Camera:
     """Where the eye is, which way it looks, and how large the picture is."""
 
-    eye: NDArray[np.float64]
+    eye: Array
     """Position of the eye [R], shape (3,)."""
 
-    axes: NDArray[np.float64]
+    axes: Array
     """Right, up and forward, unit vectors in rows, shape (3, 3)."""
 
     half_height: float
@@ -42,7 +45,7 @@ class Camera:
         """Pixels between directions whose right or up parts differ by 1 at distance 1."""
         return 0.5 * self.height / self.half_height
 
-    def directions(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    def directions(self, pixels: Array32) -> Array32:
         """Aim a ray through each pixel, forward part 1, shape (n, 3).
 
         Args:
@@ -53,12 +56,12 @@ class Camera:
         right, up, forward = (self.axes * [[1.0], [-1.0], [1.0]]).astype(np.float32)
         return slope[:, :1] * right + slope[:, 1:] * up + forward
 
-    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def project(self, points: Array) -> Array:
         """Turn world points to right, up and forward parts as the eye sees them, shape (n, 3)."""
         return (points - self.eye) @ self.axes.T
 
 
-def frame(points: NDArray[np.float64], radius: float) -> Camera:
+def frame(points: Array, radius: float) -> Camera:
     """Place a camera that sees balls of one radius around every point, and little else.
 
     Args:
@@ -81,7 +84,7 @@ def frame(points: NDArray[np.float64], radius: float) -> Camera:
     return Camera(eye=place @ axes, axes=axes, half_height=half_height, width=width, height=height)
 
 
-def _view_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _view_direction(points: Array) -> Array:
     """Point from the structure to the eye: from the -y side, a little above, onto the long side."""
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     spread, direction = np.linalg.eigh(flat.T @ flat)
@@ -94,9 +97,7 @@ def _view_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def _stand_back(
-    across: NDArray[np.float64], depth: NDArray[np.float64], radius: float, slope: float
-) -> tuple[float, float]:
+def _stand_back(across: Array, depth: Array, radius: float, slope: float) -> tuple[float, float]:
     """Find where the eye must be for every ball to lie between two planes through it.
 
     Returns:

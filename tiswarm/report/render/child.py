@@ -1,12 +1,15 @@
 """Draws scenes with one renderer in a process of its own, which may die without harm.
 
-python -m tiswarm.report.render.child SCENE.npz OUT.png [SCENE.npz OUT.png ...] --renderer NAME
+python -m tiswarm.report.render.child SCENE OUT.png [SCENE OUT.png ...] --renderer NAME
+
+A scene is a pickle of the process that starts this.
 """
 
 import argparse
 import contextlib
 import ctypes
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.report.render.camera import Array32
 from tiswarm.report.render.light import color_of_capsules, color_of_ground
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.raycast import Trace, draw
@@ -34,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--renderer", choices=PAINTERS, required=True)
     options = parser.parse_args(arguments)
-    scenes = [Scene.load(path) for path in options.files[::2]]
+    scenes = [pickle.loads(path.read_bytes()) for path in options.files[::2]]  # noqa: S301
     pictures = PAINTERS[options.renderer](scenes)
     for picture, path in zip(pictures, options.files[1::2], strict=True):
         Image.fromarray(picture).save(path, compress_level=1)
@@ -109,7 +113,7 @@ def _colored_meshes(o3d: Any, scene: Scene) -> dict[str, Any]:  # noqa: ANN401 -
     return meshes
 
 
-def _ground_grid(ground: Ground) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _ground_grid(ground: Ground) -> tuple[Array32, NDArray[np.int32]]:
     """Make two triangles of each cell where there is ground."""
     cells = len(ground.gray) - 1
     row, column = np.indices((cells + 1, cells + 1)).reshape(2, -1)
@@ -126,9 +130,9 @@ def _ground_grid(ground: Ground) -> tuple[NDArray[np.float32], NDArray[np.int32]
 
 def _tensor_mesh(
     o3d: Any,  # noqa: ANN401 - untyped
-    point: NDArray[np.float32],
+    point: Array32,
     triangle: NDArray[np.int32],
-    color: NDArray[np.float32],
+    color: Array32,
 ) -> Any:  # noqa: ANN401 - untyped
     mesh = o3d.t.geometry.TriangleMesh(o3d.core.Tensor(point), o3d.core.Tensor(triangle))
     mesh.vertex.colors = o3d.core.Tensor(np.ascontiguousarray(color, dtype=np.float32))
@@ -151,7 +155,7 @@ def _embree_tracer(o3d: Any, scene: Scene) -> Trace:  # noqa: ANN401 - untyped
     eye = scene.camera.eye.astype(np.float32)
     nothing = o3d.t.geometry.RaycastingScene.INVALID_ID
 
-    def trace(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    def trace(pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
         direction = scene.camera.directions(pixels)
         rays = np.column_stack([np.broadcast_to(eye, direction.shape), direction])
         answer = caster.cast_rays(o3d.core.Tensor(rays))

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from tiswarm.report.render.camera import Array
+
 TRUE_BLUE = (0.0, 0.447, 0.698)
 ESTIMATE_ORANGE = (0.902, 0.624, 0.0)
 JOIN_COLORS = np.array([
@@ -46,7 +48,7 @@ class Keys:
 class Scale:
     """What a range of colors means."""
 
-    colors: NDArray[np.float64]
+    colors: Array
     """Red, green, blue along the range, shape (n, 3)."""
 
     low: str
@@ -56,7 +58,7 @@ class Scale:
 Legend = Keys | Scale
 
 
-def colors_along(share: NDArray[np.floating], colors: NDArray[np.float64]) -> NDArray[np.float64]:
+def colors_along(share: NDArray[np.floating], colors: Array) -> Array:
     """Colors at places from 0 to 1 along a range, shape (n, 3)."""
     scale = np.linspace(0.0, 1.0, len(colors))
     return np.column_stack([np.interp(share, scale, channel) for channel in colors.T])

@@ -3,19 +3,17 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.report.render.camera import Camera
+from tiswarm.report.render.camera import Array32, Camera
 from tiswarm.report.render.scene import Ground, Scene
 
-Array = NDArray[np.float32]
 
-
-def sun_direction(camera: Camera) -> Array:
+def sun_direction(camera: Camera) -> Array32:
     """Point to the sun: above the viewer's left shoulder."""
     direction = np.array([-0.5, 0.75, -0.6]) @ camera.axes
     return (direction / np.linalg.norm(direction)).astype(np.float32)
 
 
-def color_of_capsules(scene: Scene, which: NDArray[np.int64], points: Array) -> Array:
+def color_of_capsules(scene: Scene, which: NDArray[np.int64], points: Array32) -> Array32:
     """Color points on the surface of capsules, shape (n, 3).
 
     Args:
@@ -37,12 +35,12 @@ def color_of_capsules(scene: Scene, which: NDArray[np.int64], points: Array) -> 
     light = open_sky * (0.62 + 0.16 * normal[:, 2])
     light += open_sun * 0.55 * np.maximum(normal @ sun, 0.0)
     light *= 0.62 + 0.38 * np.minimum(facing / 0.45, 1.0)  # dark rims tell spheres apart
-    color: Array = scene.color[which] * light[:, None]
+    color: Array32 = scene.color[which] * light[:, None]
     color += (0.16 * open_sun * shine)[:, None]
     return np.asarray(np.clip(color, 0.0, 1.0))
 
 
-def color_of_ground(ground: Ground, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, NDArray[np.bool_]]:
     """Color points of the ground's plane.
 
     Returns:
@@ -62,10 +60,10 @@ def color_of_ground(ground: Ground, points: Array) -> tuple[Array, NDArray[np.bo
     return np.repeat(value[:, None], 3, axis=1), inside
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _dot(a: Array32, b: Array32) -> Array32:
     return np.einsum("ij,ij->i", a, b)
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Array32) -> Array32:
     length = np.sqrt(np.maximum(_dot(vectors, vectors), np.float32(1e-12)))
     return (vectors / length[:, None]).astype(np.float32)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.report.render.camera import Array32
 from tiswarm.report.render.scene import Scene
 
 SIDES = (6, 48)
@@ -18,7 +19,7 @@ SLANT = 0.9
 class Mesh:
     """V points and T triangles of every capsule of a scene."""
 
-    point: NDArray[np.float32]
+    point: Array32
     """Places [R], shape (V, 3)."""
 
     triangle: NDArray[np.int32]
@@ -60,7 +61,7 @@ def _side_count(pixels: float) -> int:
     return int(np.clip(3.2 * pixels**0.58, *SIDES)) // 2 * 2
 
 
-def _unit_sphere(sides: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _unit_sphere(sides: int) -> tuple[Array32, NDArray[np.int32]]:
     """Wrap a grid around the z axis; its rings are odd in number, so none is the equator."""
     rings = sides // 2 | 1
     polar, around = np.pi * np.arange(rings + 1) / rings, 2.0 * np.pi * np.arange(sides) / sides
@@ -75,9 +76,7 @@ def _unit_sphere(sides: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     return point, np.concatenate([lower[ring > 0], upper[ring < rings - 1]]).astype(np.int32)
 
 
-def _stretch(
-    start: NDArray[np.float32], end: NDArray[np.float32], ball: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _stretch(start: Array32, end: Array32, ball: Array32) -> Array32:
     """Put the lower half of a ball around each start and the upper around the end, (n * V, 3)."""
     span = (end - start).astype(np.float64)
     span[:, 2] += 1e-9  # a sphere has no axis: take z
@@ -87,5 +86,5 @@ def _stretch(
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     frames = np.stack([side, np.cross(axis, side), axis], axis=1).astype(np.float32)
     base = np.where(ball[:, 2:] > 0.0, end[:, None], start[:, None])
-    point: NDArray[np.float32] = base + ball @ frames
+    point: Array32 = base + ball @ frames
     return point.reshape(-1, 3)

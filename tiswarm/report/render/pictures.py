@@ -1,6 +1,7 @@
 """Draws the pictures of a run with the first renderer that works on this machine."""
 
 import io
+import pickle
 import signal
 import subprocess
 import sys
@@ -54,11 +55,8 @@ def render_run(
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
-    Args:
-        folder: The run.
-        tell: Hears of each picture.
-        renderer: The only renderer to use; the best that works if None.
-        case: Name of the case, which becomes part of the file names; the first one done if None.
+    Of the first case that is done, unless `case` names one, which then is part of the file names;
+    by the best renderer that works, unless `renderer` names one.
 
     Raises:
         InputError: for an unknown renderer or case, or a damaged run.
@@ -133,17 +131,14 @@ def draw_in_child(
     with tempfile.TemporaryDirectory(prefix=".", suffix=".tmp", dir=folder) as place:
         files = []
         for index, scene in enumerate(scenes):
-            scene.save(Path(place, f"{index}.npz"))
-            files += [str(Path(place, f"{index}{suffix}")) for suffix in (".npz", ".png")]
+            files += [str(Path(place, f"{index}{suffix}")) for suffix in ("", ".png")]
+            Path(place, str(index)).write_bytes(pickle.dumps(scene))
         command = [*CHILD, *files, "--renderer", renderer]
         try:
             done = subprocess.run(  # noqa: S603 - our own module
-                command,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=time_limit,
+                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=time_limit,
                 check=False,
-            )
+            )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             msg = f"no picture within {time_limit:.0f} s"
             raise RendererError(msg) from error

@@ -9,10 +9,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.report.render.camera import Array32
 from tiswarm.report.render.light import color_of_capsules, color_of_ground
 from tiswarm.report.render.scene import Scene
 
-Trace = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.int64]]]
+Trace = Callable[[Array32], tuple[Array32, NDArray[np.int64]]]
 """From pixels (column, row), shape (n, 2), to the depth of what is seen there, infinite for
 nothing, and which capsule it is, or -1; each of shape (n,)."""
 
@@ -42,9 +43,7 @@ def draw(scene: Scene, trace: Trace) -> NDArray[np.uint8]:
     return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
 
 
-def _look(
-    scene: Scene, trace: Trace, pixels: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _look(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
     """Find color and object (capsule, ground or nothing) at pixels."""
     parts = [
         _look_at_once(scene, trace, pixels[first : first + CHUNK])
@@ -53,9 +52,7 @@ def _look(
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
-def _look_at_once(
-    scene: Scene, trace: Trace, pixels: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _look_at_once(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
     depth, capsule = trace(pixels)
     eye = scene.camera.eye.astype(np.float32)
     direction = scene.camera.directions(pixels)

@@ -15,6 +15,7 @@ from tiswarm.records.sensing_line import HeaderLine, parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.folder import Case, read_columns
 from tiswarm.report.render.build import Look, Robots, Rods, build_scene
+from tiswarm.report.render.camera import Array
 from tiswarm.report.render.legend import (
     ERROR_COLORS,
     ESTIMATE_ORANGE,
@@ -60,16 +61,16 @@ class Subject:
     """N robots of a case: where they are, where they are thought to be, what they feel."""
 
     case: Case
-    pose: NDArray[np.float64]
+    pose: Array
     """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
 
-    estimated_pose: NDArray[np.float64]
+    estimated_pose: Array
     """The same as it is thought to be, shape (N, 7)."""
 
-    error: NDArray[np.float64]
+    error: Array
     """Distance of the two centers [R], shape (N,)."""
 
-    force: NDArray[np.float64]
+    force: Array
     """What each robot senses in its links [weight of a dock], shape (N,)."""
 
     robot: NDArray[np.int64]
@@ -89,7 +90,7 @@ class Subject:
             return parse_header(text)
 
     @property
-    def dock_offset_body(self) -> NDArray[np.float64]:
+    def dock_offset_body(self) -> Array:
         """Center to dock, body frame [R], shape (docks, 3)."""
         return np.array(self.header.dock_offsets) / self.header.dock_radius
 
@@ -100,11 +101,11 @@ class Subject:
         return None if height is None else height / self.header.dock_radius
 
     @property
-    def by_join(self) -> NDArray[np.float64]:
+    def by_join(self) -> Array:
         """Color of each robot by when it joined, shape (N, 3)."""
         return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)
 
-    def robots(self, pose: NDArray[np.float64], color: NDArray[np.float64], look: Look) -> Robots:
+    def robots(self, pose: Array, color: Array, look: Look) -> Robots:
         """Place the docks of robots of known pose, leaving out the others.
 
         Args:
@@ -160,9 +161,7 @@ def build_pictures(case: Case) -> dict[str, Picture]:
     }
 
 
-def _scaled(
-    subject: Subject, value: NDArray[np.float64], colors: NDArray[np.float64], low: str, unit: str
-) -> Picture:
+def _scaled(subject: Subject, value: Array, colors: Array, low: str, unit: str) -> Picture:
     """Color the structure by a number of each robot, from zero to the greatest."""
     greatest = max(np.nanmax(value, initial=0.0), 1e-9)
     color = colors_along(np.nan_to_num(value) / greatest, colors)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.report.render.camera import Array, Array32
 from tiswarm.report.render.raycast import Trace
 from tiswarm.report.render.scene import Scene
 
@@ -19,7 +20,7 @@ def tile_tracer(scene: Scene) -> Trace:
     camera = scene.camera
     start = camera.project(scene.start.astype(np.float64))
     end = camera.project(scene.end.astype(np.float64))
-    nearest: NDArray[np.float64] = np.minimum(start[:, 2], end[:, 2]) - scene.radius
+    nearest: Array = np.minimum(start[:, 2], end[:, 2]) - scene.radius
     tile_start, tile_item = _sort_into_tiles(scene, start, end, nearest)
     lens = np.array(
         [
@@ -30,7 +31,7 @@ def tile_tracer(scene: Scene) -> Trace:
     )
     capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
 
-    def trace(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    def trace(pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
         depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
         trace_capsules(
             np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen
@@ -41,10 +42,7 @@ def tile_tracer(scene: Scene) -> Trace:
 
 
 def _sort_into_tiles(
-    scene: Scene,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    nearest: NDArray[np.float64],
+    scene: Scene, start: Array, end: Array, nearest: Array
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """List, for each tile, the capsules whose outline may reach it, nearest first.
 
