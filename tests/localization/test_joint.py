@@ -137,21 +137,6 @@ def test_steps_are_the_same_however_threads_share_them(towers):
         assert a.spread.tobytes() == b.spread.tobytes()
 
 
-def test_the_unit_of_length_does_not_matter(log):
-    """A log in other units, four to a dock radius, gives the same places in these units."""
-    scaled = dataclasses.replace(
-        log,
-        dock_radius=4.0,
-        dock_offset_body=4.0 * log.dock_offset_body,
-        anchor_position=4.0 * log.anchor_position,
-        flip_height=4.0 * log.flip_height,
-    )
-
-    np.testing.assert_array_equal(
-        localize(scaled, SHORT).position, 4.0 * localize(log, SHORT).position
-    )
-
-
 def test_single_precision_is_precise_enough(towers):
     """Other bits make other chains, but robots are found."""
     log = observe(towers[0], SensingParams())

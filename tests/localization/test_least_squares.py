@@ -1,7 +1,5 @@
 """Least squares finds what the residuals determine, from a start that is near enough."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -82,22 +80,6 @@ def _deepest_overlap(log, position):
     distance = np.linalg.norm(dock[:, None, :, None] - dock[None, :, None], axis=-1)
     distance[np.arange(len(dock)), np.arange(len(dock))] = np.inf
     return 2.0 - distance.min()
-
-
-def test_the_unit_of_length_does_not_matter_to_least_squares(log):
-    """Widths are in R, so a log in millimetres gives the same residuals and places."""
-    scaled = dataclasses.replace(
-        log,
-        dock_radius=32.0,
-        dock_offset_body=log.dock_offset_body * 32.0,
-        anchor_position=log.anchor_position * 32.0,
-        flip_height=log.flip_height * 32.0,
-        spawn_position=log.spawn_position * 32.0,
-    )
-
-    estimate = localize(scaled, QUICK)
-
-    np.testing.assert_allclose(estimate.position / 32.0, localize(log, QUICK).position, atol=1e-3)
 
 
 def test_least_squares_repeats_bit_for_bit(log):

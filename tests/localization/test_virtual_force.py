@@ -156,23 +156,6 @@ def test_robots_that_fit_are_not_turned():
     assert localize(silent, params).yaw is None
 
 
-@settings(deadline=None, max_examples=10)
-@given(scale=st.sampled_from([0.5, 2.0, 32.9]))
-def test_the_unit_of_length_does_not_matter(log, scale):
-    """A log in millimetres gives the same places, in millimetres."""
-    scaled = dataclasses.replace(
-        log,
-        dock_radius=log.dock_radius * scale,
-        dock_offset_body=log.dock_offset_body * scale,
-        anchor_position=log.anchor_position * scale,
-        flip_height=log.flip_height * scale,
-    )
-
-    estimate = localize(scaled, SHORT)
-
-    np.testing.assert_allclose(estimate.position / scale, localize(log, SHORT).position, atol=1e-6)
-
-
 def test_company_and_threads_do_not_change_a_byte(towers):
     """Alone, in a batch of mixed settings, on one thread and on two: the same bits."""
     logs = [observe(history, SensingParams()) for history in towers] * len(CUES)

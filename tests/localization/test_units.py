@@ -1,0 +1,87 @@
+"""No method holds a hidden length: logs in any unit give the same places in that unit."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiswarm.localization.params import (
+    BackPropagation,
+    JointParams,
+    LeastSquaresParams,
+    VirtualForceParams,
+)
+from tiswarm.localization.registry import localize
+from tiswarm.records.contradictions import contradictions
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import ClimbParams, TowerParams
+
+SHORT = VirtualForceParams(iterations=40)
+METHODS = [
+    dataclasses.replace(SHORT, back_propagation=BackPropagation(every=5, sweeps=12)),
+    JointParams(chains=2, steps=300, hold_steps=100),
+    LeastSquaresParams(start=SHORT, rounds=2),
+]
+UP = np.array([0.0, 0.0, 3.0])
+
+
+@pytest.fixture(scope="module")
+def log() -> SensingLog:
+    """What slender robots that climb without regard for loads sensed on a table, some of it wrong.
+
+    Their docks are twice as far from the center as wide.
+    """
+    climb = ClimbParams(patience=1, settle=True)
+    params = TowerParams(force_threshold=1e9, climb=climb)
+    history = grow(params, robots=12, seeds=[5000], robot=RobotGeometry(rho=2.0))[0]
+    noise = SensingParams(
+        tilt_noise_deg=1.0, yaw_noise_deg=2.0, spawn_noise=0.2, false_contacts=0.1
+    )
+    felt = observe(history, noise)
+    return dataclasses.replace(
+        felt,
+        ground_z=felt.ground_z + UP[2],
+        anchor_position=felt.anchor_position + UP,
+        flip_height=felt.flip_height + UP[2],
+        spawn_position=felt.spawn_position + UP,
+    )
+
+
+def _in_unit(log: SensingLog, scale: float) -> SensingLog:
+    """Say the same in a unit of which a dock radius has `scale`."""
+    return dataclasses.replace(
+        log,
+        dock_radius=scale * log.dock_radius,
+        dock_offset_body=scale * log.dock_offset_body,
+        anchor_position=scale * log.anchor_position,
+        ground_z=scale * log.ground_z,
+        flip_height=scale * log.flip_height,
+        spawn_position=scale * log.spawn_position,
+        noise=dataclasses.replace(log.noise, spawn=scale * log.noise.spawn),
+    )
+
+
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
+@settings(deadline=None, max_examples=4)
+@given(power=st.integers(-10, 10))
+def test_the_unit_of_length_does_not_matter(log, params, power):
+    """Places, their certainty and what is told of the log; bit for bit, as scales are exact."""
+    scale = 2.0**power
+    other = _in_unit(log, scale)
+
+    found, same = localize(log, params), localize(other, params)
+
+    assert same.position.tobytes() == (scale * found.position).tobytes()
+    assert same.trace.tobytes() == (scale * found.trace).tobytes()
+    assert same.residual.tobytes() == (scale * found.residual).tobytes()
+    assert same.certainty.known == found.certainty.known
+    assert same.certainty.floppy_modes == found.certainty.floppy_modes
+    if found.sd is not None:
+        assert same.sd.tobytes() == (scale * found.sd).tobytes()
+    lines = [contradiction.line for contradiction in contradictions(log)]
+    assert [contradiction.line for contradiction in contradictions(other)] == lines
