@@ -164,6 +164,9 @@ class LeastSquaresParams(CueParams):
     start: VirtualForceParams = VirtualForceParams()
     """How the positions to start from are found."""
 
+    solve_yaw: bool = True
+    """Solve for each robot's bias of yaw where the log states one; else yaw is taken as sensed."""
+
     contact_width: Width = 0.05
     """Width of the residual of a contact: the distance of its docks less D [R]."""
 
