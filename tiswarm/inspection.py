@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tiswarm.errors import InputError
 from tiswarm.records.certainty import Certainty, by_cue
 from tiswarm.records.contact_graph import contact_count, located
-from tiswarm.records.contradictions import contradictions
+from tiswarm.records.contradictions import HEADER_LINES, contradictions
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 
@@ -52,6 +53,17 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[
         yield f"{path}:{line}: contacts: {problem}"
     if len(impossible) > MOST_SHOWN:
         yield f"{path}: contacts: {len(impossible) - MOST_SHOWN} more such contradictions"
+
+
+def judged_wrong(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
+    """Say line by line which contacts a method did not believe."""
+    rows = estimate.doubted
+    name = log.robot_id.tolist()
+    flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
+    for robot, stance, own, other, dock in [] if rows is None else rows.tolist():
+        key = "contacts" if stance == flips[robot] else f"stances[{stance}].contacts"
+        told = f"robot {name[robot]}'s contact [{own}, {name[other]}, {dock}] is judged wrong"
+        yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {told}"
 
 
 def _left_open(known: Certainty) -> str:

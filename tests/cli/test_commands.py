@@ -173,6 +173,35 @@ def test_what_cannot_be_known_is_said_and_marked(tiswarm, small_run, tmp_path):
     assert marks[1] == "yes"
 
 
+def test_contacts_judged_wrong_are_listed_with_their_line(tiswarm, tmp_path):
+    """One planted in a log is named where it stands, and a run says how many were found."""
+    noise = ["sensing.tilt_noise_deg=1", "sensing.yaw_noise_deg=2", "sensing.false_contacts=0.1"]
+    joint = "localization={method: joint, chains: 2, steps: 600, hold_steps: 200}"
+    sets = [part for text in (*noise, joint, "robots=20", "seeds=1") for part in ("--set", text)]
+    settings = ("--set", "conditions={one: {}}", *sets, "--no-pictures", "--out", tmp_path)
+    done = tiswarm("run", "scenarios/tower.yaml", *settings)
+    assert done.returncode == 0, done.stderr
+    case = next(tmp_path.glob("*/cases/*"))
+    scores = json.loads((case / "case.json").read_text())["scores"]
+
+    chosen = ("--set", "chains=2", "--set", "steps=600", "--set", "hold_steps=200")
+    out = ("--out", tmp_path / "estimate.csv")
+    told = tiswarm("localize", case / "sensing.jsonl", "--method", "joint", *chosen, *out).stdout
+
+    found = re.findall(
+        r"jsonl:(\d+): (?:stances\[(\d+)\].)?contacts: robot (\d+)'s contact (.*) is judged", told
+    )
+    assert len(found) == scores["doubted_contacts"] > 0
+    assert scores["doubted_precision"] > 0.8
+    assert scores["wrong_contacts"] > 5
+    lines = [json.loads(line) for line in (case / "sensing.jsonl").read_text().splitlines()]
+    for line, stance, robot, contact in found:
+        entry = lines[int(line) - 1]
+        assert entry["robot"] == int(robot)
+        at = entry["stances"][int(stance)] if stance else entry
+        assert json.loads(contact) in at["contacts"]
+
+
 def test_schema_accepts_what_is_shipped_and_refuses_what_is_not(tiswarm):
     """The printed JSON Schema is one, and editors can check scenarios by it."""
     schema = json.loads(tiswarm("schema").stdout)

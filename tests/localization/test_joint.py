@@ -8,11 +8,13 @@ import pytest
 from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
+from tiswarm.evaluation.doubts import judgement
 from tiswarm.localization.joint import anneal, force_kernels
 from tiswarm.localization.joint.equations import equations
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.walks import felt_contacts
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -160,7 +162,24 @@ def test_wrong_contacts_are_given_up(towers):
         return sum(_rmse(e.position, h) for e, h in zip(estimates, towers, strict=True))
 
     assert total(robust) < 0.7 * total(trusting)
-    assert any("judged wrong" in note for e in robust for note in e.notes)
+    for log, history, estimate in zip(logs, towers, robust, strict=True):
+        judged = judgement(history, log, estimate, cues=params.cues)
+        true = _touched(history)
+        felt = [tuple(row) for row in felt_contacts(log, CUES).tolist()]
+        doubted = [tuple(row) for row in estimate.doubted.tolist()]
+        wrong = [row for row in felt if row not in true]
+        hits = [row for row in doubted if row in wrong]
+        assert set(doubted) <= set(felt)
+        assert judged["wrong_contacts"] == len(wrong) > 5
+        assert judged["doubted_precision"] == len(hits) / len(doubted) > 0.9
+        assert judged["doubted_recall"] == len(hits) / len(wrong) > 0.5
+
+
+def _touched(history):
+    """Every contact there truly was, as a log would tell it."""
+    return {
+        (robot, *row) for robot, walk in enumerate(history.walks) for row in walk.contacts.tolist()
+    }
 
 
 def test_a_bias_of_yaw_is_found(towers):

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
+from tiswarm.records.walks import felt_contacts
 from tiswarm.sensing import SensingParams, observe
 
 ALL = JointParams()
@@ -35,6 +36,8 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         gap = known.lengths(history.position, yaw) - log.spacing
         walked = np.exp(1j * yaw) * (known.walk @ [1.0, 1j])
         place = known.place - np.column_stack([walked.real, walked.imag, np.zeros(len(yaw))])
+        felt = {tuple(row) for row in felt_contacts(log, ALL.cues).tolist()}
+        assert {tuple(row) for row in known.felt.tolist()} <= felt
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel
         assert (known.precision > 0.0).all()

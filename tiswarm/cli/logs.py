@@ -28,7 +28,7 @@ def localize(
 ) -> None:
     """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
     from tiswarm.compute import backend
-    from tiswarm.inspection import doubts
+    from tiswarm.inspection import doubts, judged_wrong
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.records.tables import write_estimate
@@ -45,7 +45,7 @@ def localize(
     if not quiet:
         for line in doubts(sensed, log, filter(None, [estimate.certainty])):
             typer.echo(line)
-        for line in estimate.notes:
+        for line in [*judged_wrong(sensed, log, estimate), *estimate.notes]:
             typer.echo(line)
         typer.echo(
             f"{estimate.robot_count} robots, residual {estimate.residual[-1]:.2g} "

@@ -28,6 +28,10 @@ class Estimate:
     """Turn about the vertical to be added to each sensed orientation [rad], shape (N,); None where
     the method takes them as they are."""
 
+    doubted: NDArray[np.int64] | None = None
+    """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method
+    does not judge them."""
+
     notes: tuple[str, ...] = ()
     """What else the method has to say about the log, a line each."""
 

@@ -1,5 +1,7 @@
 """Where a robot's own flips say that it stood, seen from where it stands now."""
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,3 +34,21 @@ def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
     step = before[row, stances.pivot_dock] - after
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
     return walked[:-1] - walked[stances.start[1:]][owners(stances)]
+
+
+def felt_contacts(log: SensingLog, cues: Collection[str]) -> NDArray[np.int64]:
+    """Contacts of the final stances and of those before them, as far as cues make use of them.
+
+    Rows of (robot, its stance from the spawn on, own dock, other robot, its dock), shape (K, 5).
+    """
+    parts = []
+    if "contacts" in cues:
+        i, a, j, b = log.contacts.T.astype(np.int64)
+        last = np.zeros_like(j) if log.stances is None else np.diff(log.stances.start)[j]
+        parts.append(np.column_stack([j, last, b, i, a]))
+    if "walk_contacts" in cues and log.stances is not None:
+        stance = log.stances.contacts[:, 0]
+        robot = owners(log.stances)[stance]
+        place = stance - log.stances.start[robot]
+        parts.append(np.column_stack([robot, place, log.stances.contacts[:, 1:]]))
+    return np.concatenate([np.empty((0, 5), np.int64), *parts])

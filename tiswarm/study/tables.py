@@ -39,6 +39,8 @@ AVERAGED = (
     "height_R",
     "peak_stress",
     "floppy_modes",
+    "doubted_precision",
+    "doubted_recall",
     *ACCURACY,
 )
 

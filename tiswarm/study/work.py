@@ -13,6 +13,7 @@ from tiswarm.compute.backend import Backend
 from tiswarm.compute.choices import Arch, Precision
 from tiswarm.evaluation import growth
 from tiswarm.evaluation import tables as scores
+from tiswarm.evaluation.doubts import judgement
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
@@ -168,6 +169,7 @@ class _Bench:
             history.robot,
             cues=case.settings.localization.cues,
         )
+        scored |= judgement(history, log, estimate, cues=case.settings.localization.cues)
         return self.job.folder.store(
             _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),
             truth=truth,

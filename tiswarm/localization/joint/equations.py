@@ -36,6 +36,9 @@ class Equations:
     other: NDArray[np.int64]
     """Robot j that it touched, which joined earlier, shape (C,)."""
 
+    felt: NDArray[np.int64]
+    """The contacts themselves, as `felt_contacts` has them, shape (C, 5)."""
+
     shift: NDArray[np.float64]
     """c, shape (C, 3)."""
 
@@ -171,6 +174,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     return Equations(
         robot=robot,
         other=other,
+        felt=np.column_stack([robot, row - path.first[robot], own, other, dock]),
         shift=shift - its,
         lever=np.column_stack([shift[:, :2], its[:, :2]]),
         # The direction is unknown before the positions are: the mean over all directions.

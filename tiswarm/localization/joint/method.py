@@ -22,7 +22,7 @@ DISAGREEMENT = 0.35
 """Part of the square of what chains disagree by that `sd` counts. Where they cool too fast to find
 the same place they disagree by more than their mean is off; fitted on training structures."""
 MOST_NAMED = 8
-"""Robots or contacts that a note names."""
+"""Robots that a note names."""
 
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
@@ -69,10 +69,8 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
         located=located(log),
         sd=sd * log.dock_radius,
         yaw=yaw if known.yaw_precision else None,
-        notes=(
-            *_doubted(log, known, (missed[sound] > DOUBT**2).all(axis=0)),
-            *_ambiguous(log, np.sqrt(between.max(axis=0)), _rms(gap[sound])),
-        ),
+        doubted=known.felt[(missed[sound] > DOUBT**2).all(axis=0)],
+        notes=_ambiguous(log, np.sqrt(between.max(axis=0)), _rms(gap[sound])),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
@@ -85,28 +83,18 @@ def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
     return rms
 
 
-def _doubted(log: SensingLog, known: Equations, is_wrong: NDArray[np.bool_]) -> list[str]:
-    """Name contacts that no chain could agree with."""
-    if not is_wrong.any():
-        return []
-    name = log.robot_id.tolist()
-    rows = np.unique(np.column_stack([known.robot, known.other])[is_wrong], axis=0).tolist()
-    pairs = [f"{name[i]} with {name[j]}" for i, j in rows]
-    return [f"contacts judged wrong, of robot {_listed(pairs)}"]
-
-
 def _ambiguous(
     log: SensingLog, off: NDArray[np.float64], residual: NDArray[np.float64]
-) -> list[str]:
+) -> tuple[str, ...]:
     """Name robots that stand elsewhere in another solution about as good."""
     robots = np.flatnonzero(off > SPACING)
     if not len(robots):
-        return []
+        return ()
     names = _listed([str(log.robot_id[i]) for i in robots[np.argsort(-off[robots], kind="stable")]])
     low, high = residual.min() * log.dock_radius, residual.max() * log.dock_radius
     unit = log.length_unit
     found = f"solutions with residuals from {low:.3g} to {high:.3g} {unit}"
-    return [f"{found} differ by more than the width of a dock in the place of robot {names}"]
+    return (f"{found} differ by more than the width of a dock in the place of robot {names}",)
 
 
 def _listed(names: list[str]) -> str:
