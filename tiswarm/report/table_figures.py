@@ -35,6 +35,9 @@ MEASURES = {
 """By measure, what stands below its axis, and its published counterpart."""
 
 MOST_ROWS = 60
+MOST_COLUMNS = 4
+LEGEND_MARK, LEGEND_LETTER = 0.5, 0.055
+"""Width of an entry's marker with the space around it, and of a letter [inch]."""
 
 PROFILES = "profiles.csv"
 PROFILED = {
@@ -87,7 +90,9 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
         )  # fmt: skip
     if len(shown) > 1:
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=4)
+        width = LEGEND_MARK + LEGEND_LETTER * max(map(len, labels))
+        columns = max(1, min(MOST_COLUMNS, int(PAGE_WIDTH / width)))
+        figure.legend(handles, labels, loc="outside upper right", ncols=columns)
     left = len(set(points)) - len(shown)
     notes = [f"{left} more points are in table.csv" if left else "", note]
     add_note(figure, "; ".join(text for text in notes if text))
