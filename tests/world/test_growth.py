@@ -170,6 +170,31 @@ def test_every_kind_grows_soundly(kind):
     assert any(history.robot_count == 25 or history.crossed for history in histories)
 
 
+OUTWARD = {
+    "tower": lambda point: np.hypot(point[..., 0], point[..., 1]),
+    "cantilever": lambda point: -point[..., 0],
+    "bridge": lambda point: np.abs(point[..., 0] - 6.0) - 6.0,
+    "chain": lambda point: -point[..., 0],
+}
+"""How far out toward where robots start a point lies [R]; of a bridge, on the nearer side."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_robots_start_behind_all_that_stands(kind):
+    """From spawn_min to spawn_max behind the outermost robot on their side at that time."""
+    history = grow(KINDS[kind], robots=25, seeds=[4], robot=FIREANT)[0]
+    turns = [oracle.matrix(q) for q in history.orientation_wxyz]
+    arms = np.array([FIREANT.dock_offset_body @ turn.T for turn in turns])
+    docks = history.position[:, None] + arms
+
+    for j, walk in enumerate(history.walks):
+        start, standing = walk.center[0], docks[:j].reshape(-1, 3)
+        if kind == "bridge":
+            standing = standing[(standing[:, 0] > 6.0) == (start[0] > 6.0)]
+        rim = max(0.0, OUTWARD[kind](standing).max(initial=-1.0) + 1.0)
+        assert rim + 3.0 - 1e-9 <= OUTWARD[kind](start) <= rim + 10.0 + 1e-9
+
+
 def test_structures_at_an_edge_go_where_they_should(cantilevers, bridges, chains):
     """Out over the edge, across the gap, down from the edge."""
     for history in cantilevers:

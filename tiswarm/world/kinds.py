@@ -21,37 +21,51 @@ class Kind:
     goal: Callable[[Any, int], Array]
     """Where robots that come from a side want to be [R], shape (3,)."""
 
-    start: Callable[[Any, int, Array, Array], Array]
-    """Where on the ground a robot from a side starts [R], shape (2,), given the structure's
-    docks, shape (n, 3), and two random numbers in [0, 1)."""
+    rim: Callable[[Any, int, Array], float]
+    """How far docks, shape (n, 3), reach out toward where robots from a side start [R], at
+    least 0."""
+
+    start: Callable[[Any, int, float, Array], Array]
+    """Where on the ground a robot from a side starts [R], shape (2,), given how far the whole
+    structure reaches out there and two random numbers in [0, 1)."""
 
     sides: int = 1
     """Sides that robots come from, in turn; the first from each founds the structure there."""
 
 
-def _around(params: TowerParams, _side: int, docks: Array, draw: Array) -> Array:
-    """Anywhere around the disc about the z axis that holds the whole structure."""
-    rim = _greatest(np.hypot(docks[:, 0], docks[:, 1]))
+def _radius(_params: TowerParams, _side: int, docks: Array) -> float:
+    """Radius of the disc about the z axis that holds all docks."""
+    return _greatest(np.hypot(docks[:, 0], docks[:, 1]))
+
+
+def _around(params: TowerParams, _side: int, rim: float, draw: Array) -> Array:
+    """Anywhere around the disc that holds the whole structure."""
     angle = 2.0 * np.pi * draw[0]
     distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
     return distance * np.array([np.cos(angle), np.sin(angle)])
 
 
-def _behind(params: EdgeParams, _side: int, docks: Array, draw: Array) -> Array:
+def _back(_params: EdgeParams, _side: int, docks: Array) -> float:
+    """Distance from the edge at x = 0 to the farthest dock."""
+    return _greatest(-docks[:, 0])
+
+
+def _behind(params: EdgeParams, _side: int, rim: float, draw: Array) -> Array:
     """Behind the dock that is farthest from the edge at x = 0."""
-    back = _greatest(-docks[:, 0])
     y = params.spawn_width * (2.0 * draw[0] - 1.0)
-    back += params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
+    back = rim + (params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min))
     return np.array([-back, y])
 
 
-def _behind_either(params: BridgeParams, side: int, docks: Array, draw: Array) -> Array:
+def _back_on_either(params: BridgeParams, side: int, docks: Array) -> float:
+    """Distance from the edge on one side of the gap to the farthest dock there."""
+    return _back(params, side, docks) if side == 0 else _greatest(docks[:, 0] - params.gap)
+
+
+def _behind_either(params: BridgeParams, side: int, rim: float, draw: Array) -> Array:
     """Behind the farthest dock on one side of the gap, which is mirrored for the other."""
-    if side == 0:
-        return _behind(params, side, docks, draw)
-    mirrored = np.array([params.gap, 0.0, 0.0]) - docks * [1.0, -1.0, -1.0]
-    x, y = _behind(params, side, mirrored, draw)
-    return np.array([params.gap - x, y])
+    x, y = _behind(params, side, rim, draw)
+    return np.array([x if side == 0 else params.gap - x, y])
 
 
 def _greatest(distance: Array) -> float:
@@ -63,11 +77,13 @@ KINDS = {
     "tower": Kind(
         terrain=lambda _params: Terrain(),
         goal=lambda params, _side: np.array([0.0, 0.0, params.goal_height]),
+        rim=_radius,
         start=_around,
     ),
     "cantilever": Kind(
         terrain=lambda _params: Terrain(left_edge=0.0),
         goal=lambda params, _side: np.array([params.goal_reach, 0.0, params.goal_height]),
+        rim=_back,
         start=_behind,
     ),
     "bridge": Kind(
@@ -79,12 +95,14 @@ KINDS = {
                 EDGE_RADIUS,
             ]
         ),
+        rim=_back_on_either,
         start=_behind_either,
         sides=2,
     ),
     "chain": Kind(
         terrain=lambda _params: Terrain(left_edge=0.0),
         goal=lambda params, _side: np.array([EDGE_RADIUS, 0.0, -params.goal_depth]),
+        rim=_back,
         start=_behind,
     ),
 }

@@ -103,7 +103,7 @@ class Frame:
         self.arm: Array = np.empty((0, 3))
         self.ends: NDArray[np.intp] = np.empty((0, 2), np.intp)
         self.span: Array = np.empty((0, 3))
-        self.beams: Array = np.empty((0, 12, 12))
+        self.beams: list[Array] = []
         self.blocks = BlockMatrix()
         self.waiting: list[_Arrival] = []
 
@@ -153,7 +153,7 @@ class Frame:
         beams = stiffness(span, params.contact_axial, params.beam_radius, params.poisson)
         self.ends = np.concatenate([self.ends, ends])
         self.span = np.concatenate([self.span, span])
-        self.beams = np.concatenate([self.beams, beams])
+        self.beams.append(beams)
         if self.rigid:
             follow = self._follow(ends)
             beams = follow.swapaxes(1, 2) @ beams @ follow
@@ -186,7 +186,8 @@ class Frame:
         if self.rigid:
             both = self._follow(self.ends) @ both
         both[self.ends[:, 1] == GROUND, 6:] = 0.0
-        force = (self.beams @ both).reshape(-1, 2, 6)
+        self.beams = [np.concatenate(self.beams)]
+        force = (self.beams[0] @ both).reshape(-1, 2, 6)
         acting = weight.copy()
         for side in range(2):
             here = self.ends[:, side] != GROUND

@@ -33,6 +33,9 @@ class Site:
         self.kind = KINDS[params.kind]
         self.terrain = self.kind.terrain(params)
         self.frame = Frame(params.mechanics, robot.dock_offset_body)
+        self.rim = [0.0] * self.kind.sides
+        self.low_docks: Array = np.empty((0, 3))
+        self.surveyed = 0
         self.walks: list[Walk] = []
         self.strain: list[Strain] = []
         self.sides: list[int] = []
@@ -59,26 +62,39 @@ class Site:
         Returns:
             Center [R], orientation wxyz and goal [R]; None where every place was taken.
         """
+        self._survey(docks)
         index = self.spawned
         self.spawned += 1
         side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
         for trial in range(MAX_TRIES):
             draw = random.uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
-            x, y = self.kind.start(self.params, side, docks, draw[:2])
+            x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
             center = np.array([x, y, self.terrain.ground_z + self.robot.dock_radius])
-            if self._is_free(center, docks):
+            if self._is_free(center):
                 half = np.pi * draw[2]
                 orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
                 return center, orientation, self.kind.goal(self.params, side)
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
 
-    def _is_free(self, center: Array, docks: Array) -> bool:
-        """Whether a robot at `center` overlaps nothing, however it is turned."""
-        if len(docks) == 0:
-            return True
-        clearance = np.linalg.norm(docks - center, axis=1).min()
-        return bool(clearance > self.robot.rho + self.robot.spacing)
+    def _survey(self, docks: Array) -> None:
+        """Look at the docks that joined since the last spawn, for the next robots' places."""
+        new = docks[self.surveyed :]
+        self.surveyed = len(docks)
+        for side, rim in enumerate(self.rim):
+            self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
+        above = new[:, 2] - (self.terrain.ground_z + self.robot.dock_radius)
+        self.low_docks = np.concatenate([self.low_docks, new[np.abs(above) <= self._clearance]])
+
+    @property
+    def _clearance(self) -> float:
+        """Distance of docks from a robot's center that they cannot touch, however it is turned."""
+        return self.robot.rho + self.robot.spacing
+
+    def _is_free(self, center: Array) -> bool:
+        """Whether a robot at `center`, on the ground, overlaps nothing, however it is turned."""
+        distance = np.linalg.norm(self.low_docks - center, axis=1)
+        return bool(distance.min(initial=np.inf) > self._clearance)
 
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth where too many have."""
