@@ -1,0 +1,233 @@
+"""Times what parallel threads gain: the same work on more threads, and more work on more threads.
+
+    python -m benchmarks.threads                   # 1, 2, 4, ... threads, up to all of them
+    python -m benchmarks.threads --threads 1 2 --works growth virtual-force
+
+Speed-up is by how much the same work is done sooner than on one thread (strong scaling);
+efficiency is how much of that is left, and, of work in proportion to threads, how much of the
+rate of one thread each still has (weak scaling). Times are wall clock, least of the rounds.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from benchmarks.swarm_step.machine import describe
+from benchmarks.swarm_step.scenes import ROBOT, Law, make
+from tiswarm.compute import backend
+from tiswarm.engine.relax import prepare
+from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
+from tiswarm.localization.registry import METHODS
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.mechanics import MechanicsParams
+from tiswarm.world.params import TowerParams
+
+FIRST_SEED = 1000
+SMALL = 100
+"""Robots of a structure where many are computed side by side."""
+KEPT_LOGS = 16
+"""Different logs; where more are wanted, they come again."""
+STEPS = 25
+MARKERS = "osD^vPX"
+
+Task = Callable[[], object]
+
+
+class Work(NamedTuple):
+    """What is timed."""
+
+    prepare: Callable[[int], Task]
+    """Makes ready an amount of it; what comes back does it on the threads that then run."""
+
+    amount: int
+    """How much of it one thread gets."""
+
+    unit: str
+    """What is counted."""
+
+
+def _towers(seeds: int) -> Task:
+    return lambda: grow(
+        TowerParams(), robots=SMALL, seeds=range(FIRST_SEED, FIRST_SEED + seeds), robot=ROBOT
+    )
+
+
+def _large(robots: int) -> TowerParams:
+    """A tower as `scenarios/scaling.yaml` grows it."""
+    return TowerParams(
+        movers=max(1, robots // 100),
+        solve_every=max(1, robots // 50),
+        mechanics=MechanicsParams(model="rigid"),
+    )
+
+
+def _large_tower(robots: int) -> Task:
+    params = _large(robots)
+    return lambda: grow(params, robots=robots, seeds=[FIRST_SEED], robot=ROBOT)
+
+
+@cache
+def _logs(robots: int, count: int) -> list[SensingLog]:
+    params = TowerParams() if robots == SMALL else _large(robots)
+    seeds = range(FIRST_SEED, FIRST_SEED + count)
+    grown = grow(params, robots=robots, seeds=seeds, robot=ROBOT)
+    return [observe(history, SensingParams()) for history in grown]
+
+
+def _localize_many(params: LocalizationParams) -> Callable[[int], Task]:
+    def prepared(structures: int) -> Task:
+        logs = [_logs(SMALL, KEPT_LOGS)[n % KEPT_LOGS] for n in range(structures)]
+        return lambda: METHODS[params.method].localize_batch(logs, [params] * structures)
+
+    return prepared
+
+
+def _localize_one(params: LocalizationParams) -> Callable[[int], Task]:
+    def prepared(robots: int) -> Task:
+        log = _logs(robots, 1)
+        return lambda: METHODS[params.method].localize_batch(log, [params])
+
+    return prepared
+
+
+def _step(robots: int) -> Task:
+    scene, law, running = make("block", robots, seed=0), Law(), backend.current()
+    swarm = prepare(
+        scene.position, scene.orientation_wxyz, scene.contacts, robot=ROBOT, threads=running.threads
+    )
+    return lambda: swarm.relax(
+        attraction_gain=law.attraction_gain,
+        repulsion_gain=law.repulsion_gain,
+        ramp=law.ramp,
+        steps=STEPS,
+        max_step=law.max_step,
+    )
+
+
+JOINT = JointParams(chains=1)
+WORKS = {
+    "growth": Work(_towers, 8, "towers of 100"),
+    "growth of one tower": Work(_large_tower, 2_000, "robots"),
+    "virtual-force": Work(_localize_many(VirtualForceParams()), 128, "towers of 100"),
+    "virtual-force on one tower": Work(_localize_one(VirtualForceParams()), 2_000, "robots"),
+    "joint": Work(_localize_many(JOINT), 16, "towers of 100"),
+    "joint on one tower": Work(_localize_one(JOINT), 2_000, "robots"),
+    "swarm step": Work(_step, 100_000, "robots"),
+}
+
+
+def main() -> None:
+    """Measure, print and store a table, and draw it; what was measured before stays."""
+    options = _options()
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "machine.json").write_text(json.dumps(describe(), indent=1) + "\n")
+    file = options.out / "threads.csv"
+    for name in options.works:
+        new = pd.DataFrame(measure(name, options.threads, options.rounds, options.share))
+        old = pd.read_csv(file) if file.exists() else new.iloc[:0]
+        table = pd.concat([old[old["work"] != name], new])
+        table.to_csv(file, index=False, float_format="%.4g")
+        print(new.to_string(index=False, float_format="{:.3g}".format), "\n", flush=True)
+    draw(pd.read_csv(file), options.out / "threads.png")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    most = backend.available_threads()
+    usual = sorted({*(1 << k for k in range(most.bit_length())), most})
+    parser.add_argument("--threads", type=int, nargs="+", default=usual, metavar="T")
+    parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS))
+    parser.add_argument("--rounds", type=int, default=3, help="of which the least time is told")
+    parser.add_argument("--share", type=float, default=1.0, help="share of the usual work")
+    parser.add_argument("--out", type=Path, default=Path("reports/threads"))
+    return parser.parse_args()
+
+
+def measure(
+    name: str, threads: Sequence[int], rounds: int, share: float
+) -> list[dict[str, object]]:
+    """Time a work on each count of threads, of the same amount and of one in proportion."""
+    work = WORKS[name]
+    amount = max(1, round(share * work.amount))
+    counts = sorted({1, *threads})
+    # The same amount is what the most threads share, or one of them would have too little.
+    plans = {"strong": dict.fromkeys(counts, counts[-1] * amount)}
+    plans["weak"] = {count: count * amount for count in counts}
+    rows: list[dict[str, object]] = []
+    for scaling, amounts in plans.items():
+        wall_s = {count: _least_s(work, count, amounts[count], rounds) for count in counts}
+        for count in counts:
+            ratio = wall_s[1] / wall_s[count]
+            is_strong = scaling == "strong"
+            rows.append(
+                {
+                    "work": name,
+                    "scaling": scaling,
+                    "threads": count,
+                    "amount": amounts[count],
+                    "unit": work.unit,
+                    "wall_s": wall_s[count],
+                    "speed_up": ratio if is_strong else count * ratio,
+                    "efficiency": ratio / count if is_strong else ratio,
+                    "load": os.getloadavg()[0],
+                }
+            )
+    return rows
+
+
+def _least_s(work: Work, threads: int, amount: int, rounds: int) -> float:
+    """Least wall time of some rounds [s], once the kernels are there."""
+    backend.start(threads=threads)
+    task = work.prepare(amount)
+    backend.start(threads=threads)
+    task()
+    taken = []
+    for _ in range(rounds):
+        begun = time.perf_counter()
+        task()
+        taken.append(time.perf_counter() - begun)
+    return min(taken)
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """Draw speed-up of the same work, and efficiency of work in proportion to threads."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        figure = new_figure(PAGE_WIDTH, 2.9)
+        panels = figure.subplots(1, 2)
+        for axes, scaling, value in zip(
+            panels, ("strong", "weak"), ("speed_up", "efficiency"), strict=True
+        ):
+            rows = table[table["scaling"] == scaling]
+            for place, (name, part) in enumerate(rows.groupby("work", sort=False)):
+                axes.plot(
+                    part["threads"], part[value], f"{MARKERS[place]}-", color=PALETTE[place],
+                    markersize=3.5, label=name,
+                )  # fmt: skip
+            counts = sorted(set(rows["threads"]))
+            ideal = counts if scaling == "strong" else [1.0] * len(counts)
+            axes.plot(counts, ideal, "--", color="0.6", label="ideal")
+            axes.set(xscale="log", xlabel="Threads", ylim=(0.0, None))
+            axes.set_xticks(counts, list(map(str, counts)))
+            axes.minorticks_off()
+        panels[0].set(ylabel="Speed-up", title="The same work on more threads")
+        panels[1].set(ylabel="Efficiency", title="Work in proportion to threads")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
+        path.write_bytes(png(figure))
+
+
+if __name__ == "__main__":
+    main()
