@@ -9,6 +9,7 @@ import pytest
 from tests.cli.conftest import REPOSITORY
 from tiswarm import study
 from tiswarm.console import ConsoleWatcher
+from tiswarm.report.folder import choose_case, read_cases
 from tiswarm.report.scaling_figure import PANELS, draw_scaling
 from tiswarm.scenario import load_scenario
 
@@ -54,12 +55,14 @@ def test_scaling_tells_means_by_size(scaled):
 
 
 def test_exponents_are_slopes_on_logarithmic_axes(scaled):
-    """Each series has the least-squares slope of log mean over log N."""
+    """Each series has the least-squares slope of log mean over log N, and that of each step."""
     for _, part in pd.read_csv(scaled / "scaling.csv").groupby(["series", "measure"]):
         x, y = np.log(part["robots"]), np.log(part["mean"])
         slope = np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2)
 
         np.testing.assert_allclose(part["exponent"], slope, atol=1e-9)
+        steps = np.diff(y) / np.diff(x)
+        np.testing.assert_allclose(part["slope"], [np.nan, *steps], atol=1e-9)
 
 
 def test_the_manifest_adds_costs_up(scaled):
@@ -83,6 +86,13 @@ def test_the_figure_shows_every_series(scaled):
         assert set(drawn) == {"paper", "joint"}
         for name, values in drawn.items():
             np.testing.assert_allclose(values, table[measure, name])
+
+
+def test_the_largest_structure_is_shown(scaled):
+    """Renders are of the first case of the largest size."""
+    shown = choose_case(read_cases(scaled), None, scaled)
+
+    assert shown.name == f"0-robots={SIZES[-1]},paper"
 
 
 def test_a_plan_is_told_and_nothing_runs(tiswarm, tmp_path):

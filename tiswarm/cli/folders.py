@@ -32,7 +32,9 @@ def render(
     renderer: Annotated[
         str | None, typer.Option(help="open3d, open3d-raycast or taichi; the first that works.")
     ] = None,
-    case: Annotated[str | None, typer.Option(help="Case to draw; the first one.")] = None,
+    case: Annotated[
+        str | None, typer.Option(help="Case to draw; the first of the largest.")
+    ] = None,
     *,
     animate: Animate = False,
     movie: Movie = "gif",
@@ -72,7 +74,9 @@ def export(
     run: RunFolderPath,
     form: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write to; RUN/export.")] = None,
-    case: Annotated[str | None, typer.Option(help="Case to export; the first one.")] = None,
+    case: Annotated[
+        str | None, typer.Option(help="Case to export; the first of the largest.")
+    ] = None,
     *,
     quiet: Quiet = False,
 ) -> None:

@@ -27,7 +27,7 @@ Threads = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")]
 Pdf = Annotated[bool, typer.Option("--pdf", help="Draw figures as vector PDF too.")]
-Animate = Annotated[bool, typer.Option("--animate", help="Draw how the first structure grew.")]
+Animate = Annotated[bool, typer.Option("--animate", help="Draw how the largest structure grew.")]
 Movie = Annotated[Literal["gif", "mp4"], typer.Option(help="What --animate writes.")]
 
 

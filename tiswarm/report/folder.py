@@ -32,6 +32,9 @@ class Case:
     done: bool
     condition: str = ""
 
+    robots: int = 0
+    """Robots of its structure, if they are known."""
+
     @property
     def series(self) -> str:
         """What it shares with its other seeds: the condition and the values of the sweep."""
@@ -68,16 +71,17 @@ def read_cases(folder: Path) -> list[Case]:
                     folder=folder / "cases" / row["case"],
                     done=row["status"] == "done",
                     condition=row.get("condition") or "",
+                    robots=int(float(row.get("robots") or 0)),
                 )
                 for row in csv.DictReader(file)
             ]
-    except (OSError, KeyError, UnicodeError, csv.Error) as error:
+    except (OSError, KeyError, ValueError, csv.Error) as error:
         problem = "holds no summary of a run; name a folder that `tiswarm run` made"
         raise InputError(problem, path=folder) from error
 
 
 def choose_case(cases: list[Case], name: str | None, folder: Path) -> Case:
-    """Find a case that is done by its name; the first of them if None.
+    """Find a case that is done by its name; the first of those with most robots if None.
 
     Raises:
         InputError: there is none.
@@ -85,7 +89,7 @@ def choose_case(cases: list[Case], name: str | None, folder: Path) -> Case:
     done = [case for case in cases if case.done]
     found = done if name is None else [case for case in done if case.name == name]
     if found:
-        return found[0]
+        return max(found, key=lambda case: case.robots)
     if not done:
         msg = "no case of this run is done; there is nothing to show"
         raise InputError(msg, path=folder)

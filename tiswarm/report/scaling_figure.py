@@ -22,7 +22,7 @@ PANELS = {
     "localize_wall_s": "Localization, wall time [s]",
     "localize_peak_memory_MB": "Localization, peak memory [MB]",
 }
-COLUMNS = ["series", "measure", "robots", "mean", "exponent"]
+COLUMNS = ["series", "measure", "robots", "mean", "exponent", "slope"]
 MARKERS = "osD^vPX"
 THOUSAND = 1000
 
@@ -35,6 +35,8 @@ def has_scaling(folder: Path) -> bool:
 def draw_scaling(folder: Path, note: str) -> "Figure":
     """Draw means over structures against N on logarithmic axes; p is the exponent of N^p.
 
+    That of all sizes is followed by that of the two largest.
+
     Raises:
         InputError: where the table is damaged.
     """
@@ -45,14 +47,13 @@ def draw_scaling(folder: Path, note: str) -> "Figure":
         rows = table[table["measure"] == measure]
         for place, name in enumerate(names):
             part = rows[(rows["series"] == name) & (rows["mean"] > 0.0)]
-            power = part["exponent"].iloc[0] if len(part) else float("nan")
             axes.plot(
                 part["robots"],
                 part["mean"],
                 f"{MARKERS[place % len(MARKERS)]}-",
                 color=PALETTE[place % len(PALETTE)],
                 markersize=3.0,
-                label=name if pd.isna(power) else f"{name}: p = {power:.2f}",
+                label=name + _powers(part),
             )
         axes.set(xscale="log", xlabel="Robots N", ylabel=label)
         sizes = sorted(set(table["robots"]))
@@ -64,6 +65,13 @@ def draw_scaling(folder: Path, note: str) -> "Figure":
             axes.legend(fontsize=5.5, loc="best")
     add_note(figure, note)
     return figure
+
+
+def _powers(part: "pd.DataFrame") -> str:
+    """Exponents of a series as a label says them."""
+    if part.empty or pd.isna(part["exponent"].iloc[0]):
+        return ""
+    return f": p = {part['exponent'].iloc[0]:.2f}, {part['slope'].iloc[-1]:.2f} at the end"
 
 
 def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:

@@ -1,23 +1,24 @@
 """What a run will take, before it starts: an estimate from costs measured on other runs.
 
 Seconds are processor time on one core of a server of 2023 (measured by `cost.json` of structures
-of 100 to 10,000 robots, seeds from 1000 on); how well it is spread over cores differs by stage.
+of 100 to 100,000 robots); how well it is spread over cores differs by stage.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
+from tiswarm.scenario import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
 
 START_S = 4.0
 """Start of the program and its kernels."""
 
-CLIMB_S = 3e-3
+CLIMB_S = 1e-3
 """Growth of a robot, but for mechanics."""
 
-SOLVE_S = {"flexible": 4.8e-5, "rigid": 2.2e-5}
-"""Mechanics by model, for each robot squared where they are solved after every join."""
+SOLVE_S = {"flexible": (1e-3, 3e-5, 2.6e-8), "rigid": (1e-3, 2e-5, 7e-9)}
+"""A solve of the mechanics by model: once, for each robot, and for each robot squared."""
 
 VIRTUAL_FORCE_S = 1.3e-6
 """Localization by `virtual-force`, of a robot in an iteration."""
@@ -72,11 +73,7 @@ def forecast(cases: Sequence[Case]) -> Forecast:
     once = [group[0].settings for group in structures(cases)]
     robots = [case.settings.robots for case in cases]
     localize = [_localize_s(case.settings.localization) * case.settings.robots for case in cases]
-    grow = [
-        s.robots
-        * (CLIMB_S + SOLVE_S[s.structure.mechanics.model] * s.robots / s.structure.solve_every)
-        for s in once
-    ]
+    grow = [_grow_s(settings) for settings in once]
     at_once = max(min(sum(robots), ROBOTS_AT_ONCE), *robots, 0)
     return Forecast(
         cases=len(cases),
@@ -86,6 +83,14 @@ def forecast(cases: Sequence[Case]) -> Forecast:
         rest_s=START_S + REST_S * sum(robots),
         memory_mb=BASE_MB + ROBOT_MB * at_once,
     )
+
+
+def _grow_s(settings: Scenario) -> float:
+    """Growth of a structure [s]: its mechanics are solved as robots become more and more."""
+    n, structure = settings.robots, settings.structure
+    once, each, squared = SOLVE_S[structure.mechanics.model]
+    solve = once + each * n / 2.0 + squared * n**2 / 3.0
+    return CLIMB_S * n + solve * n / structure.solve_every
 
 
 def _localize_s(params: LocalizationParams) -> float:

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pandas as pd
 
 from tiswarm.evaluation.fits import exponent
@@ -19,6 +20,9 @@ def write_scaling(
     folder: RunFolder, cases: Sequence[Case], records: Mapping[str, CaseRecord]
 ) -> None:
     """Write accuracy, times and memory of each stage against N, and exponents p of N^p.
+
+    `exponent` is fitted to all sizes, `slope` is p from the size before alone: what a computation
+    always costs hides how it grows in the former.
 
     Growth counts once for each structure, whatever the number of its conditions. Memory is that of
     the whole batch a structure was computed in. Runs of one size have no such table.
@@ -50,11 +54,16 @@ def write_scaling(
     table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
     alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
     points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
-    parts = [
-        part.assign(exponent=exponent(part["robots"].to_numpy(float), part["mean"].to_numpy(float)))
-        for _, part in points.groupby(["series", "measure"], sort=False)
-    ]
-    write_table(pd.concat(parts) if parts else points.assign(exponent=math.nan), folder.path / FILE)
+    parts = [_with_powers(part) for _, part in points.groupby(["series", "measure"], sort=False)]
+    write_table(pd.concat(parts) if parts else _with_powers(points), folder.path / FILE)
+
+
+def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
+    """Add the columns `exponent` and `slope` to the means of one measure, by ascending N."""
+    robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
+    known = np.log(np.where(mean > 0.0, mean, math.nan))
+    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
+    return points.assign(exponent=exponent(robots, mean) if len(points) else math.nan, slope=slope)
 
 
 def _together(costs: Sequence[Cost]) -> Cost:

@@ -55,7 +55,7 @@ def render_run(
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
-    Of the first case that is done, unless `case` names one, which then is part of the file names;
+    Of the first case with most robots, unless `case` names one, then part of the file names too;
     by the best renderer that works, unless `renderer` names one.
 
     Raises:
