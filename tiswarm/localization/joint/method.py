@@ -21,6 +21,9 @@ DOUBT = 5.0
 DISAGREEMENT = 0.35
 """Part of the square of what chains disagree by that `sd` counts. Where they cool too fast to find
 the same place they disagree by more than their mean is off; fitted on training structures."""
+GIVEN_UP = 20.0
+"""Standard deviations that one contact counts for at most in that sum: enough that a chain which
+gave up a contact that others kept got stuck, not so many that the farthest decides."""
 MOST_NAMED = 8
 """Robots that a note names."""
 
@@ -55,7 +58,7 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: float) -> Estimate:
     gap = known.lengths(annealed.last, annealed.last_yaw) - SPACING
     missed = gap**2 / (known.variance + tolerance**2)
-    sums = np.minimum(missed, DOUBT**2).sum(axis=1)
+    sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
     mean = annealed.mean[sound]
     position = mean.mean(axis=0)
