@@ -47,6 +47,12 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
     """At small size each one finishes every case."""
     sizes = {
         "scaling": ["sweep={robots: [6, 7, 8]}"],
+        "large-swarm": [
+            "robots=1000",
+            "structure.movers=10",
+            "structure.solve_every=20",
+            "conditions.joint.localization.steps=200",
+        ],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])

@@ -79,4 +79,4 @@ def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
     positive = means[means > 0.0]
     if len(positive):
         low, high = np.log10(positive.min()), np.log10(positive.max())
-        axes.set(yscale="log", ylim=(10.0 ** np.floor(low), 10.0 ** (np.floor(high) + 1.0)))
+        axes.set(yscale="log", ylim=(10.0 ** np.floor(low), 10.0 ** (np.ceil(high) + 1.0)))

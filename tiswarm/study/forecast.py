@@ -32,8 +32,9 @@ LEAST_SQUARES_S = 0.01
 REST_S = 5e-4
 """Sensing, evaluating and storing a robot."""
 
-BASE_MB, ROBOT_MB = 270.0, 0.025
-"""Memory of the program, and of each robot that it holds."""
+BASE_MB, ROBOT_MB, SOLVE_MB = 270.0, 0.02, 3.5e-7
+"""Memory of the program, of each robot that it holds, and of the mechanics of the largest structure
+for each of its robots squared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +82,7 @@ def forecast(cases: Sequence[Case]) -> Forecast:
         grow_s=sum(grow),
         localize_s=sum(localize),
         rest_s=START_S + REST_S * sum(robots),
-        memory_mb=BASE_MB + ROBOT_MB * at_once,
+        memory_mb=BASE_MB + ROBOT_MB * at_once + SOLVE_MB * max(robots, default=0) ** 2,
     )
 
 
