@@ -22,8 +22,8 @@ SHIFTS = 3
 """Ways in which a robot moves without turning: x, y and z."""
 
 PROBES = 16
-MOST_UNKNOWNS = 90_000
-"""Matrices of more are not factored: too much memory."""
+MOST_UNKNOWNS = 400_000
+"""Matrices of more are not factored: too much memory. Those of 100,000 robots take some 1 GB."""
 
 
 class Ties(NamedTuple):
