@@ -1,7 +1,7 @@
 """What a run will take, before it starts: an estimate from costs measured on other runs.
 
-Seconds are processor time on one core of a server of 2023 (measured by `cost.json` of structures
-of 100 to 100,000 robots); how well it is spread over cores differs by stage.
+Seconds are processor time on one core of a server of 2023 (measured on structures of 100 to
+90,000 robots); how well it is spread over cores differs by stage.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ START_S = 4.0
 CLIMB_S = 1e-3
 """Growth of a robot, but for mechanics."""
 
-SOLVE_S = {"flexible": (1e-3, 3e-5, 2.6e-8), "rigid": (1e-3, 2e-5, 7e-9)}
+SOLVE_S = {"flexible": (1e-3, 3e-5, 2.6e-8), "rigid": (1e-3, 2e-5, 9e-9)}
 """A solve of the mechanics by model: once, for each robot, and for each robot squared."""
 
 VIRTUAL_FORCE_S = 1.3e-6
@@ -32,7 +32,7 @@ LEAST_SQUARES_S = 0.01
 REST_S = 5e-4
 """Sensing, evaluating and storing a robot."""
 
-BASE_MB, ROBOT_MB, SOLVE_MB = 270.0, 0.02, 3.5e-7
+BASE_MB, ROBOT_MB, SOLVE_MB = 270.0, 0.02, 3e-7
 """Memory of the program, of each robot that it holds, and of the mechanics of the largest structure
 for each of its robots squared."""
 
