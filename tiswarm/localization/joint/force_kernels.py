@@ -15,9 +15,10 @@ from tiswarm.compute.kernels import vector_at
 from tiswarm.localization.kernels import with_torque
 
 SPACING = 2.0
-MOST_STIFFNESS = 4.0
-"""Robots held more stiffly are given the mass to swing no faster."""
-MOST_TURN_STIFFNESS = 2.0
+MOST_STIFFNESS = 2.0
+"""Robots held more stiffly are given the mass to swing no faster. Two that hold each other swing at
+twice the square of that frequency, and steps longer than 2 over a frequency diverge."""
+MOST_TURN_STIFFNESS = 1.0
 """The same of turns; less, for a turn and a shift swing together."""
 FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""

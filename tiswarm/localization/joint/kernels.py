@@ -32,7 +32,7 @@ from tiswarm.localization.kernels import turn_dock
 
 SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
-STEP = 0.5
+STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
 MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
