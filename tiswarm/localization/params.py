@@ -214,7 +214,7 @@ class JointParams(CueParams):
     steps: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape."""
 
-    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
+    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
 
     start_tolerance: Annotated[float, Field(gt=0.0)] = 0.6
