@@ -5,7 +5,8 @@ import pytest
 
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute.rotations import dock_offsets
-from tiswarm.localization.least_squares import Pairs, Places, Problem, improve
+from tiswarm.localization.least_squares.method import improve
+from tiswarm.localization.least_squares.problem import Pairs, Places, Problem
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.certainty import certainty

@@ -1,32 +1,20 @@
-"""All robots at once by a general optimiser: the reference that other methods are held against.
+"""Weighted residuals of what a log says, with their derivatives by positions and yaw."""
 
-The sum of squares has many minima. From a poor start least squares ends in a poor one: robots
-on the wrong side of their contacts, held there by docks that may not overlap.
-"""
-
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiswarm.compute.rotations import dock_offsets
-from tiswarm.localization import virtual_force
 from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.records.contact_graph import located
-from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.walks import displacements, owners
 
 MARGIN = 1.0
 """Docks this much farther apart than D may come to overlap within a round [dock radius]."""
-
-SETTLED = 1e-6
-"""The rounds end when one lowers the cost by less than this part."""
 
 Integers = NDArray[np.integer]
 Reals = NDArray[np.float64]
@@ -61,75 +49,6 @@ class Places(NamedTuple):
 
     value: Reals
     width: Reals
-
-
-def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:
-    """Name what logs must share to be started in one launch."""
-    return virtual_force.batch_key(log, params.start)
-
-
-def localize_batch(
-    logs: Sequence[SensingLog], params: Sequence[LeastSquaresParams]
-) -> list[Estimate]:
-    """Localize structures one after the other, started side by side.
-
-    Args:
-        logs: One log a structure, all of one batch key with their settings.
-        params: Settings for each.
-
-    Returns:
-        One estimate a log. The residual is the root mean square of distance less D of the
-        docks in contact, in the log's unit.
-    """
-    starts = virtual_force.localize_batch(logs, [p.start for p in params])
-    return [
-        improve(log, p, start.position) for log, p, start in zip(logs, params, starts, strict=True)
-    ]
-
-
-def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estimate:
-    """Move robots from given positions until the weighted residuals are as small as they get.
-
-    Args:
-        log: What the swarm sensed.
-        params: Settings.
-        start: Positions to start from, in the log's unit, shape (N, 3).
-    """
-    bias = 0.0 if log.noise is None else np.radians(log.noise.yaw_bias_deg or 0.0)
-    yaw_sd = bias * params.solve_yaw
-    yaw: Reals = np.zeros(log.robot_count)
-    if yaw_sd:
-        start = improve(log, replace(params, solve_yaw=False), start).position
-    position: Reals = np.concatenate([log.anchor_position[None], start[1:]])
-    poses, iteration, cost = [(position, yaw)], [0], np.inf
-    touching, places = list(_touching(log, params)), list(_places(log, params))
-    for _ in range(params.rounds if log.robot_count > 1 else 0):
-        pairs = [*touching, *_close(log, params, position, yaw)]
-        problem = Problem(log, pairs, places, yaw_sd)
-        found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
-            problem.residuals,
-            problem.unknowns(position, yaw),
-            jac=problem.jacobian,
-            method="trf",
-            tr_solver="lsmr",
-            loss=params.loss,
-            max_nfev=params.evaluations,
-        )
-        position, yaw = problem.poses(found.x)
-        poses.append((position, yaw))
-        iteration.append(iteration[-1] + found.nfev)
-        if found.status > 0 and found.cost >= (1.0 - SETTLED) * cost:
-            break
-        cost = found.cost
-    return Estimate(
-        robot_id=log.robot_id,
-        position=position,
-        located=located(log),
-        yaw=yaw if yaw_sd else None,
-        iteration=np.array(iteration),
-        trace=np.array([frame for frame, _ in poses]),
-        residual=np.array([_stretch(log, *pose) for pose in poses]),
-    )
 
 
 class Problem:
@@ -241,7 +160,7 @@ def _swept(arm: Reals, yaw: Reals) -> Reals:
     return np.column_stack([-y, x, 0.0 * z])
 
 
-def _touching(log: SensingLog, params: LeastSquaresParams) -> Iterator[Pairs]:
+def touching(log: SensingLog, params: LeastSquaresParams) -> Iterator[Pairs]:
     """Docks that touch, or touched at an earlier stance."""
     offset = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
     width = params.contact_width * log.dock_radius
@@ -255,7 +174,7 @@ def _touching(log: SensingLog, params: LeastSquaresParams) -> Iterator[Pairs]:
         yield _pairs(i, owners(log.stances)[stance], offset[i, a], there, width)
 
 
-def _close(
+def close(
     log: SensingLog, params: LeastSquaresParams, position: Reals, yaw: Reals
 ) -> Iterator[Pairs]:
     """Docks that do not touch, of different robots, close enough to overlap soon."""
@@ -264,7 +183,7 @@ def _close(
     offset = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
     docks = offset.shape[1]
     reach = log.spacing + MARGIN * log.dock_radius
-    points = _docks(position, offset, yaw).reshape(-1, 3)
+    points = docks_at(position, offset, yaw).reshape(-1, 3)
     pair = cKDTree(points).query_pairs(reach, output_type="ndarray").astype(np.int64)
     pair = pair[pair[:, 0] // docks != pair[:, 1] // docks]
     pair = pair[np.lexsort(pair.T)]  # in an order that does not depend on the tree
@@ -276,7 +195,7 @@ def _close(
     yield _pairs(i, j, offset[i, a], offset[j, b], width, hinge=True)
 
 
-def _places(log: SensingLog, params: LeastSquaresParams) -> Iterator[Places]:
+def places_known(log: SensingLog, params: LeastSquaresParams) -> Iterator[Places]:
     """Coordinates that are known by the ground, by heights or by a whole walk."""
     height_width = params.height_width * log.dock_radius
     if "ground" in params.cues and log.ground_z is not None:
@@ -308,16 +227,8 @@ def _heights(j: Integers, height: Reals, width: float) -> Places:
     return Places(j, np.full(len(j), 2), np.zeros((len(j), 3)), height, np.full(len(j), width))
 
 
-def _docks(position: Reals, offset: Reals, yaw: Reals) -> Reals:
+def docks_at(position: Reals, offset: Reals, yaw: Reals) -> Reals:
     """All docks, shape (N, docks, 3)."""
     turned = _turned(offset.reshape(-1, 3), np.repeat(yaw, offset.shape[1]))
     docks: Reals = position[:, None] + turned.reshape(offset.shape)
     return docks
-
-
-def _stretch(log: SensingLog, position: Reals, yaw: Reals) -> float:
-    """Root mean square of distance less D of the docks in contact, in the log's unit."""
-    i, a, j, b = log.contacts.T
-    dock = _docks(position, dock_offsets(log.orientation_wxyz, log.dock_offset_body), yaw)
-    gap = np.linalg.norm(dock[j, b] - dock[i, a], axis=1) - log.spacing
-    return float(np.sqrt(np.mean(gap**2))) if len(gap) else 0.0
