@@ -1,8 +1,10 @@
 """The backend is the one asked for, or an error."""
 
+import gc
 import os
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 from tiswarm.compute import backend
 from tiswarm.compute.dialect import LIBRARY
 from tiswarm.compute.kernels import probe_arithmetic
+from tiswarm.compute.memory import Memory
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 
@@ -21,6 +24,23 @@ def test_a_missing_device_is_refused_not_replaced():
 
     with pytest.raises(EnvironmentTroubleError, match="use --arch cpu"):
         backend.start("metal")
+
+
+def test_arrays_that_nobody_can_reach_are_freed_before_a_new_start():
+    """Those that only garbage holds would later free whatever lies at their address then."""
+    backend.start(threads=1)
+    garbage = [Memory(backend.current(), on_host=False).reals(8)]
+    garbage.append(garbage)
+    array = weakref.ref(garbage[0])
+    gc.disable()
+
+    del garbage
+    try:
+        backend.start(threads=2)
+    finally:
+        gc.enable()
+
+    assert array() is None
 
 
 def test_a_start_that_failed_is_not_taken_for_running():

@@ -6,6 +6,7 @@ change of device.
 
 import atexit
 import contextlib
+import gc
 import io
 import os
 import shutil
@@ -93,6 +94,7 @@ def start(
     threadpool_limits(1, user_api="blas")
     cache = _cache_folder()
     _started = None  # a start that fails may leave nothing running
+    gc.collect()  # an array let go later is freed by its address, where another may lie by then
     _init(arch, count, precision, cache)
     started = Backend(
         arch=arch,
