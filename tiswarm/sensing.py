@@ -140,7 +140,8 @@ def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]
     felt = true.copy()
     felt[:, 4] = np.where(is_wrong, (felt[:, 4] + turned) % docks, felt[:, 4])
     felt = felt[draw("missed contact", 0) >= params.missed_contacts]
-    return np.unique(np.concatenate([felt, false]), axis=0)
+    rows: NDArray[np.int32] = np.unique(np.concatenate([felt, false]), axis=0)
+    return rows
 
 
 def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float64]:

@@ -19,7 +19,8 @@ def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> N
         estimate: Estimated centers [R], shape (N, 3).
         truth: True centers [R], shape (N, 3).
     """
-    return np.linalg.norm(estimate - truth, axis=1)
+    distance: NDArray[np.float64] = np.linalg.norm(estimate - truth, axis=1)
+    return distance
 
 
 def sse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -47,7 +48,8 @@ def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> ND
     (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
     yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
     turn = Rotation.from_euler("z", yaw)
-    return turn.apply(estimate - mean) + truth.mean(axis=0)
+    aligned: NDArray[np.float64] = turn.apply(estimate - mean) + truth.mean(axis=0)
+    return aligned
 
 
 def rigidly_aligned(
@@ -68,7 +70,8 @@ def rigidly_aligned(
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - mean)
-    return rotation.apply(estimate - mean) + truth.mean(axis=0)
+    aligned: NDArray[np.float64] = rotation.apply(estimate - mean) + truth.mean(axis=0)
+    return aligned
 
 
 def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:

@@ -32,7 +32,8 @@ def relative_errors(
         pairs: Two robots each, shape (P, 2).
     """
     off = estimate - truth
-    return np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
+    distance: NDArray[np.float64] = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
+    return distance
 
 
 def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:

@@ -101,7 +101,8 @@ class Localizer:
         self._height[n] = np.nan if line.flip_height is None else line.flip_height / self._unit
         self._place(np.array(felt.contacts, np.int32).reshape(-1, 3))
         self._count += 1
-        return self._position[n].astype(np.float64) * self._unit
+        position: NDArray[np.float64] = self._position[n].astype(np.float64) * self._unit
+        return position
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""

@@ -99,7 +99,8 @@ def _fixed_part(log: SensingLog) -> NDArray[np.float64]:
     """From the earlier robot's center to that of the sphere of the later one's, shape (C, 3)."""
     offset = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
     i, a, j, b = log.contacts.T
-    return offset[i, a] - offset[j, b]
+    apart: NDArray[np.float64] = offset[i, a] - offset[j, b]
+    return apart
 
 
 def _told(log: SensingLog, rows: list[int]) -> str:

@@ -33,7 +33,8 @@ def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
     )
     step = before[row, stances.pivot_dock] - after
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    return walked[:-1] - walked[stances.start[1:]][owners(stances)]
+    moved: NDArray[np.float64] = walked[:-1] - walked[stances.start[1:]][owners(stances)]
+    return moved
 
 
 def felt_contacts(log: SensingLog, cues: Collection[str]) -> NDArray[np.int64]:

@@ -170,7 +170,8 @@ def _errors_at(cases: list[Case], column: str) -> Array:
         values = read_columns(case.folder / "robots.csv", [column, "error_R"])
         tables.append(np.column_stack([values, np.arange(len(values))]))
     table = np.concatenate(tables)
-    return table[np.isfinite(table).all(axis=1)]
+    finite: Array = table[np.isfinite(table).all(axis=1)]
+    return finite
 
 
 def _scatter(panels: "list[Axes]", tables: list[Array]) -> None:

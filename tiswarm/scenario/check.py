@@ -73,4 +73,5 @@ def _allowed(path: tuple[Part, ...]) -> tuple[str, ...]:
 def _definition(section: Plain) -> Plain:
     sorts = [section, *section.get("anyOf", ())]  # a section that may be null is one of two
     name = next((sort["$ref"] for sort in sorts if "$ref" in sort), "").rpartition("/")[2]
-    return scenario_schema()["$defs"].get(name, section)
+    found: Plain = scenario_schema()["$defs"].get(name, section)
+    return found

@@ -142,7 +142,8 @@ ADAPTER = TypeAdapter(Scenario)
 
 def plain(scenario: Scenario) -> Plain:
     """Turn a scenario into plain data, every default written out."""
-    return ADAPTER.dump_python(scenario, mode="json")
+    document: Plain = ADAPTER.dump_python(scenario, mode="json")
+    return document
 
 
 class _Dumper(yaml.SafeDumper):

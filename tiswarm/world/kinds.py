@@ -42,7 +42,8 @@ def _around(params: TowerParams, _side: int, rim: float, draw: Array) -> Array:
     """Anywhere around the disc that holds the whole structure."""
     angle = 2.0 * np.pi * draw[0]
     distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
-    return distance * np.array([np.cos(angle), np.sin(angle)])
+    place: Array = distance * np.array([np.cos(angle), np.sin(angle)])
+    return place
 
 
 def _back(_params: EdgeParams, _side: int, docks: Array) -> float:

@@ -124,7 +124,8 @@ class Frame:
     def joints(self) -> NDArray[np.intp]:
         """Docks that touch, rows of (dock, dock), shape (C, 2)."""
         self._admit()
-        return self.ends[self.ends[:, 1] != GROUND]
+        inner: NDArray[np.intp] = self.ends[self.ends[:, 1] != GROUND]
+        return inner
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""
@@ -239,7 +240,8 @@ class Frame:
         moment = acting[:, 3:]
         bending = moment - np.sum(moment * link, axis=1, keepdims=True) * link
         felt = axial + np.linalg.norm(bending, axis=1)
-        return felt.reshape(-1, len(self.body)).mean(axis=1)
+        mean: Array = felt.reshape(-1, len(self.body)).mean(axis=1)
+        return mean
 
 
 def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array:

@@ -58,7 +58,8 @@ class Terrain:
             EDGE_RADIUS + radius - np.hypot(point[:, 0] - x, point[:, 2] - self._spine_z)
             for x in self._spine_x(point)
         ]
-        return np.max(depths, axis=0)
+        depth: Array = np.max(depths, axis=0)
+        return depth
 
     @property
     def _spine_z(self) -> float:
@@ -74,4 +75,5 @@ class Terrain:
     def _foot(self, point: Array, spine_x: Array) -> Array:
         spine = np.column_stack([spine_x, point[:, 1], np.full(len(point), self._spine_z)])
         out = point - spine
-        return spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
+        nearest: Array = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
+        return nearest

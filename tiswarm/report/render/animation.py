@@ -63,7 +63,10 @@ def animate_run(
 
 def _joins(robots: int) -> list[int]:
     """How many robots are there in each frame, ascending to all of them."""
-    return np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
+    counts: list[int] = (
+        np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
+    )
+    return counts
 
 
 def _scenes(subject: Subject, joined: Sequence[int]) -> list[Scene]:

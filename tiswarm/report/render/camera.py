@@ -54,7 +54,8 @@ class Camera:
         middle = np.array([self.width, self.height], dtype=np.float32) / 2
         slope = (pixels - middle) / np.float32(self.pixels_per_slope)
         right, up, forward = (self.axes * [[1.0], [-1.0], [1.0]]).astype(np.float32)
-        return slope[:, :1] * right + slope[:, 1:] * up + forward
+        rays: Array32 = slope[:, :1] * right + slope[:, 1:] * up + forward
+        return rays
 
     def project(self, points: Array) -> Array:
         """Turn world points to right, up and forward parts as the eye sees them, shape (n, 3)."""

@@ -61,9 +61,11 @@ def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, NDArray[n
 
 
 def _dot(a: Array32, b: Array32) -> Array32:
-    return np.einsum("ij,ij->i", a, b)
+    products: Array32 = np.einsum("ij,ij->i", a, b)
+    return products
 
 
 def _unit(vectors: Array32) -> Array32:
     length = np.sqrt(np.maximum(_dot(vectors, vectors), np.float32(1e-12)))
-    return (vectors / length[:, None]).astype(np.float32)
+    units: Array32 = (vectors / length[:, None]).astype(np.float32)
+    return units
