@@ -80,12 +80,11 @@ def certainty(
         position = spread * random.normal(0, "anywhere", robot, np.arange(3))
     bodies = weld(equations(position, log, counting, turning=turning))
     tied = equations(position, log, [cue for cue in counting if cue in TYING])
-    bias = np.radians(0.0 if log.noise is None else log.noise.yaw_bias_deg or 0.0)
     return Certainty(
         cues=counting,
         turning=turning,
         unknowns=bodies.ways * (log.robot_count - 1),
-        swing=float(bias / np.sqrt(log.robot_count)) if bodies.swings else None,
+        swing=float(log.yaw_bias / np.sqrt(log.robot_count)) if bodies.swings else None,
         floppy_modes=floppy_modes(bodies),
         loose=loose(bodies),
         apart=_apart(tied),
@@ -106,7 +105,7 @@ def by_cue(log: SensingLog) -> Iterator[Certainty]:
         "odometry": stances is not None and bool(np.isfinite(log.spawn_position).any()),
     }
     cues = [cue for cue, there in has.items() if there]
-    turning = bool(log.noise and log.noise.yaw_bias_deg)
+    turning = log.yaw_bias > 0.0
     for count in range(1, len(cues) + 1):
         yield certainty(log, cues[:count], turning=turning)
     if turning:

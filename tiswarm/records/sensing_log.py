@@ -1,5 +1,6 @@
 """What the swarm sensed while it grew: the localizer's whole world."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,6 +120,11 @@ class SensingLog:
     def spacing(self) -> float:
         """D: distance between the centers of two docks that touch."""
         return 2.0 * self.dock_radius
+
+    @property
+    def yaw_bias(self) -> float:
+        """Standard deviation of the robots' biases of yaw [rad]; 0 where the log states none."""
+        return math.radians((self.noise and self.noise.yaw_bias_deg) or 0.0)
 
 
 def canonical_contacts(contacts: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -61,8 +61,7 @@ def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estima
         params: Settings.
         start: Positions to start from, in the log's unit, shape (N, 3).
     """
-    bias = 0.0 if log.noise is None else np.radians(log.noise.yaw_bias_deg or 0.0)
-    yaw_sd = bias * params.solve_yaw
+    yaw_sd = log.yaw_bias * params.solve_yaw
     yaw: Reals = np.zeros(log.robot_count)
     if yaw_sd:
         start = improve(log, replace(params, solve_yaw=False), start).position
