@@ -220,7 +220,7 @@ class JointParams(CueParams):
     start_tolerance: Annotated[float, Field(gt=0.0)] = 0.6
     """How far equations may be missed, as a standard deviation, when annealing begins [R]."""
 
-    end_tolerance: Annotated[float, Field(gt=0.0)] = 0.045
+    end_tolerance: Annotated[float, Field(gt=0.0)] = 0.025
     """The same when it ends [R]."""
 
     contact_sd: Annotated[float, Field(gt=0.0)] = 0.006

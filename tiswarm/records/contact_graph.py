@@ -1,5 +1,7 @@
 """Who touches whom: robots are the nodes, contacts the edges."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -41,8 +43,11 @@ def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
     return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
 
 
+def touching(pair: NDArray[np.integer[Any]], robots: int) -> coo_matrix:
+    """Make a graph of pairs of robots (n, 2), each pair at its two numbers, shape (N, N)."""
+    ones = np.ones(len(pair), dtype=np.int8)
+    return coo_matrix((ones, (pair[:, 0], pair[:, 1])), shape=(robots, robots))
+
+
 def _graph(log: SensingLog) -> coo_matrix:
-    """Robots that touch, each pair at its two numbers, shape (N, N)."""
-    i, j = log.contacts[:, 0], log.contacts[:, 2]
-    size = log.robot_count
-    return coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(size, size))
+    return touching(log.contacts[:, [0, 2]], log.robot_count)

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from tiswarm.compute import backend, random
 from tiswarm.compute.dialect import GRAIN, DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets
+from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
 from tiswarm.localization.joint.kernels import SKIN, note_places, take_steps
@@ -86,11 +85,11 @@ class Swarm:
         """
         running = backend.current()
         self.memory = memory = Memory(running, on_host=False)
-        self.anchor = np.array([g.anchor_position / g.dock_radius for g in logs])
         self.chains = params[0].chains
         self.schedule = params[0]
         self.size = [log.robot_count for log in logs]
         self.start = np.cumsum([0, *self.size])
+        trees = [branches(np.column_stack([e.robot, e.other]), len(e.place)) for e in known]
         copies, blocks = self.chains * self.start[-1], self.chains * len(logs)
         if by_block is None:
             # The fewer copies the busiest thread has, the better.
@@ -99,7 +98,7 @@ class Swarm:
             by_block = running.arch == "cpu" and bool(busiest <= shared)
         self.by_block = by_block
         self.order = np.concatenate(
-            [a + _near_in_memory(e) for e, a in zip(known, self.start[:-1], strict=True)]
+            [a + t.order for t, a in zip(trees, self.start[:-1], strict=True)]
         )
         self.turning = any(e.yaw_precision for e in known)
         first_of_block = np.cumsum([0, *self.size * self.chains])
@@ -128,7 +127,6 @@ class Swarm:
             for values in (
                 self.tolerance,
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
-                _of_anchors(known)[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
                 *_by_robot(known, self.start, np.argsort(self.order)),
@@ -138,10 +136,13 @@ class Swarm:
                 np.repeat([e.yaw_precision for e in known], self.size),
             )
         ]
+        branch, tree, first_branch = tables(known, trees, self.chains)
+        shifts = [memory.reals(self.chains * len(tree), columns) for columns in (4, 3, 3)]
+        self.branches = [*(memory.upload(table) for table in (branch, tree, first_branch)), *shifts]
         self.position = memory.upload(first.reshape(-1, 3))
         self.velocity, self.force, self.total = (memory.reals(copies, 3) for _ in range(3))
         self.mass, self.square_total = memory.reals(copies), memory.reals(copies)
-        for array in (self.velocity, self.force, self.total, self.square_total):
+        for array in (self.velocity, self.force, self.total, self.square_total, *shifts):
             array.fill(0.0)
         self.mass.fill(1.0)
         self.arm = memory.upload(np.tile(arm, (self.chains, 1, 1)))
@@ -159,11 +160,7 @@ class Swarm:
         trace = []
         for frame in frames.tolist():
             self.advance(frame)
-            landed = self.landed()
-            trace.append(landed[0])
-            if frame == self.schedule.steps:
-                self.memory.refill(self.position, landed[:, self.order].reshape(-1, 3))
-                self.stale.fill(1)
+            trace.append(self.by_robot(self.position)[0])
         last = self.by_robot(self.position)
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
             raise backend.faulty_driver()
@@ -195,22 +192,15 @@ class Swarm:
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
                 rows.capacity, rows.cutoff, self.schedule.seed, until, self.schedule.steps,
-                *self.equations, rows.table, rows.begin, rows.sorted_dock, rows.sorted_at,
-                rows.contact_start, rows.contact, rows.row, rows.row_first, rows.row_count,
-                rows.longest, self.arm, self.first_of_block, self.taken, self.stale, self.listed,
-                self.position, self.velocity, self.force, self.mass, self.heading, self.total,
-                self.square_total,
+                *self.equations, *self.branches, rows.table, rows.begin, rows.sorted_dock,
+                rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
+                rows.row_count, rows.longest, self.arm, self.first_of_block, self.taken, self.stale,
+                self.listed, self.position, self.velocity, self.force, self.mass, self.heading,
+                self.total, self.square_total,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 self.stale.fill(1)
-
-    def landed(self) -> NDArray[np.float64]:
-        """Where robots are once each structure is moved so far that its anchor is where it is."""
-        position = self.by_robot(self.position)
-        drift = position[:, self.start[:-1]] - self.anchor
-        landed: NDArray[np.float64] = position - np.repeat(drift, self.size, axis=1)
-        return landed
 
     def _tolerances(self) -> NDArray[np.float64]:
         """Tolerance of each step, shape (T,)."""
@@ -222,14 +212,6 @@ class Swarm:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
         value: NDArray[np.float64] = array.to_numpy().astype(np.float64)
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
-
-
-def _near_in_memory(known: Equations) -> NDArray[np.intp]:
-    """Order robots so that those in contact stand close, for the sake of caches, shape (N,)."""
-    robots = len(known.place)
-    touching = coo_array((np.ones(len(known.robot)), (known.robot, known.other)), (robots,) * 2)
-    both = (touching + touching.T).tocsr()
-    return reverse_cuthill_mckee(both, symmetric_mode=True).astype(np.intp)
 
 
 def _by_robot(
@@ -260,14 +242,11 @@ def _by_robot(
     )
 
 
-def _of_anchors(known: Sequence[Equations]) -> NDArray[np.int64]:
-    """Axes along which each robot floats, 0 for all but anchors, shape (N, 3)."""
-    floating = [np.outer(np.arange(len(e.place)) == 0, e.floating) for e in known]
-    return np.concatenate(floating).astype(np.int64)
-
-
 def _first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArray[np.float64]:
     """Put each robot where its contacts with earlier ones meet, give or take a dock radius.
+
+    Which way a dock lies from the one it touches is not sensed. Robots are taken to stand across
+    from each other there, for else thousands of them would begin in a heap.
 
     Returns:
         Positions, another one for each chain, shape (chains, N, 3).
@@ -278,12 +257,14 @@ def _first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDAr
     order = np.argsort(known.robot, kind="stable")
     rows = np.split(order, np.searchsorted(known.robot[order], robot[1:]))
     anchor = log.anchor_position / log.dock_radius
+    length = np.maximum(np.linalg.norm(known.shift, axis=1), SPACING)
+    across = known.shift * (1.0 + SPACING * known.is_final / length)[:, None]
     is_known = known.precision > 0.0
     place = known.place - np.pad(known.walk, ((0, 0), (0, 1)))
     guess[:, 0] = anchor
     for i in range(1, log.robot_count):
         mine = rows[i]
-        met = guess[:, known.other[mine]] - known.shift[mine] if len(mine) else anchor[None, None]
+        met = guess[:, known.other[mine]] - across[mine] if len(mine) else anchor[None, None]
         guess[:, i] += met.mean(axis=1)
         guess[:, i, is_known[i]] = place[i, is_known[i]]
     return guess

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.params import JointParams
+from tiswarm.records.contact_graph import touching
 from tiswarm.records.contradictions import ASSUMED
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.records.walks import displacements, owners
@@ -61,9 +61,8 @@ class Equations:
     """Part of x and y of `place` that is the robot's own walk, to be turned back by the yaw that it
     has been turned; added to `place` here, shape (N, 2)."""
 
-    floating: NDArray[np.bool_]
-    """Axes along which nothing but contacts with the anchor tells where robots are: all of them
-    moved alike, the anchor too, would stretch nothing. Shape (3,)."""
+    unplaced: NDArray[np.bool_]
+    """Axes along which nothing but contacts tells where robots are, shape (3,)."""
 
     yaw_precision: float
     """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
@@ -162,7 +161,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     robot = path.owner[row]
     place, precision, walk = _places(log, path, params)
     walk *= is_solved
-    floating: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
+    unplaced: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
     loose = _untied(robot, other, is_placed)[:, None] & (precision == 0.0)
@@ -183,7 +182,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         place=place + np.pad(walk, ((0, 0), (0, 1))),
         precision=precision,
         walk=walk,
-        floating=floating,
+        unplaced=unplaced,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
 
@@ -192,7 +191,7 @@ def _untied(
     robot: NDArray[np.int64], other: NDArray[np.int64], is_placed: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Whether no chain of contacts leads from each robot to one whose place is known."""
-    graph = coo_array((np.ones(len(robot)), (robot, other)), shape=(len(is_placed),) * 2)
+    graph = touching(np.column_stack([robot, other]), len(is_placed))
     _, part = connected_components(graph, directed=False)
     return ~np.isin(part, part[is_placed])
 

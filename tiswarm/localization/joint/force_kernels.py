@@ -10,15 +10,17 @@ its orientations say, its docks and its whole walk, is turned about the vertical
 center.
 """
 
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.dialect import Ref, ti
 from tiswarm.compute.kernels import vector_at
 from tiswarm.localization.kernels import with_torque
 
 SPACING = 2.0
-MOST_STIFFNESS = 2.0
-"""Robots held more stiffly are given the mass to swing no faster. Two that hold each other swing at
-twice the square of that frequency, and steps longer than 2 over a frequency diverge."""
-MOST_TURN_STIFFNESS = 1.0
+MOST_STIFFNESS = 1.2
+"""Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
+moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4
+times steps diverge, and from 3 on, a third of a turn a step, docks that pass through each other
+gain energy at every pass."""
+MOST_TURN_STIFFNESS = 0.25
 """The same of turns; less, for a turn and a shift swing together."""
 FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
@@ -30,7 +32,7 @@ COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
 
 
 @ti.func
-def turned(x, y, heading: ti.template(), r):
+def turned(x, y, heading: Ref, r):
     """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
     c, s = heading[r, COS], heading[r, SIN]
     return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
@@ -38,22 +40,9 @@ def turned(x, y, heading: ti.template(), r):
 
 @ti.func
 def pull_of_contacts(
-    square,
-    solid,
-    robust,
-    turning: ti.template(),
-    turns,
-    robot,
-    base,
-    contact_start: ti.template(),
-    partner: ti.template(),
-    touching: ti.template(),
-    shift: ti.template(),
-    lever: ti.template(),
-    variance: ti.template(),
-    position: ti.template(),
-    heading: ti.template(),
-):
+    square, solid, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
+    partner: Ref, touching: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref, heading: Ref,
+):  # fmt: skip
     """Sum of the forces of a robot's contacts with its torque, of their stiffness and its inertia.
 
     With r the residual, w = s^2 + v and c^2 = 1 / `robust`, each has the energy of Cauchy's loss,
@@ -87,15 +76,8 @@ def pull_of_contacts(
 
 @ti.func
 def push_of_overlaps(
-    grid: ti.template(),
-    docks: ti.template(),
-    r,
-    first,
-    entries,
-    arm: ti.template(),
-    row: ti.template(),
-    position: ti.template(),
-):
+    grid: Ref, docks: ti.template(), r, first, entries, arm: Ref, row: Ref, position: Ref,
+):  # fmt: skip
     """Likewise of docks that overlap; summed as whole numbers, so in whatever order a row is."""
     here = vector_at(position, r)
     own = ti.Matrix([[arm[r, k, c] for c in range(3)] for k in range(docks)])
@@ -121,32 +103,11 @@ def push_of_overlaps(
 
 @ti.func
 def pull_robot(
-    grid: ti.template(),
-    docks: ti.template(),
-    turning: ti.template(),
-    r,
-    tolerance,
-    non_overlap: ti.template(),
-    robust: ti.template(),
-    contact_start: ti.template(),
-    partner: ti.template(),
-    touching: ti.template(),
-    shift: ti.template(),
-    lever: ti.template(),
-    variance: ti.template(),
-    place: ti.template(),
-    precision: ti.template(),
-    walk: ti.template(),
-    yaw_precision: ti.template(),
-    arm: ti.template(),
-    row: ti.template(),
-    row_first: ti.template(),
-    row_count: ti.template(),
-    position: ti.template(),
-    force: ti.template(),
-    mass: ti.template(),
-    heading: ti.template(),
-):
+    grid: Ref, docks: ti.template(), turning: ti.template(), r, tolerance, non_overlap: Ref,
+    robust: Ref, contact_start: Ref, partner: Ref, touching: Ref, shift: Ref, lever: Ref,
+    variance: Ref, place: Ref, precision: Ref, walk: Ref, yaw_precision: Ref, arm: Ref, row: Ref,
+    row_first: Ref, row_count: Ref, position: Ref, force: Ref, mass: Ref, heading: Ref,
+):  # fmt: skip
     """Write the force on a robot and the mass that it needs, and both for its turn if it turns."""
     square = tolerance * tolerance
     i = r % non_overlap.shape[0]

@@ -1,8 +1,8 @@
-"""Steps of Langevin dynamics of every robot of every chain.
+"""Steps of every robot of every chain.
 
 The swarm is C copies, one a chain, of N robots: those of all structures, end to end; the copies
-of one structure in one chain are a block. Forces, masses and temperatures are those of
-`tiswarm.localization.joint.force_kernels`. Lengths in R.
+of one structure in one chain are a block. The branches of all structures are T. Forces and masses
+are those of `joint.force_kernels`, motions those of `joint.motion_kernels`. Lengths in R.
 """
 
 from tiswarm.compute.dialect import (
@@ -17,110 +17,11 @@ from tiswarm.compute.dialect import (
     ti,
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import list_structure
-from tiswarm.compute.random import mixed
-from tiswarm.localization.joint.force_kernels import (
-    COS,
-    INERTIA,
-    SIN,
-    SPIN,
-    TORQUE,
-    TOTAL,
-    YAW,
-    pull_robot,
-)
-from tiswarm.localization.kernels import turn_dock
+from tiswarm.localization.joint.force_kernels import pull_robot
+from tiswarm.localization.joint.motion_kernels import move_branches, move_robot
 
 SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
-STEP = 1.0
-"""Time step, where a robot held by one equation swings in 2 pi."""
-MEMORY = 0.985
-"""What friction leaves of a velocity in one step."""
-
-
-@ti.func
-def kick_of(seed, chain, number, t):
-    """Three numbers of mean 0 and variance 1, a hash of seed, chain, robot and step."""
-    key = mixed(mixed(ti.cast(seed, ti.u64)) ^ ti.cast(chain, ti.u64))
-    key = mixed(mixed(key ^ ti.cast(number, ti.u64)) ^ ti.cast(t, ti.u64))
-    spread = 3.4641016151377544  # of a uniform number: the square root of 12
-    kick = ti.Vector([0.0, 0.0, 0.0])
-    for axis in ti.static(range(3)):
-        bits = (key >> ti.u64(10 * axis)) & ti.u64(1023)
-        kick[axis] = spread * ((ti.cast(bits, float) + 0.5) / 1024.0 - 0.5)
-    return kick
-
-
-@ti.func
-def turn_robot(
-    seed,
-    t,
-    r,
-    tolerance,
-    averaged,
-    number: ti.template(),
-    arm: ti.template(),
-    heading: ti.template(),
-):
-    """Turn a robot, its docks with it."""
-    inertia = heading[r, INERTIA]
-    heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / inertia)
-    kick = kick_of(seed, r // number.shape[0], -1 - number[r % number.shape[0]], t)[0]
-    speed = heading[r, SPIN] + STEP * heading[r, TORQUE] / inertia
-    heading[r, SPIN] = MEMORY * speed + heat * kick
-    turn = 0.5 * STEP * (speed + heading[r, SPIN])
-    heading[r, YAW] += turn
-    heading[r, COS] = ti.cos(heading[r, YAW])
-    heading[r, SIN] = ti.sin(heading[r, YAW])
-    for k in range(arm.shape[1]):
-        turn_dock(turn, r, k, arm)
-    if averaged:
-        heading[r, TOTAL] += heading[r, YAW]
-
-
-@ti.func
-def move_robot(
-    seed,
-    t,
-    r,
-    tolerance,
-    averaged,
-    turning: ti.template(),
-    number: ti.template(),
-    floating: ti.template(),
-    yaw_precision: ti.template(),
-    arm: ti.template(),
-    listed: ti.template(),
-    position: ti.template(),
-    velocity: ti.template(),
-    force: ti.template(),
-    mass: ti.template(),
-    heading: ti.template(),
-    total: ti.template(),
-    square_total: ti.template(),
-):
-    """Move a robot, an anchor only as far as it floats, and turn it if robots turn.
-
-    Returns:
-        Its squared distance from its row's place.
-    """
-    i = r % number.shape[0]
-    strayed = 0.0 * mass[r]
-    heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / mass[r])
-    kick = kick_of(seed, r // number.shape[0], number[i], t)
-    for c in ti.static(range(3)):
-        if number[i] > 0 or (floating[i, c] == 1 and not averaged):
-            speed = velocity[r, c] + STEP * force[r, c] / mass[r]
-            velocity[r, c] = MEMORY * speed + heat * kick[c]
-            position[r, c] += 0.5 * STEP * (speed + velocity[r, c])
-        strayed += (position[r, c] - listed[4 * r + c]) ** 2
-    if ti.static(turning) and yaw_precision[i] > 0.0:
-        turn_robot(seed, t, r, tolerance, averaged, number, arm, heading)
-    if averaged:
-        for c in ti.static(range(3)):
-            total[r, c] += position[r, c]
-            square_total[r] += position[r, c] * position[r, c]
-    return strayed
 
 
 @ti.kernel
@@ -138,7 +39,6 @@ def take_steps(
     tolerance: Reals1,
     # equations
     number: Ints1,
-    floating: Ints2,
     non_overlap: Ints1,
     robust: Reals1,
     contact_start: Ints1,
@@ -151,6 +51,13 @@ def take_steps(
     precision: Reals2,
     walk: Reals2,
     yaw_precision: Reals1,
+    # branches
+    branch: Ints1,
+    tree: Ints2,
+    first_branch: Ints1,
+    branch_pull: Reals2,
+    branch_velocity: Reals2,
+    branch_shift: Reals2,
     # neighbors
     table: Ints2,
     begin: Ints1,
@@ -192,7 +99,6 @@ def take_steps(
         held: First step that counts for the averages.
         tolerance: s at each step [R], shape (T,).
         number: Join number within its structure, shape (N,).
-        floating: Axes along which an anchor moves until `held`, shape (N, 3).
         non_overlap: Whether the cue is on in its structure, shape (N,).
         robust: One over the square of the loss's width, 0 for none [1], shape (N,).
         contact_start: First contact of each robot, shape (N + 1,).
@@ -206,6 +112,13 @@ def take_steps(
         walk: Part of that place that turns with the robot, x and y to be subtracted [R],
             shape (N, 2).
         yaw_precision: How well yaw is sensed [rad^-2], 0 where robots do not turn, shape (N,).
+        branch: That each robot is an own one of, shape (C N,).
+        tree: Start and end of each branch's own robots and the branch that it grows out of, all
+            three counted within its structure, and along which axes it moves, shape (T, 6).
+        first_branch: Of each block, shape (B + 1,).
+        branch_pull: Scratch, shape (C T, 4).
+        branch_velocity: Read and written, shape (C T, 3).
+        branch_shift: Scratch, shape (C T, 3).
         table: Where each block's table starts, its buckets and strides, shape (B, 4).
         begin, sorted_dock, sorted_at: Scratch of the tables.
         none_start, none: No neighbors that need be in a row.
@@ -258,11 +171,15 @@ def take_steps(
                                 precision, walk, yaw_precision, arm, row, row_first, row_count,
                                 position, force, mass, heading,
                             )  # fmt: skip
+                        move_branches(
+                            seed, t, b, tolerance[t], tree, first_branch, branch_pull,
+                            branch_velocity, branch_shift, start, force, mass,
+                        )  # fmt: skip
                         for r in range(start[b], start[b + 1]):
                             if limit < move_robot(
-                                seed, t, r, tolerance[t], t >= held, turning, number, floating,
-                                yaw_precision, arm, listed, position, velocity, force, mass,
-                                heading, total, square_total,
+                                seed, t, r, tolerance[t], t >= held, turning, number,
+                                yaw_precision, branch, branch_shift, arm, listed, position,
+                                velocity, force, mass, heading, total, square_total,
                             ):  # fmt: skip
                                 stale[b] = 1
                         taken[b] = t + 1
@@ -275,11 +192,18 @@ def take_steps(
                 partner, touching, shift, lever, variance, place, precision, walk, yaw_precision,
                 arm, row, row_first, row_count, position, force, mass, heading,
             )  # fmt: skip
+        for i in range((start.shape[0] - 1) * GRAIN):
+            if i % GRAIN == 0:
+                move_branches(
+                    seed, now, i // GRAIN, tolerance[now], tree, first_branch, branch_pull,
+                    branch_velocity, branch_shift, start, force, mass,
+                )  # fmt: skip
         strayed = 0.0
         for r in range(row_count.shape[0]):
             ti.atomic_max(strayed, move_robot(
-                seed, now, r, tolerance[now], now >= held, turning, number, floating, yaw_precision,
-                arm, listed, position, velocity, force, mass, heading, total, square_total,
+                seed, now, r, tolerance[now], now >= held, turning, number, yaw_precision, branch,
+                branch_shift, arm, listed, position, velocity, force, mass, heading, total,
+                square_total,
             ))  # fmt: skip
         taken[0] = now + 1
         if strayed > limit:
