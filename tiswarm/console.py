@@ -8,6 +8,9 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+LINE_EVERY_S = 30.0
+"""Time from one line on progress to the next, where there is no terminal to draw a bar on."""
+
 
 class ConsoleWatcher:
     """Tells a person on standard error how work goes on; standard output stays for results."""
@@ -33,8 +36,23 @@ class ConsoleWatcher:
                 yield lambda steps: bar.advance(task, steps)
         else:
             begun = time.perf_counter()
-            yield lambda _steps: None
+            yield self._lines(name, total, begun)
             self.say(f"{name}: {total} in {time.perf_counter() - begun:.1f} s")
+
+    def _lines(self, name: str, total: int, begun: float) -> Callable[[int], None]:
+        """Say now and then how much is done, so that the log of a long job shows it."""
+        done, told = 0, begun
+
+        def advance(steps: int) -> None:
+            nonlocal done, told
+            done += steps
+            now = time.perf_counter()
+            if now - told >= LINE_EVERY_S and done < total:
+                left = (now - begun) * (total - done) / done
+                self.say(f"{name}: {done} of {total}, about {left:.0f} s left")
+                told = now
+
+        return advance
 
     def _bar(self) -> Progress:
         return Progress(
