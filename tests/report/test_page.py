@@ -1,5 +1,6 @@
 """The page of a run: what it warns of, and what it does with odd runs."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -8,7 +9,7 @@ from tiswarm.errors import InputError
 from tiswarm.report import page_view
 from tiswarm.report.folder import read_cases
 from tiswarm.report.page import write_page
-from tiswarm.report.page_tables import case_table, warnings_of
+from tiswarm.report.page_tables import case_table, result_tables, warnings_of
 from tiswarm.report.page_view import build_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,unlocated"
@@ -95,3 +96,16 @@ def test_warnings_count_what_limits_a_run():
     assert "leaves 4 to 12 floppy modes" in told
     assert "open3d: died" in told
     assert [row[1].text for row in case_table(summary).rows] == ["done", "done", "failed"]
+
+
+def test_what_a_method_says_of_its_estimate_is_held_against_the_truth():
+    """Only where one says anything, and only what it says."""
+    silent = pd.DataFrame({"condition": ["a"], "cases": [2], "paper_rmse_radii": [None]})
+    silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
+    told = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, doubted_recall_mean=np.nan)
+
+    tables = [result_tables(t, pd.DataFrame(), pd.DataFrame()) for t in (silent, told)]
+
+    assert len(tables[0]) + 1 == len(tables[1])
+    assert tables[1][-1].header == ["condition", "in the 50 % interval"]
+    assert [cell.text for cell in tables[1][-1].rows[0]] == ["a", "0.48 ± 0.02"]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.profiles import relative_errors
 from tiswarm.records.contact_graph import contact_count, earlier_contact_count, hops
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.freedom import floppy_modes, weld
 from tiswarm.records.rigidity import equations
 from tiswarm.records.sensing_log import SensingLog
@@ -44,6 +44,7 @@ def score(
         "rmse_per_contact_R": _mean(relative_errors(estimated, true, log.contacts[:, [0, 2]]) ** 2)
         ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
+        **_coverage(truth, estimate),
     }
 
 
@@ -95,6 +96,17 @@ def by_iteration(truth: Truth, estimate: Estimate) -> pd.DataFrame:
             )
         ]
     )
+
+
+def _coverage(truth: Truth, estimate: Estimate) -> dict[str, float]:
+    """Parts of the robots within their 50 and 90 % intervals, the anchor aside."""
+    if estimate.sd is None:
+        return {}
+    error, sd = metrics.robot_errors(estimate.position, truth.position)[1:], estimate.sd[1:]
+    return {
+        "coverage_50": _mean(error <= HALF_WITHIN * sd),
+        "coverage_90": _mean(error <= MOST_WITHIN * sd),
+    }
 
 
 def _mean(values: NDArray[np.generic]) -> float:

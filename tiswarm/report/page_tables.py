@@ -62,6 +62,12 @@ PARTS = (
     ("rigidly aligned", "rmse_rigid_aligned_R", 2),
     ("between robots in contact", "rmse_per_contact_R", 2),
 )
+OF_ITSELF = (
+    ("in the 50 % interval", "coverage_50", 2),
+    ("in the 90 % interval", "coverage_90", 2),
+    ("contacts judged wrong: precision", "doubted_precision", 2),
+    ("recall", "doubted_recall", 2),
+)
 PUBLISHED = (
     ("published [robot radii]", "paper_rmse_radii", 2),
     ("published disparity", "paper_procrustes_disparity", 3),
@@ -82,6 +88,8 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame)
     """Everything a reader wants to know first; `paired` and `laws` may be empty."""
     tables = [_scorecard(laws)] if len(laws) else []
     tables += [_headline(table), _parts(table)]
+    if _means(table, OF_ITSELF):
+        tables.append(_of_itself(table))
     if "wilcoxon_p" in paired:
         tables.append(_differences(paired))
     return tables
@@ -202,6 +210,20 @@ def _parts(table: pd.DataFrame) -> Table:
         note=(
             "What an alignment takes away was a turned or shifted frame; what stays is a wrong "
             "shape. Between robots in contact: of one robot's place as seen from the other."
+        ),
+    )
+
+
+def _of_itself(table: pd.DataFrame) -> Table:
+    """Whether what a method says of its own estimate is true."""
+    return Table.of(
+        table,
+        [*_swept(table), *_means(table, OF_ITSELF)],
+        title="What the method says of its estimate",
+        note=(
+            "Part of the robots that are as near to their estimated place as its standard "
+            "deviation promises; of the contacts judged wrong those that are, and of all wrong "
+            "ones those that are found."
         ),
     )
 

@@ -39,6 +39,8 @@ AVERAGED = (
     "height_R",
     "peak_stress",
     "floppy_modes",
+    "coverage_50",
+    "coverage_90",
     "doubted_precision",
     "doubted_recall",
     *ACCURACY,
