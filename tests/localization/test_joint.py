@@ -9,7 +9,7 @@ from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.doubts import judgement
-from tiswarm.localization.joint import anneal, force_kernels
+from tiswarm.localization.joint import anneal, force_kernels, seats
 from tiswarm.localization.joint.branches import branches
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import CUES, JointParams
@@ -77,6 +77,22 @@ def test_robots_are_found_without_noise(towers):
         assert np.mean(error[1:] < 1.55 * estimate.sd[1:]) > 0.5
         assert estimate.residual[-1] < 0.3 * estimate.residual[0]
         np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
+
+
+def test_a_robot_that_lost_touch_is_put_back(towers):
+    """And nobody else, in no other chain, along no axis that is known."""
+    history = towers[0]
+    known = equations(observe(history, SensingParams()), JointParams())
+    position = np.tile(history.position, (2, 1, 1))
+    position[1, -1] += [25.0, 10.0, 1.5]
+
+    moved = seats.reseat(known, position, np.zeros(position.shape[:2]))
+
+    assert moved == 1
+    assert np.linalg.norm(position[1, -1, :2] - history.position[-1, :2]) < seats.SPACING
+    assert position[1, -1, 2] == history.position[-1, 2] + 1.5
+    np.testing.assert_array_equal(position[:, :-1], np.tile(history.position[:-1], (2, 1, 1)))
+    np.testing.assert_array_equal(position[0], history.position)
 
 
 def test_a_long_arm_is_not_torn_from_its_anchor():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute import backend, random
+from tiswarm.compute import backend
 from tiswarm.compute.dialect import GRAIN, DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
@@ -16,11 +16,14 @@ from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
 from tiswarm.localization.joint.kernels import SKIN, note_places, take_steps
+from tiswarm.localization.joint.seats import first_guess, reseat
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 
 WIDTH = 3.0
 """Standard deviations at which a robust contact begins to give way."""
+PUT_BACK_FROM = 0.4
+"""Part of the steps after which robots that got lost are put back."""
 FRAMES = 24
 """Frames of the trace."""
 AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -87,6 +90,8 @@ class Swarm:
         self.memory = memory = Memory(running, on_host=False)
         self.chains = params[0].chains
         self.schedule = params[0]
+        self.known = known
+        self.robust = [p.robust for p in params]
         self.size = [log.robot_count for log in logs]
         self.start = np.cumsum([0, *self.size])
         trees = [branches(np.column_stack([e.robot, e.other]), len(e.place)) for e in known]
@@ -106,7 +111,7 @@ class Swarm:
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
         )[self.order]
         first = np.concatenate(
-            [_first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
+            [first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
         )[:, self.order]
         listed = np.zeros((copies, 4))
         listed[:, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
@@ -160,6 +165,8 @@ class Swarm:
         trace = []
         for frame in frames.tolist():
             self.advance(frame)
+            if PUT_BACK_FROM * self.schedule.steps <= frame < self.schedule.steps:
+                self.put_back()
             trace.append(self.by_robot(self.position)[0])
         last = self.by_robot(self.position)
         if not np.isfinite(last).all() or np.array_equal(trace[0], trace[-1]):
@@ -202,6 +209,18 @@ class Swarm:
                 rows.make_room(entries)
                 self.stale.fill(1)
 
+    def put_back(self) -> None:
+        """Put robots back that lost most of those they touch, where the loss lets go of these."""
+        position, heading = self.by_robot(self.position), self.by_robot(self.heading)
+        moved = 0
+        start = zip(self.start[:-1], self.start[1:], strict=True)
+        for known, gives_up, (a, b) in zip(self.known, self.robust, start, strict=True):
+            if gives_up:
+                moved += reseat(known, position[:, a:b], heading[:, a:b, YAW])
+        if moved:
+            self.memory.refill(self.position, position[:, self.order].reshape(-1, 3))
+            self.stale.fill(1)
+
     def _tolerances(self) -> NDArray[np.float64]:
         """Tolerance of each step, shape (T,)."""
         begin, end = self.schedule.start_tolerance, self.schedule.end_tolerance
@@ -240,31 +259,3 @@ def _by_robot(
         np.pad(np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order], ((0, room), (0, 0))),
         np.pad(np.tile(variance, 2)[order], (0, room), constant_values=1.0),
     )
-
-
-def _first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArray[np.float64]:
-    """Put each robot where its contacts with earlier ones meet, give or take a dock radius.
-
-    Which way a dock lies from the one it touches is not sensed. Robots are taken to stand across
-    from each other there, for else thousands of them would begin in a heap.
-
-    Returns:
-        Positions, another one for each chain, shape (chains, N, 3).
-    """
-    robot = np.arange(log.robot_count)
-    draw = 3 * np.arange(params.chains)[:, None, None] + np.arange(3)
-    guess = random.normal(params.seed, "first guess", robot[:, None], draw)
-    order = np.argsort(known.robot, kind="stable")
-    rows = np.split(order, np.searchsorted(known.robot[order], robot[1:]))
-    anchor = log.anchor_position / log.dock_radius
-    length = np.maximum(np.linalg.norm(known.shift, axis=1), SPACING)
-    across = known.shift * (1.0 + SPACING * known.is_final / length)[:, None]
-    is_known = known.precision > 0.0
-    place = known.place - np.pad(known.walk, ((0, 0), (0, 1)))
-    guess[:, 0] = anchor
-    for i in range(1, log.robot_count):
-        mine = rows[i]
-        met = guess[:, known.other[mine]] - across[mine] if len(mine) else anchor[None, None]
-        guess[:, i] += met.mean(axis=1)
-        guess[:, i, is_known[i]] = place[i, is_known[i]]
-    return guess
