@@ -49,7 +49,7 @@ class Table:
 ACCURACY = (
     ("RMSE [R]", "rmse_R", 2),
     ("RMSE [rho]", "rmse_rho", 2),
-    ("disparity", "procrustes_disparity", 3),
+    ("disparity", "procrustes_disparity", 4),
 )
 LIMITS = (
     ("contacts per robot", "contacts_per_robot", 2),
