@@ -12,6 +12,7 @@ from tiswarm.evaluation.doubts import judgement
 from tiswarm.localization.joint import anneal, force_kernels, seats
 from tiswarm.localization.joint.branches import branches
 from tiswarm.localization.joint.equations import equations
+from tiswarm.localization.joint.motion_kernels import BRANCH_WEIGHT
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
@@ -141,7 +142,9 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
         robots = _members(tree, k)
         own = tree.order[tree.first[k] : tree.first[k + 1]]
         np.testing.assert_allclose(pulls[:, k], force[:, robots].sum(axis=1), atol=1e-12)
-        np.testing.assert_allclose(weight[:, k], 3.0 * mass[:, own].sum(axis=1), rtol=1e-12)
+        np.testing.assert_allclose(
+            weight[:, k], BRANCH_WEIGHT * mass[:, own].sum(axis=1), rtol=1e-12
+        )
         shift = 0.5 * (heavy_before[:, k] + pulls[:, k] / weight[:, k] + heavy[:, k])
         expected[:, robots] += shift[:, None] * known.unplaced
     assert known.unplaced.tolist() == [spawn_noise is None] * 2 + [False]
