@@ -211,6 +211,7 @@ def _contacts(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Rows of (stance, own dock, other robot, its dock), sorted, and whether each is final."""
     rows: NDArray[np.int64] = np.empty((0, 4), np.int64)
+    sizes = (len(path.owner) + 1, len(log.dock_offset_body), log.robot_count)
     if params.contacts:
         final = log.contacts.astype(np.int64)
         rows = np.column_stack([path.final[final[:, 2]], final[:, 3], final[:, :2]])
@@ -219,12 +220,19 @@ def _contacts(
         felt[:, 0] = path.row[felt[:, 0]]
         # A dock that stays put says the same thing at the next stance again.
         pivot = log.stances.pivot_dock[log.stances.contacts[:, 0]]
-        ahead = felt + np.array([1, 0, 0, 0])
-        every = {tuple(row) for row in np.concatenate([felt, rows]).tolist()}
-        again = [tuple(row) in every for row in ahead.tolist()]
-        rows = np.concatenate([rows, felt[~(np.array(again, np.bool_) & (felt[:, 1] == pivot))]])
-    rows = np.unique(rows, axis=0)
+        every = _numbered(np.concatenate([felt, rows]), sizes)
+        again = np.isin(_numbered(felt + np.array([1, 0, 0, 0]), sizes), every)
+        rows = np.concatenate([rows, felt[~(again & (felt[:, 1] == pivot))]])
+    _, first = np.unique(_numbered(rows, sizes), return_index=True)
+    rows = rows[first]
     return rows, np.isin(rows[:, 0], path.final)
+
+
+def _numbered(rows: NDArray[np.int64], sizes: tuple[int, int, int]) -> NDArray[np.int64]:
+    """One number for each row of (stance, own dock, other robot, its dock), shape (n,)."""
+    stances, docks, robots = sizes
+    number: NDArray[np.int64] = np.ravel_multi_index(tuple(rows.T), (stances, docks, robots, docks))
+    return number
 
 
 def _places(

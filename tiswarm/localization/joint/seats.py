@@ -25,8 +25,7 @@ def first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArr
     robot = np.arange(log.robot_count)
     draw = 3 * np.arange(params.chains)[:, None, None] + np.arange(3)
     guess = random.normal(params.seed, "first guess", robot[:, None], draw)
-    order = np.argsort(known.robot, kind="stable")
-    rows = np.split(order, np.searchsorted(known.robot[order], robot[1:]))
+    rows = _rows(known, log.robot_count)
     anchor = log.anchor_position / log.dock_radius
     across = _across(known)
     is_known = known.precision > 0.0
@@ -56,15 +55,22 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
     gap = np.abs(known.lengths(position, yaw) - SPACING)
     count = np.bincount(known.robot, minlength=position.shape[1])
     across = _across(known)
+    rows = _rows(known, len(count))
     moved = 0
     for here, missed in zip(position, gap > LOST, strict=True):
         lost = np.bincount(known.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
-            mine = known.robot == i
+            mine = rows[i]
             met = np.median(here[known.other[mine]] - across[mine], axis=0)
             here[i] = np.where(known.precision[i] > 0.0, here[i], met)
             moved += 1
     return moved
+
+
+def _rows(known: Equations, robots: int) -> list[NDArray[np.intp]]:
+    """Equations of each robot that felt the contact."""
+    order = np.argsort(known.robot, kind="stable")
+    return np.split(order, np.searchsorted(known.robot[order], np.arange(1, robots)))
 
 
 def _across(known: Equations) -> NDArray[np.float64]:
