@@ -9,7 +9,7 @@ from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.doubts import judgement
-from tiswarm.localization.joint import anneal, force_kernels, seats
+from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
 from tiswarm.localization.joint.branches import branches
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.joint.motion_kernels import BRANCH_WEIGHT
@@ -212,6 +212,24 @@ def test_steps_are_the_same_however_threads_share_them(towers):
         assert a.mean.tobytes() == b.mean.tobytes()
         assert a.mean_yaw.tobytes() == b.mean_yaw.tobytes()
         assert a.spread.tobytes() == b.spread.tobytes()
+
+
+def test_rows_serve_as_if_made_anew_for_each_step(log):
+    """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
+    known = [equations(log, SHORT)]
+    kept, anew = (anneal.Swarm([log], [SHORT], known) for _ in range(2))
+    skins, ages = set(), []
+
+    for step in range(1, SHORT.steps + 1):
+        kept.advance(step)
+        skins |= set(kept.skin.to_numpy().tolist())
+        ages.append(kept.age.to_numpy().max())
+        anew.age.fill(kernels.STALE)
+        anew.advance(step)
+
+    assert skins == {kernels.SKIN, kernels.THIN_SKIN}
+    assert max(ages) > 5
+    assert kept.position.to_numpy().tobytes() == anew.position.to_numpy().tobytes()
 
 
 def test_single_precision_is_precise_enough(towers):

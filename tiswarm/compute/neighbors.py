@@ -161,7 +161,7 @@ class NeighborList:
             contacts: Rows of (robot i, dock, robot j, dock), shape (C, 4).
             docks: Docks of a robot.
             reach: How far docks are from the center.
-            cutoff: Docks nearer than this are neighbors.
+            cutoff: Docks nearer than this are neighbors; it may be set farther later.
             start: First robot of each structure, shape (S + 1,), for a table each; None for
                 one table.
 

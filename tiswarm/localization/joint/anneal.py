@@ -15,7 +15,7 @@ from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
-from tiswarm.localization.joint.kernels import SKIN, note_places, take_steps
+from tiswarm.localization.joint.kernels import SKIN, STALE, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.joint.seats import first_guess, reseat
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -116,13 +116,14 @@ class Swarm:
         listed = np.zeros((copies, 4))
         listed[:, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))
         self.docks = arm.shape[1]
+        self.near = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
         self.neighbors = NeighborList(
             memory,
             first.reshape(-1, 3),
             np.empty((0, 4), np.int64),
             docks=1,
             reach=0.0,
-            cutoff=2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING + SKIN,
+            cutoff=self.near + THIN_SKIN,
             start=first_of_block if by_block else None,
         )
         self.listed = memory.upload(listed.ravel())
@@ -153,9 +154,11 @@ class Swarm:
         self.arm = memory.upload(np.tile(arm, (self.chains, 1, 1)))
         self.heading = memory.upload(np.tile(AS_SENSED, (copies, 1)))
         self.first_of_block = memory.upload(first_of_block)
-        self.taken, self.stale = memory.ints(blocks), memory.ints(blocks)
+        self.taken, self.age = memory.ints(blocks), memory.ints(blocks)
+        self.skin = memory.reals(blocks)
         self.taken.fill(0)
-        self.stale.fill(1)
+        self.age.fill(STALE)
+        self.skin.fill(SKIN)
 
     def run(self) -> list[Annealed]:
         """Take all steps."""
@@ -192,22 +195,23 @@ class Swarm:
         """Take steps until so many have been taken."""
         rows = self.neighbors
         while (self.taken.to_numpy().min() if self.by_block else self.taken[0]) < until:
-            if not self.by_block and self.stale[0]:
+            if not self.by_block and self.age[0] == STALE:
                 note_places(self.position, self.listed)
+                rows.cutoff = self.near + self.skin[0]
                 rows.build(self.listed, 0)
-                self.stale.fill(0)
+                self.age.fill(0)
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
-                rows.capacity, rows.cutoff, self.schedule.seed, until, self.schedule.steps,
+                rows.capacity, self.near, self.schedule.seed, until, self.schedule.steps,
                 *self.equations, *self.branches, rows.table, rows.begin, rows.sorted_dock,
                 rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
-                rows.row_count, rows.longest, self.arm, self.first_of_block, self.taken, self.stale,
-                self.listed, self.position, self.velocity, self.force, self.mass, self.heading,
-                self.total, self.square_total,
+                rows.row_count, rows.longest, self.arm, self.first_of_block, self.taken, self.age,
+                self.skin, self.listed, self.position, self.velocity, self.force, self.mass,
+                self.heading, self.total, self.square_total,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
-                self.stale.fill(1)
+                self.age.fill(STALE)
 
     def put_back(self) -> None:
         """Put robots back that lost most of those they touch, where the loss lets go of these."""
@@ -219,7 +223,7 @@ class Swarm:
                 moved += reseat(known, position[:, a:b], heading[:, a:b, YAW])
         if moved:
             self.memory.refill(self.position, position[:, self.order].reshape(-1, 3))
-            self.stale.fill(1)
+            self.age.fill(STALE)
 
     def _tolerances(self) -> NDArray[np.float64]:
         """Tolerance of each step, shape (T,)."""

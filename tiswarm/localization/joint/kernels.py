@@ -14,6 +14,7 @@ from tiswarm.compute.dialect import (
     Reals1,
     Reals2,
     Reals3,
+    Ref,
     ti,
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import list_structure
@@ -22,6 +23,25 @@ from tiswarm.localization.joint.motion_kernels import move_branches, move_robot
 
 SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
+THIN_SKIN = 0.01
+"""The same while robots move so fast that farther rows would not serve a second step."""
+STALE = -1
+"""Age of rows that have to be made anew."""
+
+
+@ti.func
+def grow_old(b, strayed, age: Ref, skin: Ref):
+    """Tell whether rows of a block serve one more step, and how far the next ones reach.
+
+    Args:
+        b: The block.
+        strayed: The farthest that a robot is from its row's place, squared [R^2].
+        age, skin: As `take_steps` has them.
+    """
+    is_new = age[b] == 0
+    age[b] = ti.select(strayed > (0.5 * skin[b]) ** 2, STALE, age[b] + 1)
+    if is_new:
+        skin[b] = ti.select(strayed > (0.25 * SKIN) ** 2, THIN_SKIN, SKIN)
 
 
 @ti.kernel
@@ -32,7 +52,7 @@ def take_steps(
     own_bits: I32,
     entry_stride: I32,
     capacity: I32,
-    cutoff: Float,
+    near: Float,
     seed: I32,
     until: I32,
     held: I32,
@@ -73,7 +93,8 @@ def take_steps(
     arm: Reals3,
     start: Ints1,
     taken: Ints1,
-    stale: Ints1,
+    age: Ints1,
+    skin: Reals1,
     listed: Reals1,
     position: Reals2,
     velocity: Reals2,
@@ -93,7 +114,7 @@ def take_steps(
         own_bits: Bits of a row's entry that are of no use here.
         entry_stride: From one entry to the next.
         capacity: Entries that rows can hold, on average over a block.
-        cutoff: How far rows reach [R].
+        near: How far apart robots whose docks overlap can be [R].
         seed: Of the random numbers.
         until: Step before which to stop.
         held: First step that counts for the averages.
@@ -129,7 +150,9 @@ def take_steps(
         arm: Read and written: center to dock, world frame [R], shape (C N, docks, 3).
         start: First robot of each block, shape (B + 1,).
         taken: Read and written: steps of a block so far, shape (B,).
-        stale: Read and written: whether its rows are, shape (B,).
+        age: Read and written: steps that its rows have served, or STALE, shape (B,).
+        skin: Read and written: how much farther than `near` rows reach that are made next [R],
+            shape (B,).
         listed: Where robots were as rows were made and, last, their block [R], rows of four.
         position: Read and written [R], shape (C N, 3).
         velocity: Read and written, shape (C N, 3).
@@ -139,13 +162,12 @@ def take_steps(
         total: Read and written: sum of positions that are averaged, shape (C N, 3).
         square_total: Read and written: sum of their squares, shape (C N,).
     """
-    limit = (0.5 * SKIN) ** 2
     if ti.static(by_block):
         for i in range(taken.shape[0] * GRAIN):
             if i % GRAIN == 0:
                 b = i // GRAIN
                 grid = ti.Struct(
-                    docks=1, own_bits=own_bits, cutoff=cutoff, near=cutoff - SKIN,
+                    docks=1, own_bits=own_bits, cutoff=near, near=near,
                     table=table[b, 0], buckets=table[b, 1], stride_y=table[b, 2],
                     stride_z=table[b, 3], slot=start[b], entry_stride=entry_stride,
                 )  # fmt: skip
@@ -153,7 +175,8 @@ def take_steps(
                 longest[b] = 0
                 while taken[b] < until and longest[b] <= room:
                     t = taken[b]
-                    if stale[b] == 1:
+                    if age[b] == STALE:
+                        grid.cutoff = near + skin[b]
                         for r in range(start[b], start[b + 1]):
                             for c in ti.static(range(3)):
                                 listed[4 * r + c] = position[r, c]
@@ -162,7 +185,7 @@ def take_steps(
                             none_start, none, row, row_first, row_count,
                             start[b] * capacity + b, room,
                         )  # fmt: skip
-                        stale[b] = 0
+                        age[b] = 0
                     if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
@@ -175,17 +198,18 @@ def take_steps(
                             seed, t, b, tolerance[t], tree, first_branch, branch_pull,
                             branch_velocity, branch_shift, start, force, mass,
                         )  # fmt: skip
+                        strayed = 0.0
                         for r in range(start[b], start[b + 1]):
-                            if limit < move_robot(
+                            strayed = ti.max(strayed, move_robot(
                                 seed, t, r, tolerance[t], t >= held, turning, number,
                                 yaw_precision, branch, branch_shift, arm, listed, position,
                                 velocity, force, mass, heading, total, square_total,
-                            ):  # fmt: skip
-                                stale[b] = 1
+                            ))  # fmt: skip
+                        grow_old(b, strayed, age, skin)
                         taken[b] = t + 1
     else:
         now = taken[0]
-        grid = ti.Struct(own_bits=own_bits, near=cutoff - SKIN, entry_stride=entry_stride)
+        grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
             pull_robot(
                 grid, docks, turning, r, tolerance[now], non_overlap, robust, contact_start,
@@ -206,8 +230,7 @@ def take_steps(
                 square_total,
             ))  # fmt: skip
         taken[0] = now + 1
-        if strayed > limit:
-            stale[0] = 1
+        grow_old(0, strayed, age, skin)
 
 
 @ti.kernel
