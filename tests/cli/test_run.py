@@ -1,5 +1,6 @@
 """Whole runs: what they write, that they repeat, and that they go on after a break."""
 
+import dataclasses
 import filecmp
 import json
 import shutil
@@ -14,10 +15,13 @@ from PIL import Image
 from tests.cli.conftest import MEASURED, REPOSITORY
 from tiswarm import study
 from tiswarm.console import ConsoleWatcher
+from tiswarm.localization import virtual_force
 from tiswarm.scenario import load_scenario
-from tiswarm.study import tables
+from tiswarm.study import tables, work
+from tiswarm.study.cases import plan
 from tiswarm.study.storage import RunFolder
 from tiswarm.study.work import failure
+from tiswarm.world.growth import grow
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
@@ -264,6 +268,60 @@ def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
     assert again.computed == 0
     manifest = json.loads((folder / "manifest.json").read_text())
     assert set(manifest["stages"]) == {"grow", "sense", "localize"}
+
+
+def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
+    """A run is stopped while it localizes by the second method; what it had done is kept."""
+    sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
+    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
+    watcher = ConsoleWatcher(quiet=True)
+    whole = study.run(small, tmp_path / "whole", watcher=watcher)
+    monkeypatch.setattr(work, "KEPT_FROM_S", 0.0)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            study.run(small, tmp_path / "stopped", watcher=watcher)
+    monkeypatch.setattr(work, "grow", _interrupt)
+    stopped = study.run(small, tmp_path / "stopped", watcher=watcher)
+
+    assert (whole.computed, stopped.computed, stopped.found) == (4, 2, 2)
+    _assert_same_bytes(whole.folder, stopped.folder)
+    manifest = json.loads((stopped.folder / "manifest.json").read_text())
+    assert manifest["stages"]["grow"]["cpu_s"] > 0.0
+
+
+def test_a_damaged_structure_is_grown_again(tmp_path):
+    """And one that was kept is read back as it was."""
+    scenario = load_scenario(REPOSITORY / "scenarios" / "bridge.yaml", ["robots=30", "seeds=1"])
+    [case] = plan(scenario)[:1]
+    settings = case.settings
+    [history] = grow(settings.structure, robots=30, seeds=[case.seed], robot=settings.robot)
+    folder = RunFolder.of(scenario, tmp_path)
+    cost = {"wall_s": 1.5, "cpu_s": 1.0, "peak_memory_MB": 3.0}
+    assert folder.grown(case) is None
+
+    folder.keep_grown(case, history, cost)
+
+    read, share = folder.grown(case)
+    assert share == cost
+    assert (read.seed, read.terrain, read.spawns) == (history.seed, history.terrain, history.spawns)
+    np.testing.assert_equal(
+        [dataclasses.asdict(part) for part in (*read.walks, *read.strain)],
+        [dataclasses.asdict(part) for part in (*history.walks, *history.strain)],
+    )
+    np.testing.assert_array_equal(read.sensed, history.sensed)
+    [kept] = (folder.path / "structures").glob("*.npz")
+    data = bytearray(kept.read_bytes())
+    data[len(data) // 2] ^= 1
+    kept.write_bytes(data)
+    assert folder.grown(case) is None
+    kept.write_bytes(data[:100])
+    assert folder.grown(case) is None
+
+
+def _interrupt(*_args, **_settings):
+    raise KeyboardInterrupt
 
 
 def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):

@@ -1,9 +1,11 @@
 """Which cases a scenario asks for, and which of them share a structure."""
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+import tiswarm
 from tiswarm.scenario import Scenario, Variant, variants
 
 ROBOTS_AT_ONCE = 10_000
@@ -84,6 +86,12 @@ def shard(cases: Sequence[Case], number: int, count: int) -> list[Case]:
     """
     mine = {c.name for group in structures(cases)[number - 1 :: count] for c in group}
     return [case for case in cases if case.name in mine]
+
+
+def structure_name(case: Case) -> str:
+    """Name the structure that a case shares with others, by all that it grows from."""
+    grown_by = repr((_kind(case), tiswarm.__version__))
+    return f"seed{case.seed}-{hashlib.sha256(grown_by.encode()).hexdigest()[:12]}"
 
 
 def _kind(case: Case) -> tuple[str, int, int]:

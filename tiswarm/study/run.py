@@ -103,6 +103,8 @@ def run(
                 described = manifest.describe(used or backend.current(), costs)
                 manifest.write_manifest(folder.path, described | {"cases": len(cases)})
             write_tables(folder, scenario, cases, [records[case.name] for case in cases])
+            if not failed:
+                folder.forget_grown()
     return result
 
 

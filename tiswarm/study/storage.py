@@ -22,11 +22,15 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.tables import write_estimate, write_positions
 from tiswarm.records.truth import Truth
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
+from tiswarm.study.cases import Case, structure_name
 from tiswarm.study.costs import Cost
+from tiswarm.world.history import History
+from tiswarm.world.history_file import read_history, write_history
 
 DONE = "done"
 FAILED = "failed"
 COST = "cost.json"
+STRUCTURES = "structures"
 TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case; one without them all was stored by an older version."""
 
@@ -138,15 +142,33 @@ class RunFolder:
 
     def cost(self, name: str) -> Mapping[str, Cost]:
         """Read by stage what a case has cost; nothing where that is unknown."""
-        try:
-            cost: Mapping[str, Cost] = json.loads((self.cases / name / COST).read_text())
-        except (OSError, ValueError):
-            return {}
-        return cost
+        return _read_json(self.cases / name / COST)
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write by stage what a stored case has cost, which no run repeats."""
         _write_json(self.cases / name / COST, cost)
+
+    def grown(self, case: Case) -> tuple[History, Cost] | None:
+        """Read the structure of a case, and what growing it cost; None where it was not kept."""
+        path = self._structure(case)
+        cost = _read_json(path.with_suffix(".json"))
+        settings = case.settings
+        history = read_history(path, settings.structure, settings.robot)
+        return None if history is None or not cost else (history, cost)
+
+    def keep_grown(self, case: Case, history: History, cost: Cost) -> None:
+        """Keep a structure that took long to grow until all cases of the run are done."""
+        path = self._structure(case)
+        make_folder(path.parent)
+        _write_json(path.with_suffix(".json"), cost)
+        write_history(history, path)
+
+    def forget_grown(self) -> None:
+        """Remove all structures that were kept."""
+        shutil.rmtree(self.path / STRUCTURES, ignore_errors=True)
+
+    def _structure(self, case: Case) -> Path:
+        return self.path / STRUCTURES / f"{structure_name(case)}.npz"
 
     def store_failure(self, record: CaseRecord) -> None:
         """Write down that a case failed; the next run tries it again."""
@@ -201,6 +223,15 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Read what such a file says; nothing where it is missing or damaged."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content
 
 
 def _digest(path: Path) -> str:

@@ -27,6 +27,9 @@ from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.soundness import unsoundness
 
+KEPT_FROM_S = 10.0
+"""Growth that took so long is not lost if a run is stopped before its cases are stored."""
+
 
 class Watcher(Protocol):
     """Whoever is told how a run goes on."""
@@ -84,13 +87,15 @@ class _Bench:
         histories = self._grow(self.job.cases)
         sound, records = self._sift(self.job.cases, histories)
         logs = self._sense(sound, histories)
-        estimates = self._localize(sound, logs)
-        with self._stage("evaluate and store", sound) as advance:
-            for case, log, estimate in zip(sound, logs, estimates, strict=True):
-                records.append(self._store(case, histories[case.seed], log, estimate))
-                advance(1)
-        for case in sound:
-            self.job.folder.store_cost(case.name, self.costs.of(case.name))
+        for members in _alike(sound):
+            cases, felt = [sound[n] for n in members], [logs[n] for n in members]
+            estimates = self._localize(cases, felt)
+            with self._stage("evaluate and store", cases) as advance:
+                for case, log, estimate in zip(cases, felt, estimates, strict=True):
+                    records.append(self._store(case, histories[case.seed], log, estimate))
+                    advance(1)
+            for case in cases:
+                self.job.folder.store_cost(case.name, self.costs.of(case.name))
         return records
 
     @contextmanager
@@ -105,9 +110,19 @@ class _Bench:
 
     def _grow(self, chunk: Sequence[Case]) -> dict[int, History]:
         """Grow each structure once, whatever the number of its conditions."""
-        settings = chunk[0].settings
-        seeds = sorted({case.seed for case in chunk})
-        with self._stage("grow", chunk, len(seeds) * settings.robots) as advance:
+        folder, settings = self.job.folder, chunk[0].settings
+        histories = {}
+        first = {case.seed: case for case in reversed(chunk)}
+        for seed, case in sorted(first.items()):
+            if found := folder.grown(case):
+                histories[seed], share = found
+                self.costs.paid("grow", [c.name for c in chunk if c.seed == seed], share)
+                self.watcher.say(f"seed {seed}: its structure was grown by an earlier run")
+        missing = [case for case in chunk if case.seed not in histories]
+        seeds = sorted({case.seed for case in missing})
+        if not seeds:
+            return histories
+        with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure,
                 robots=settings.robots,
@@ -115,7 +130,11 @@ class _Bench:
                 robot=settings.robot,
                 tell=advance,
             )
-        return dict(zip(seeds, grown, strict=True))
+        for seed, history in zip(seeds, grown, strict=True):
+            share = self.costs.of(first[seed].name)["grow"]
+            if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
+                folder.keep_grown(first[seed], history, share)
+        return histories | dict(zip(seeds, grown, strict=True))
 
     def _sift(
         self, chunk: Sequence[Case], histories: dict[int, History]
@@ -137,21 +156,12 @@ class _Bench:
         return logs
 
     def _localize(self, cases: Sequence[Case], logs: Sequence[SensingLog]) -> list[Estimate]:
-        """Localize side by side what has method and precision in common."""
-
-        def kind(n: int) -> tuple[str, Precision]:
-            settings = cases[n].settings
-            return settings.localization.method, settings.precision
-
-        estimates: dict[int, Estimate] = {}
-        for (_, precision), alike in groupby(sorted(range(len(cases)), key=kind), key=kind):
-            members = list(alike)
-            with self._stage("localize", [cases[n] for n in members]) as advance:
-                backend.start(self.job.arch, threads=self.job.threads, precision=precision)
-                methods = [cases[n].settings.localization for n in members]
-                found = localize_many([logs[n] for n in members], methods, tell=advance)
-            estimates |= dict(zip(members, found, strict=True))
-        return [estimates[n] for n in range(len(cases))]
+        """Localize side by side cases of one method and precision."""
+        with self._stage("localize", cases) as advance:
+            precision = cases[0].settings.precision
+            backend.start(self.job.arch, threads=self.job.threads, precision=precision)
+            methods = [case.settings.localization for case in cases]
+            return localize_many(logs, methods, tell=advance)
 
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate
@@ -183,6 +193,16 @@ class _Bench:
             },
             cost=self.costs.of(case.name),
         )
+
+
+def _alike(cases: Sequence[Case]) -> list[list[int]]:
+    """Number the cases of each method and precision, which are localized side by side."""
+
+    def kind(n: int) -> tuple[str, Precision]:
+        settings = cases[n].settings
+        return settings.localization.method, settings.precision
+
+    return [list(alike) for _, alike in groupby(sorted(range(len(cases)), key=kind), key=kind)]
 
 
 def _fault(history: History, contact_gap: float) -> str:
