@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
+from tiswarm.records.certainty import certainty
 from tiswarm.records.walks import felt_contacts
 from tiswarm.sensing import SensingParams, observe
 
@@ -79,6 +80,19 @@ def test_residuals_are_as_large_as_foretold(towers, noise):
     # 15 logs of some 100 equations each, many of which share a flip
     assert 0.85 < np.std(np.concatenate(contacts)) < 1.15
     assert 0.85 < np.sqrt(np.mean(np.concatenate(places) ** 2)) < 1.15
+
+
+def test_what_equations_are_too_few_for_is_floppy(towers):
+    """Where none says what others say already, nothing else is."""
+    for history in towers:
+        log = observe(history, SensingParams())
+        for off in (("height", "ground", "walk_contacts"), ("walk_contacts",), ()):
+            params = JointParams(**dict.fromkeys(off, False))
+            left = certainty(log, params.cues)
+            short = equations(log, params).shortage * left.unknowns
+
+            assert 0.0 <= short <= left.floppy_modes + 1e-9
+            assert short > 0.5 * left.floppy_modes or "height" in params.cues
 
 
 def test_a_cue_that_is_off_says_nothing(towers):

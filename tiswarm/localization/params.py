@@ -10,6 +10,9 @@ from tiswarm.params import STRICT
 CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometry")
 """What a localizer may use of a log, where it has it."""
 
+MANY_CHAINS, FEW_CHAINS, MANY_CHAINS_UP_TO = 8, 4, 3000
+"""Annealings of a structure of at most so many robots, and of a larger one."""
+
 Width = Annotated[float, Field(gt=0.0)]
 
 
@@ -208,8 +211,9 @@ class JointParams(CueParams):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     """Seed of the chains' random numbers."""
 
-    chains: Annotated[int, Field(ge=1, le=1000)] = 8
-    """Annealings from different starts; the estimate is their mean, `sd` their spread."""
+    chains: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """Annealings from different starts; the estimate is their mean, `sd` their spread. If null 8,
+    or 4 for more than 3,000 robots, where time counts more than the little that others add."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
     """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape."""
@@ -231,6 +235,12 @@ class JointParams(CueParams):
 
     spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
     """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
+
+    def chains_for(self, robots: int) -> int:
+        """Annealings of a structure of so many robots."""
+        if self.chains is None:
+            return MANY_CHAINS if robots <= MANY_CHAINS_UP_TO else FEW_CHAINS
+        return self.chains
 
 
 LocalizationParams = Annotated[

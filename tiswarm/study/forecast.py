@@ -7,7 +7,7 @@ Seconds are processor time on one core of a server of 2023 (measured on structur
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
+from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.scenario import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
 
@@ -73,7 +73,7 @@ def forecast(cases: Sequence[Case]) -> Forecast:
     """Estimate what cases will take; within a factor of three or so, and machines differ."""
     once = [group[0].settings for group in structures(cases)]
     robots = [case.settings.robots for case in cases]
-    localize = [_localize_s(case.settings.localization) * case.settings.robots for case in cases]
+    localize = [_localize_s(case.settings) for case in cases]
     grow = [_grow_s(settings) for settings in once]
     at_once = max(min(sum(robots), ROBOTS_AT_ONCE), *robots, 0)
     return Forecast(
@@ -94,14 +94,15 @@ def _grow_s(settings: Scenario) -> float:
     return CLIMB_S * n + solve * n / structure.solve_every
 
 
-def _localize_s(params: LocalizationParams) -> float:
-    """Localization of a robot [s]."""
+def _localize_s(settings: Scenario) -> float:
+    """Localization of a structure [s]."""
+    n, params = settings.robots, settings.localization
     if isinstance(params, VirtualForceParams):
         rounds = params.back_propagation
-        return VIRTUAL_FORCE_S * (params.iterations + (rounds.sweeps if rounds else 0))
+        return VIRTUAL_FORCE_S * n * (params.iterations + (rounds.sweeps if rounds else 0))
     if isinstance(params, JointParams):
-        return JOINT_S * params.chains * (params.steps + params.hold_steps)
-    return LEAST_SQUARES_S
+        return JOINT_S * n * params.chains_for(n) * (params.steps + params.hold_steps)
+    return LEAST_SQUARES_S * n
 
 
 def _time(seconds: float) -> str:

@@ -88,8 +88,9 @@ class Swarm:
         """
         running = backend.current()
         self.memory = memory = Memory(running, on_host=False)
-        self.chains = params[0].chains
+        self.chains = params[0].chains_for(logs[0].robot_count)
         self.schedule = params[0]
+        seed = self.schedule.seed
         self.known = known
         self.robust = [p.robust for p in params]
         self.size = [log.robot_count for log in logs]
@@ -111,7 +112,7 @@ class Swarm:
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
         )[self.order]
         first = np.concatenate(
-            [first_guess(g, e, params[0]) for g, e in zip(logs, known, strict=True)], axis=1
+            [first_guess(g, e, seed, self.chains) for g, e in zip(logs, known, strict=True)], axis=1
         )[:, self.order]
         listed = np.zeros((copies, 4))
         listed[:, 3] = np.repeat(np.arange(blocks), np.diff(first_of_block))

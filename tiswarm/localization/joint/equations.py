@@ -67,6 +67,12 @@ class Equations:
     yaw_precision: float
     """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
+    @property
+    def shortage(self) -> float:
+        """By how much equations are too few, relative to unknown coordinates (Maxwell's count)."""
+        known = len(self.robot) + np.count_nonzero(self.precision[1:])
+        return max(0.0, 1.0 - known / max(self.place[1:].size, 1))
+
     def lengths(
         self, position: NDArray[np.float64], yaw: NDArray[np.float64]
     ) -> NDArray[np.float64]:

@@ -20,7 +20,14 @@ DOUBT = 5.0
 """Contacts farther off than so many standard deviations are judged wrong."""
 DISAGREEMENT = 0.35
 """Part of the square of what chains disagree by that `sd` counts. Where they cool too fast to find
-the same place they disagree by more than their mean is off; fitted on training structures."""
+the same place they disagree by more than their mean is off; fitted on training structures, as are
+the next two."""
+EASED = 0.7
+"""Part of the square of a chain's spread that `sd` counts where the tolerance alone is behind it,
+and not the noise of the equations."""
+UNSETTLED = 1.0
+"""By how much `sd` is greater where there are no equations at all, relatively: of what nothing says
+chains see less than there is."""
 GIVEN_UP = 20.0
 """Standard deviations that one contact counts for at most in that sum: enough that a chain which
 gave up a contact that others kept got stuck, not so many that the farthest decides."""
@@ -31,7 +38,8 @@ MOST_NAMED = 8
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
     schedule = (params.steps, params.hold_steps, params.start_tolerance, params.end_tolerance)
-    return (len(log.dock_offset_body), params.seed, params.chains, *schedule)
+    chains = params.chains_for(log.robot_count)
+    return (len(log.dock_offset_body), params.seed, chains, *schedule)
 
 
 def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) -> list[Estimate]:
@@ -63,7 +71,10 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     mean = annealed.mean[sound]
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
-    sd = np.sqrt((DISAGREEMENT * between + annealed.spread[sound]).mean(axis=0))
+    noise = np.mean(known.variance / (known.variance + tolerance**2)) if len(gap.T) else 1.0
+    spread = (noise + EASED * (1.0 - noise)) * annealed.spread[sound]
+    sd = np.sqrt((DISAGREEMENT * between + spread).mean(axis=0))
+    sd *= 1.0 + UNSETTLED * known.shortage
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(

@@ -6,14 +6,13 @@ from numpy.typing import NDArray
 from tiswarm.compute import random
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING
-from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
 
 LOST = 2.0 * SPACING
 """Docks in contact that are this much farther apart no longer find each other [R]."""
 
 
-def first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArray[np.float64]:
+def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> NDArray[np.float64]:
     """Put each robot where its contacts with earlier ones meet, give or take a dock radius.
 
     Which way a dock lies from the one it touches is not sensed. Robots are taken to stand across
@@ -23,8 +22,8 @@ def first_guess(log: SensingLog, known: Equations, params: JointParams) -> NDArr
         Positions, another one for each chain, shape (chains, N, 3).
     """
     robot = np.arange(log.robot_count)
-    draw = 3 * np.arange(params.chains)[:, None, None] + np.arange(3)
-    guess = random.normal(params.seed, "first guess", robot[:, None], draw)
+    draw = 3 * np.arange(chains)[:, None, None] + np.arange(3)
+    guess = random.normal(seed, "first guess", robot[:, None], draw)
     rows = _rows(known, log.robot_count)
     anchor = log.anchor_position / log.dock_radius
     across = _across(known)
