@@ -1,10 +1,15 @@
 """Least squares finds what the residuals determine, from a start that is near enough."""
 
+import dataclasses
+import sys
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute.rotations import dock_offsets
+from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.least_squares.method import improve
 from tiswarm.localization.least_squares.problem import Pairs, Places, Problem
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
@@ -108,3 +113,32 @@ def _deepest_overlap(log, position):
 def test_least_squares_repeats_bit_for_bit(log):
     """Twice the same log, twice the same bytes."""
     assert localize(log, QUICK).trace.tobytes() == localize(log, QUICK).trace.tobytes()
+
+
+@pytest.mark.parametrize("yaw_bias_deg", [0.0, 15.0])
+def test_another_library_finds_the_same(towers, yaw_bias_deg):
+    """GTSAM comes from the same start to the same places and turns as scipy."""
+    pytest.importorskip("gtsam")
+    history = towers[0]
+    log = observe(history, SensingParams(spawn_noise=0.0, yaw_bias_deg=yaw_bias_deg))
+    start = history.position + 0.1 * np.random.default_rng(0).normal(size=(30, 3))
+    params = LeastSquaresParams(odometry_width=0.05)
+
+    ours, theirs = (
+        improve(log, dataclasses.replace(params, optimizer=optimizer), start)
+        for optimizer in ("scipy", "gtsam")
+    )
+
+    np.testing.assert_allclose(ours.position, theirs.position, atol=1e-3)
+    assert theirs.residual[-1] < 0.1 * theirs.residual[0]
+    if yaw_bias_deg:
+        np.testing.assert_allclose(ours.yaw, theirs.yaw, atol=1e-3)
+
+
+def test_what_gtsam_cannot_do_is_said(log, monkeypatch):
+    """Other losses are refused at once; where it is not installed, a line says what to do."""
+    with pytest.raises(ValidationError, match="gtsam knows no other loss"):
+        LeastSquaresParams(optimizer="gtsam", loss="huber")
+    monkeypatch.setitem(sys.modules, "gtsam", None)
+    with pytest.raises(EnvironmentTroubleError, match=r"pip install 'tiswarm\[gtsam\]'"):
+        localize(log, dataclasses.replace(QUICK, optimizer="gtsam"))

@@ -12,6 +12,8 @@ from scipy.optimize import least_squares
 
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.localization import virtual_force
+from tiswarm.localization.least_squares import factor_graph
+from tiswarm.localization.least_squares.factor_graph import Found
 from tiswarm.localization.least_squares.problem import (
     Problem,
     Reals,
@@ -71,15 +73,7 @@ def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estima
     for _ in range(params.rounds if log.robot_count > 1 else 0):
         pairs = [*contacts, *close(log, params, position, yaw)]
         problem = Problem(log, pairs, places, yaw_sd)
-        found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
-            problem.residuals,
-            problem.unknowns(position, yaw),
-            jac=problem.jacobian,
-            method="trf",
-            tr_solver="lsmr",
-            loss=params.loss,
-            max_nfev=params.evaluations,
-        )
+        found = _minimize(problem, problem.unknowns(position, yaw), params)
         position, yaw = problem.poses(found.x)
         poses.append((position, yaw))
         iteration.append(iteration[-1] + found.nfev)
@@ -95,6 +89,21 @@ def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estima
         trace=np.array([frame for frame, _ in poses]),
         residual=np.array([_stretch(log, *pose) for pose in poses]),
     )
+
+
+def _minimize(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> Found:
+    if params.optimizer == "gtsam":
+        return factor_graph.minimize(problem, unknowns, params.evaluations)
+    found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
+        problem.residuals,
+        unknowns,
+        jac=problem.jacobian,
+        method="trf",
+        tr_solver="lsmr",
+        loss=params.loss,
+        max_nfev=params.evaluations,
+    )
+    return Found(found.x, found.cost, found.nfev, found.status)
 
 
 def _stretch(log: SensingLog, position: Reals, yaw: Reals) -> float:
