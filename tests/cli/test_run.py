@@ -18,7 +18,7 @@ from tiswarm.console import ConsoleWatcher
 from tiswarm.localization import virtual_force
 from tiswarm.scenario import load_scenario
 from tiswarm.study import tables, work
-from tiswarm.study.cases import plan
+from tiswarm.study.cases import chunks, plan
 from tiswarm.study.storage import RunFolder
 from tiswarm.study.work import failure
 from tiswarm.world.growth import grow
@@ -289,6 +289,16 @@ def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     _assert_same_bytes(whole.folder, stopped.folder)
     manifest = json.loads((stopped.folder / "manifest.json").read_text())
     assert manifest["stages"]["grow"]["cpu_s"] > 0.0
+
+
+def test_small_structures_are_computed_first():
+    """Each together with its conditions, whatever the order of the sweep."""
+    overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
+    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+
+    robots = [[case.settings.robots for case in chunk] for chunk in chunks(plan(scenario))]
+
+    assert robots == [[4] * 6, [30] * 6, [100] * 6]
 
 
 def test_a_damaged_structure_is_grown_again(tmp_path):

@@ -94,9 +94,10 @@ def structure_name(case: Case) -> str:
     return f"seed{case.seed}-{hashlib.sha256(grown_by.encode()).hexdigest()[:12]}"
 
 
-def _kind(case: Case) -> tuple[str, int, int]:
+def _kind(case: Case) -> tuple[int, str, int]:
     settings = case.settings
-    return (repr((settings.structure, settings.robot)), settings.robots, case.seed)
+    # The small ones first: they are done soon, and memory that large ones took is not theirs.
+    return (settings.robots, repr((settings.structure, settings.robot)), case.seed)
 
 
 def structures(cases: Sequence[Case]) -> list[list[Case]]:
