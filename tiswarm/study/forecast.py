@@ -98,8 +98,12 @@ def _localize_s(settings: Scenario) -> float:
     """Localization of a structure [s]."""
     n, params = settings.robots, settings.localization
     if isinstance(params, VirtualForceParams):
-        rounds = params.back_propagation
-        return VIRTUAL_FORCE_S * n * (params.iterations + (rounds.sweeps if rounds else 0))
+        steps = float(params.iterations)
+        if (
+            rounds := params.back_propagation
+        ):  # of all that are there, so of half of them on average
+            steps += rounds.sweeps * (1.0 + n / rounds.every) / 2.0
+        return VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
         return JOINT_S * n * params.chains_for(n) * (params.steps + params.hold_steps)
     return LEAST_SQUARES_S * n
