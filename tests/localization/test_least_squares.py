@@ -135,6 +135,24 @@ def test_another_library_finds_the_same(towers, yaw_bias_deg):
         np.testing.assert_allclose(ours.yaw, theirs.yaw, atol=1e-3)
 
 
+def test_a_robot_that_nothing_is_known_of_stays_where_it_was(log):
+    """Neither library minds that it has no residual."""
+    pytest.importorskip("gtsam")
+    silent = dataclasses.replace(
+        log,
+        contacts=log.contacts[(log.contacts[:, [0, 2]] != 29).all(axis=1)],
+        flip_height=np.where(np.arange(30) == 29, np.nan, log.flip_height),
+    )
+    start = np.random.default_rng(0).normal(scale=9.0, size=(30, 3))
+
+    for optimizer in ("scipy", "gtsam"):
+        params = dataclasses.replace(QUICK, optimizer=optimizer, non_overlap=False)
+        found = improve(silent, params, start).position
+
+        np.testing.assert_array_equal(found[29], start[29])
+        assert (found[1:29] != start[1:29]).any(axis=1).all()
+
+
 def test_what_gtsam_cannot_do_is_said(log, monkeypatch):
     """Other losses are refused at once; where it is not installed, a line says what to do."""
     with pytest.raises(ValidationError, match="gtsam knows no other loss"):

@@ -49,8 +49,10 @@ def minimize(problem: Problem, unknowns: Reals, evaluations: int) -> Found:
     blocks = _blocks(problem)
     for key, block in enumerate(blocks):
         values.insert(key, unknowns[block])
-    for robot in range(0 if problem.yaw_sd else 1, problem.robots):  # the anchor may turn only
-        graph.push_back(_factor(problem, robot))
+    last = [np.maximum(problem.pairs.i, problem.pairs.j), problem.places.j]
+    for robot in np.unique(np.concatenate(last)):
+        if robot > 0 or problem.yaw_sd:  # the anchor moves in no way but by a turn
+            graph.push_back(_factor(problem, robot))
     if problem.yaw_sd:
         sure = gtsam.noiseModel.Isotropic.Sigma(1, problem.unit * problem.yaw_sd)
         for key in range(problem.robots - 1, len(blocks)):
@@ -73,7 +75,7 @@ def _blocks(problem: Problem) -> list[slice]:
 
 
 def _factor(problem: Problem, robot: int) -> "gtsam.CustomFactor":
-    """Gather the residuals of a robot with earlier ones and of its own place."""
+    """Gather the residuals of a robot with earlier ones and of its own place; there are some."""
     import gtsam  # noqa: PLC0415 - an extra
 
     of_pair = np.maximum(problem.pairs.i, problem.pairs.j) == robot
