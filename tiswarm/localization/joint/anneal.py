@@ -24,6 +24,8 @@ WIDTH = 3.0
 """Standard deviations at which a robust contact begins to give way."""
 PUT_BACK_FROM = 0.4
 """Part of the steps after which robots that got lost are put back."""
+LAUNCH = 3000
+"""Robots of which a step takes as long as does a launch from Python."""
 FRAMES = 24
 """Frames of the trace."""
 AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -99,7 +101,7 @@ class Swarm:
         copies, blocks = self.chains * self.start[-1], self.chains * len(logs)
         if by_block is None:
             # The fewer copies the busiest thread has, the better.
-            shared = GRAIN * -(-copies // (GRAIN * running.threads))
+            shared = LAUNCH + GRAIN * -(-copies // (GRAIN * running.threads))
             busiest = copies / blocks * -(-blocks // running.threads)
             by_block = running.arch == "cpu" and bool(busiest <= shared)
         self.by_block = by_block
