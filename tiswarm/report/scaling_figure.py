@@ -62,7 +62,7 @@ def draw_scaling(folder: Path, note: str) -> "Figure":
         if not measure.endswith("_MB"):
             _show_decades(axes, rows["mean"])
         if len(rows):
-            axes.legend(fontsize=5.5, loc="best")
+            axes.legend(fontsize=5.5, loc="upper left")
     add_note(figure, note)
     return figure
 
@@ -75,8 +75,9 @@ def _powers(part: "pd.DataFrame") -> str:
 
 
 def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
-    """Make the y axis logarithmic, from one power of ten to another."""
+    """Make the y axis logarithmic, from one power of ten to another, with room for a legend."""
     positive = means[means > 0.0]
     if len(positive):
-        low, high = np.log10(positive.min()), np.log10(positive.max())
-        axes.set(yscale="log", ylim=(10.0 ** np.floor(low), 10.0 ** (np.ceil(high) + 1.0)))
+        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+        above = max(1.0, np.ceil((high - low) / 3.5))
+        axes.set(yscale="log", ylim=(10.0**low, 10.0 ** (high + above)))
