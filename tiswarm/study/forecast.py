@@ -99,10 +99,9 @@ def _localize_s(settings: Scenario) -> float:
     n, params = settings.robots, settings.localization
     if isinstance(params, VirtualForceParams):
         steps = float(params.iterations)
-        if (
-            rounds := params.back_propagation
-        ):  # of all that are there, so of half of them on average
-            steps += rounds.sweeps * (1.0 + n / rounds.every) / 2.0
+        if rounds := params.back_propagation:
+            # A robot takes part in those after it joined: half of them on average, and the last.
+            steps += rounds.sweeps * (1.0 + max(n / rounds.every, 1.0)) / 2.0
         return VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
         return JOINT_S * n * params.chains_for(n) * (params.steps + params.hold_steps)

@@ -15,7 +15,7 @@ from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robo
 from tiswarm.study.pool import Dispatch, Pool, opened, reason
 from tiswarm.study.scaling import write_scaling
 from tiswarm.study.scorecard import write_scorecard
-from tiswarm.study.storage import FAILED, CaseRecord, RunFolder, write_table
+from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
 from tiswarm.study.work import Job, Outcome, Watcher, failure
 
 PLAIN = Dispatch()
@@ -103,7 +103,7 @@ def run(
                 described = manifest.describe(used or backend.current(), costs)
                 manifest.write_manifest(folder.path, described | {"cases": len(cases)})
             write_tables(folder, scenario, cases, [records[case.name] for case in cases])
-            if not failed:
+            if all(record.status == DONE for record in records.values()):
                 folder.forget_grown()
     return result
 

@@ -87,8 +87,7 @@ class _Bench:
         histories = self._grow(self.job.cases)
         sound, records = self._sift(self.job.cases, histories)
         logs = self._sense(sound, histories)
-        for members in _alike(sound):
-            cases, felt = [sound[n] for n in members], [logs[n] for n in members]
+        for cases, felt in _alike(sound, logs):
             estimates = self._localize(cases, felt)
             with self._stage("evaluate and store", cases) as advance:
                 for case, log, estimate in zip(cases, felt, estimates, strict=True):
@@ -110,16 +109,10 @@ class _Bench:
 
     def _grow(self, chunk: Sequence[Case]) -> dict[int, History]:
         """Grow each structure once, whatever the number of its conditions."""
-        folder, settings = self.job.folder, chunk[0].settings
-        histories = {}
-        first = {case.seed: case for case in reversed(chunk)}
-        for seed, case in sorted(first.items()):
-            if found := folder.grown(case):
-                histories[seed], share = found
-                self.costs.paid("grow", [c.name for c in chunk if c.seed == seed], share)
-                self.watcher.say(f"seed {seed}: its structure was grown by an earlier run")
+        histories, settings = self._kept(chunk), chunk[0].settings
         missing = [case for case in chunk if case.seed not in histories]
-        seeds = sorted({case.seed for case in missing})
+        first = {case.seed: case for case in reversed(missing)}
+        seeds = sorted(first)
         if not seeds:
             return histories
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
@@ -133,8 +126,18 @@ class _Bench:
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs.of(first[seed].name)["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
-                folder.keep_grown(first[seed], history, share)
+                self.job.folder.keep_grown(first[seed], history, share)
         return histories | dict(zip(seeds, grown, strict=True))
+
+    def _kept(self, chunk: Sequence[Case]) -> dict[int, History]:
+        """Read the structures that an earlier run has grown, which pays for them."""
+        histories = {}
+        for seed, case in {case.seed: case for case in chunk}.items():
+            if found := self.job.folder.grown(case):
+                histories[seed], share = found
+                self.costs.paid("grow", [c.name for c in chunk if c.seed == seed], share)
+                self.watcher.say(f"seed {seed}: its structure was grown by an earlier run")
+        return histories
 
     def _sift(
         self, chunk: Sequence[Case], histories: dict[int, History]
@@ -195,14 +198,18 @@ class _Bench:
         )
 
 
-def _alike(cases: Sequence[Case]) -> list[list[int]]:
-    """Number the cases of each method and precision, which are localized side by side."""
+def _alike(
+    cases: Sequence[Case], logs: Sequence[SensingLog]
+) -> Iterator[tuple[list[Case], list[SensingLog]]]:
+    """List cases of one method and precision, which are localized side by side, and their logs."""
 
-    def kind(n: int) -> tuple[str, Precision]:
-        settings = cases[n].settings
+    def kind(sensed: tuple[Case, SensingLog]) -> tuple[str, Precision]:
+        settings = sensed[0].settings
         return settings.localization.method, settings.precision
 
-    return [list(alike) for _, alike in groupby(sorted(range(len(cases)), key=kind), key=kind)]
+    for _, group in groupby(sorted(zip(cases, logs, strict=True), key=kind), key=kind):
+        alike = list(group)
+        yield [case for case, _ in alike], [log for _, log in alike]
 
 
 def _fault(history: History, contact_gap: float) -> str:
