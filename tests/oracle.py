@@ -159,15 +159,16 @@ def swarm_step(
     return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]
 
 
-def joint_force(log, known, position, yaw, tolerance, width):
+def joint_force(log, known, position, yaw, tolerance, width, stretch):
     """Force and torque of the joint annealer on every robot: contacts, overlaps, known places."""
     turn = [Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() for angle in yaw]
     arm = [[r @ matrix(q) @ b / log.dock_radius for b in log.dock_offset_body]
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
     force, torque = np.zeros_like(position), np.zeros(len(position))
-    for i, j, shift, lever, variance in zip(
-        known.robot, known.other, known.shift, known.lever, known.variance, strict=True
-    ):
+    for i, j, shift, lever, variance, is_final in zip(
+        known.robot, known.other, known.shift, known.lever, known.variance, known.is_final,
+        strict=True,
+    ):  # fmt: skip
         own, its = np.append(lever[:2], 0.0), np.append(lever[2:], 0.0)
         upward = (shift - own + its)[2] * np.array([0.0, 0.0, 1.0])
         apart = position[i] + turn[i] @ own + upward - position[j] - turn[j] @ its
@@ -179,6 +180,12 @@ def joint_force(log, known, position, yaw, tolerance, width):
         force[j] -= pull
         torque[i] += np.cross(turn[i] @ own, pull)[2]
         torque[j] -= np.cross(turn[j] @ its, pull)[2]
+        if is_final:
+            between = position[i] - position[j]
+            outward = between / max(np.linalg.norm(between), 1.0)
+            push = tolerance**2 * stretch / (1.0 + (gap / width) ** 2 / within) * outward
+            force[i] += push
+            force[j] -= push
     touching = {tuple(row) for row in log.contacts.tolist()}
     for i in range(len(position)):
         for j in range(i + 1, len(position)):

@@ -251,6 +251,11 @@ class JointParams(CueParams):
     spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
     """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
 
+    stretch: Annotated[float, Field(ge=0.0, le=1.0)] = 0.6
+    """How much likelier two robots in contact are for each dock radius more between their centers,
+    as a logarithm [R^-1]. Robots climb as far as they can before they stay; of all that fits what
+    they sensed, most is folded closer than what they build."""
+
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""
         if self.chains is None:

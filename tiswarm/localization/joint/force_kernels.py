@@ -40,7 +40,7 @@ def turned(x, y, heading: Ref, r):
 
 @ti.func
 def pull_of_contacts(
-    square, solid, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
+    square, solid, robust, stretch, turning: ti.template(), turns, robot, base, contact_start: Ref,
     partner: Ref, touching: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref, heading: Ref,
 ):  # fmt: skip
     """Sum of the forces of a robot's contacts with its torque, of their stiffness and its inertia.
@@ -49,13 +49,17 @@ def pull_of_contacts(
     s^2 c^2 / 2 log(1 + r^2 / (c^2 w)), or s^2 r^2 / (2 w) where `robust` is 0. The logarithm still
     holds a robot whose contacts are all in doubt. Docks in contact at the end do not push each
     other apart as all others do; what these are given by mistake is taken back.
+
+    Robots in contact at the end push each other apart by s^2 `stretch`, for they are likelier the
+    farther they reach; as far as a contact gives way, so does the push.
     """
     here = vector_at(position, base + robot)
     force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
     inertia = stiffness
     for slot in range(contact_start[robot], contact_start[robot + 1]):
-        apart = here + vector_at(shift, slot) - vector_at(position, base + partner[slot])
+        between = here - vector_at(position, base + partner[slot])
+        apart = between + vector_at(shift, slot)
         arm = 0.0 * here
         if ti.static(turning) and turns:
             arm = turned(lever[slot, 0], lever[slot, 1], heading, base + robot)
@@ -69,6 +73,10 @@ def pull_of_contacts(
         stiff = square * length * inverse
         stiff -= ti.select(residual < 0.0, solid * touching[slot], 0)
         force -= with_torque(stiff * residual * within * inverse * apart, arm)
+        if touching[slot] == 1:
+            trust = (square + variance[slot]) * length * inverse
+            push = trust * square * stretch / ti.max(between.norm(), 1.0)
+            force += with_torque(push * between, 0.0 * arm)
         stiffness += stiff
         inertia += stiff * arm.norm_sqr()
     return force, stiffness, inertia
@@ -104,17 +112,17 @@ def push_of_overlaps(
 @ti.func
 def pull_robot(
     grid: Ref, docks: ti.template(), turning: ti.template(), r, tolerance, non_overlap: Ref,
-    robust: Ref, contact_start: Ref, partner: Ref, touching: Ref, shift: Ref, lever: Ref,
-    variance: Ref, place: Ref, precision: Ref, walk: Ref, yaw_precision: Ref, arm: Ref, row: Ref,
-    row_first: Ref, row_count: Ref, position: Ref, force: Ref, mass: Ref, heading: Ref,
+    robust: Ref, stretch: Ref, contact_start: Ref, partner: Ref, touching: Ref, shift: Ref,
+    lever: Ref, variance: Ref, place: Ref, precision: Ref, walk: Ref, yaw_precision: Ref, arm: Ref,
+    row: Ref, row_first: Ref, row_count: Ref, position: Ref, force: Ref, mass: Ref, heading: Ref,
 ):  # fmt: skip
     """Write the force on a robot and the mass that it needs, and both for its turn if it turns."""
     square = tolerance * tolerance
     i = r % non_overlap.shape[0]
     turns = yaw_precision[i] > 0.0
     pull, stiffness, inertia = pull_of_contacts(
-        square, non_overlap[i], robust[i], turning, turns, i, r - i, contact_start, partner,
-        touching, shift, lever, variance, position, heading,
+        square, non_overlap[i], robust[i], stretch[i], turning, turns, i, r - i, contact_start,
+        partner, touching, shift, lever, variance, position, heading,
     )  # fmt: skip
     if non_overlap[i] == 1:
         push, hardness, lag = push_of_overlaps(

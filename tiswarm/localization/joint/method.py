@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.localization.joint.anneal import Annealed, anneal
+from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.params import JointParams
@@ -18,16 +19,6 @@ CHANCE = 5.0
 sum got stuck, and does not count."""
 DOUBT = 5.0
 """Contacts farther off than so many standard deviations are judged wrong."""
-DISAGREEMENT = 0.35
-"""Part of the square of what chains disagree by that `sd` counts. Where they cool too fast to find
-the same place they disagree by more than their mean is off; fitted on training structures, as are
-the next two."""
-EASED = 0.7
-"""Part of the square of a chain's spread that `sd` counts where the tolerance alone is behind it,
-and not the noise of the equations."""
-UNSETTLED = 1.0
-"""By how much `sd` is greater where there are no equations at all, relatively: of what nothing says
-chains see less than there is."""
 GIVEN_UP = 20.0
 """Standard deviations that one contact counts for at most in that sum: enough that a chain which
 gave up a contact that others kept got stuck, not so many that the farthest decides."""
@@ -51,9 +42,8 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 
     Returns:
         One estimate a log: the mean over the end of all chains but those that got stuck, and as
-        `sd` the root of the mean square distance of each chain from its own mean plus a part of
-        that of these from the estimate. The residual is the root mean square of what docks in
-        contact are nearer or farther than D.
+        `sd` what their straying and disagreeing tells of its error. The residual is the root mean
+        square of what docks in contact are nearer or farther than D.
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
@@ -71,10 +61,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     mean = annealed.mean[sound]
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
-    noise = np.mean(known.variance / (known.variance + tolerance**2)) if len(gap.T) else 1.0
-    spread = (noise + EASED * (1.0 - noise)) * annealed.spread[sound]
-    sd = np.sqrt((DISAGREEMENT * between + spread).mean(axis=0))
-    sd *= 1.0 + UNSETTLED * known.shortage
+    sd = deviation(known, annealed.mean, annealed.spread, sound, tolerance)
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(

@@ -1,0 +1,68 @@
+"""How far off an estimate may be, from what chains of it do: the calibration of `sd`.
+
+A chain strays from its mean for three reasons: equations are noisy, they leave places open, and
+the annealer tolerates that they are missed. Errors have the first two alone. All numbers here were
+fitted on training structures of ReactiveBuild's rules; see `docs/accuracy.md`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.localization.joint.equations import Equations
+
+TOLERATED = 80.0
+"""Square of how far the tolerance alone makes a robot stray, in squares of the tolerance."""
+FREE = 0.78
+"""Standard deviations of an error in one of a chain, where equations have no noise."""
+RELATED = 0.2
+RELATED_AT = 13.0
+"""Power by which deviations below so many tolerances are raised, and greater ones lowered, where
+equations are nothing but noise: noise of a walk's early stances is in many of them at once, which
+chains do not know."""
+UNSETTLED = 0.8
+"""By how much errors are greater where there are no equations at all, relatively: of what nothing
+says chains see less than there is."""
+
+
+def deviation(
+    known: Equations,
+    mean: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    sound: NDArray[np.bool_],
+    tolerance: float,
+) -> NDArray[np.float64]:
+    """Standard deviation of the mean of the sound chains, in dock radii, shape (N,).
+
+    Args:
+        known: What the chains were annealed by.
+        mean: Mean position of each chain [R], shape (chains, N, 3).
+        spread: Mean square distance from it [R^2], shape (chains, N).
+        sound: Chains whose mean is the estimate, shape (chains,).
+        tolerance: Tolerance at which the chains ended [R].
+    """
+    square = spread[sound].mean(axis=0) + disagreement(mean, sound)
+    noise = _noise_share(known.variance, tolerance)
+    tolerated = TOLERATED * (1.0 - noise) * tolerance**2
+    square *= square / np.maximum(square + tolerated, np.finfo(np.float64).tiny)
+    power = RELATED * noise
+    related = np.sqrt(square) ** (1.0 - power) * (RELATED_AT * tolerance) ** power
+    sd: NDArray[np.float64] = related * FREE ** (1.0 - noise) * (1.0 + UNSETTLED * known.shortage)
+    return sd
+
+
+def disagreement(mean: NDArray[np.float64], sound: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Mean square by which the truth is off the mean of chains that are draws like it, shape (N,).
+
+    The mean of n draws is off by (n + 1) / n of their variance, of which they show (n - 1) / n
+    around it. Of one sound chain only the others tell how much chains differ.
+    """
+    position = mean[sound].mean(axis=0)
+    chains = np.count_nonzero(sound)
+    drawn = mean[sound] if chains > 1 else mean
+    square: NDArray[np.float64] = ((drawn - position) ** 2).sum(axis=2).mean(axis=0)
+    return square * ((chains + 1.0) / (chains - 1.0) if chains > 1 else 1.0)
+
+
+def _noise_share(variance: NDArray[np.float64], tolerance: float) -> float:
+    """Part of the contacts' variance that is noise and not tolerance; 1 without contacts."""
+    return float(np.mean(variance / (variance + tolerance**2))) if len(variance) else 1.0
