@@ -138,7 +138,9 @@ class Swarm:
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
-                np.repeat([p.stretch for p in params], self.size),
+                np.repeat(
+                    [p.stretch_for(n) for p, n in zip(params, self.size, strict=True)], self.size
+                ),
                 *_by_robot(known, self.start, np.argsort(self.order)),
                 np.concatenate([e.place for e in known])[self.order],
                 np.concatenate([e.precision for e in known])[self.order],
