@@ -55,7 +55,7 @@ def localize(log, params):
                 ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
                 for i in range(j + 1):
                     move, angle = step(
-                        log, params, position, dock, rows, i, ramp, yaw[i], rounds.gain
+                        log, params, position, dock, rows, i, ramp, yaw[i], rounds.gain, taut=True
                     )
                     position[i] = position[i] + (move if i else 0.0)
                     turn_docks(dock, yaw, i, angle)
@@ -68,7 +68,7 @@ def turn_docks(dock, yaw, robot, angle):
     dock[robot] = [turned(arm, np.array([0, 0, 1.0]), angle) for arm in dock[robot]]
 
 
-def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0):
+def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0, *, taut=False):
     """A share of the forces on a robot by all that have a position, no longer than the cap.
 
     And of their torque about the vertical, against the pull of the yaw that is sensed.
@@ -81,7 +81,7 @@ def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0):
         for a, own in enumerate(dock[robot]):
             for b, other in enumerate(dock[i]):
                 offset = other_position + other - position[robot] - own
-                pull = pair_force(offset, (i, b, robot, a) in rows, near, params, ramp)
+                pull = pair_force(offset, (i, b, robot, a) in rows, near, params, ramp, taut)
                 force += pull
                 torque += np.cross(own, pull)[2]
     if params.z_correction:
@@ -98,10 +98,18 @@ def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0):
     return move, np.clip(turn, -np.radians(law.max_turn_deg), np.radians(law.max_turn_deg))
 
 
-def pair_force(offset, connected, near, params, ramp):
-    """Eq. (1) for connected docks, Eq. (2) for others closer than D, of robots near or anywhere."""
+def pair_force(offset, connected, near, params, ramp, taut):
+    """Eq. (1) for connected docks, Eq. (2) for others closer than D, of robots near or anywhere.
+
+    Where contacts are taut, docks that are too near part by attraction's gain.
+    """
+    distance = np.linalg.norm(offset)
     if connected:
-        return dock_pair_force(offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp)
+        spring = (
+            params.attraction_gain * ramp * (distance - 2.0) if taut and distance < 2.0 else 0.0
+        )
+        force = dock_pair_force(offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp)
+        return force + spring * offset / distance
     wanted = params.undocked_repulsion or (params.neighbor_repulsion and near)
     if wanted and np.linalg.norm(offset) < 2.0:
         return dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)

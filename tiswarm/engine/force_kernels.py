@@ -39,6 +39,13 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
 
 
 @ti.func
+def parting(offset, stiffness, spacing):
+    """Force of a spring that only parts: F = stiffness (d - D) u if d < D, else none."""
+    distance = offset.norm()
+    return stiffness * ti.min(distance - spacing, 0.0) / ti.max(distance, TINY) * offset
+
+
+@ti.func
 def capped(step, max_step):
     """The same step, or one of length `max_step` in its direction where it is longer."""
     length = step.norm()

@@ -100,7 +100,8 @@ def localize_in_join_order(
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
 
     In back-propagation, all robots that have been placed step one after the other, in join
-    order, each by its contacts with all others; the next one sees where it went.
+    order, each by its contacts with all others; the next one sees where it went. Contacts are
+    taut then: what Eq. (1) has left at the end of its ramp, attraction, lets docks stay too near.
 
     Args:
         iterations: T, refinement steps of each robot.
@@ -144,7 +145,7 @@ def localize_in_join_order(
                         frame += 1
                     if robot > base and t < iterations:
                         force = virtual_force(
-                            law, robot, base, s, robot - base, (t + 1.0) / iterations,
+                            law, robot, base, s, robot - base, (t + 1.0) / iterations, 0.0,
                             contact_start, contact, dock_offset, flip_height, position,
                             head, following,
                         )  # fmt: skip
@@ -166,7 +167,7 @@ def localize_in_join_order(
                         ramp = 1.0 - law.sweep_repulsion * left
                         for j in range(base, base + placed):
                             force = virtual_force(
-                                law, j, base, s, placed, ramp,
+                                law, j, base, s, placed, ramp, 1.0,
                                 contact_start, contact, dock_offset, flip_height, position,
                                 head, following,
                             )  # fmt: skip

@@ -6,7 +6,7 @@ Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.dialect import Ref, ti
 from tiswarm.compute.kernels import vector_at, vector_in
-from tiswarm.engine.force_kernels import dock_pair_force
+from tiswarm.engine.force_kernels import dock_pair_force, parting
 
 
 @ti.func
@@ -78,10 +78,13 @@ def with_torque(force, arm):
 
 @ti.func
 def connected_force(
-    law: Ref, robot, base, placed, ramp, contact_start: Ref, contact: Ref, dock_offset: Ref,
+    law: Ref, robot, base, placed, ramp, taut, contact_start: Ref, contact: Ref, dock_offset: Ref,
     position: Ref,
 ):  # fmt: skip
-    """Sum of Eq. (1) over the robot's contacts with the first `placed` robots, with its torque."""
+    """Sum of Eq. (1) over the robot's contacts with the first `placed` robots, with its torque.
+
+    Where `taut` is 1, docks nearer than D part as firmly as farther ones approach.
+    """
     here = vector_at(position, robot)
     force = with_torque(0.0 * here, here)
     for row in range(contact_start[robot], contact_start[robot + 1]):
@@ -91,6 +94,7 @@ def connected_force(
             pull = dock_pair_force(
                 other - own, law.attraction_gain, law.repulsion_gain, law.spacing, ramp
             )
+            pull += taut * parting(other - own, law.attraction_gain * ramp, law.spacing)
             force += with_torque(pull, own - here)
     return force
 
@@ -129,7 +133,7 @@ def undocked_force(
 
 @ti.func
 def virtual_force(
-    law: Ref, robot, base, structure, placed, ramp, contact_start: Ref, contact: Ref,
+    law: Ref, robot, base, structure, placed, ramp, taut, contact_start: Ref, contact: Ref,
     dock_offset: Ref, flip_height: Ref, position: Ref, head: Ref, following: Ref,
 ):  # fmt: skip
     """Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure.
@@ -137,7 +141,7 @@ def virtual_force(
     Each force acts at a dock; the fourth component is their torque about the vertical.
     """
     force = connected_force(
-        law, robot, base, placed, ramp, contact_start, contact, dock_offset, position
+        law, robot, base, placed, ramp, taut, contact_start, contact, dock_offset, position
     )
     if law.undocked != NO_DOCKS:
         force += undocked_force(
