@@ -1,5 +1,7 @@
 """The paper's equations and a flip's geometry, written out slowly in NumPy."""
 
+from collections import Counter
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -173,6 +175,7 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
     arm = [[r @ matrix(q) @ b / log.dock_radius for b in log.dock_offset_body]
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
     force, torque = np.zeros_like(position), np.zeros(len(position))
+    contacts = Counter(log.contacts[:, [0, 2]].ravel().tolist())
     for i, j, shift, lever, variance, is_final in zip(
         known.robot, known.other, known.shift, known.lever, known.variance, known.is_final,
         strict=True,
@@ -189,9 +192,10 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
         torque[i] += np.cross(turn[i] @ own, pull)[2]
         torque[j] -= np.cross(turn[j] @ its, pull)[2]
         if is_final:
+            least = min(contacts[i], contacts[j])
             between = position[i] - position[j]
             outward = between / max(np.linalg.norm(between), 1.0)
-            push = tolerance**2 * stretch / (1.0 + (gap / width) ** 2 / within) * outward
+            push = tolerance**2 * stretch / least / (1.0 + (gap / width) ** 2 / within) * outward
             force[i] += push
             force[j] -= push
     touching = {tuple(row) for row in log.contacts.tolist()}

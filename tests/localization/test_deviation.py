@@ -58,3 +58,30 @@ def test_the_tolerance_alone_makes_no_error(noise):
     assert 0.0 < tied < free
     assert (tied < 0.2 * np.sqrt(1e-3)) == (noise < 1.0)
     assert short[2] > 1.2 * free
+
+
+def _told(mean):
+    """What chains tell of each robot that do nothing but disagree, in what they disagree by."""
+    sound = np.ones(len(mean), bool)
+    sd = deviation.deviation(_known(noise=1e-9), mean, np.zeros(mean.shape[:2]), sound, 0.025)
+    return sd[1:] / np.sqrt(deviation.disagreement(mean, sound)[1:])
+
+
+def test_what_all_robots_do_at_once_counts_more_than_what_each_does_alone():
+    """Of equal disagreement, whatever the number of robots but two: these share nothing."""
+    side = np.array([-1.0, 1.0, -1.0, 1.0])
+    for robots in (2, 100):
+        alone = np.random.default_rng(robots).choice([-1.0, 1.0], (4, robots, 3))
+        shared = np.tile(side[:, None, None], (1, robots, 3))
+        assert _told(shared)[0] == _told(shared)[-1]
+        assert (_told(shared).min() > 1.8 * _told(alone).max()) == (robots == 100)
+
+
+def test_the_anchor_is_where_it_is():
+    """Even where all others move at once."""
+    mean = np.random.default_rng(1).normal(0.0, 1.0, (4, 1, 3)) * np.array([0.0, 1.0, 1.0])[:, None]
+
+    sd = deviation.deviation(_known(noise=1.0), mean, np.zeros((4, 3)), np.ones(4, bool), 0.025)
+
+    assert sd[0] == 0.0
+    assert (sd[1:] > 0.0).all()

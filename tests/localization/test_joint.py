@@ -57,7 +57,7 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust):
     assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
     for k in range(SHORT.chains):
         width = 3.0 if robust else np.inf
-        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, 0.6)
+        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, params.stretch)
         np.testing.assert_allclose(forces[k], slow[0], rtol=1e-9, atol=1e-11)
         if noise is BIASED:
             np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
@@ -85,12 +85,6 @@ def test_a_large_structure_is_annealed_by_fewer_chains():
     """Unless the settings say by how many."""
     assert [JointParams().chains_for(robots) for robots in (2, 3000, 3001)] == [8, 8, 4]
     assert JointParams(chains=9).chains_for(3001) == 9
-
-
-def test_a_large_structure_is_not_stretched():
-    """Unless the settings say so."""
-    assert [JointParams().stretch_for(robots) for robots in (2, 3000, 3001)] == [0.6, 0.6, 0.0]
-    assert JointParams(stretch=0.1).stretch_for(3001) == 0.1
 
 
 def test_a_robot_that_lost_touch_is_put_back(towers):

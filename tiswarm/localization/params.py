@@ -13,9 +13,6 @@ CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometr
 MANY_CHAINS, FEW_CHAINS, MANY_CHAINS_UP_TO = 8, 4, 3000
 """Annealings of a structure of at most so many robots, and of a larger one."""
 
-STRETCH, STRETCHED_UP_TO = 0.6, 3000
-"""Stretch of a structure of at most so many robots; that of a larger one is 0."""
-
 Width = Annotated[float, Field(gt=0.0)]
 
 
@@ -255,23 +252,17 @@ class JointParams(CueParams):
     spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
     """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
 
-    stretch: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    stretch: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
     """How much likelier two robots in contact are for each dock radius more between their centers,
-    as a logarithm [R^-1]. Robots climb as far as they can before they stay; of all that fits what
-    they sensed, most is folded closer than what they build. If null .6, or 0 for more than 3,000
-    robots, where the little that it draws out too far adds up along arms."""
+    as a logarithm [R^-1], shared among the contacts of the one that has fewer. Robots climb as far
+    as they can before they stay; of all that fits what they sensed, most is folded closer than
+    what they build, and the more so the fewer contacts hold them."""
 
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""
         if self.chains is None:
             return MANY_CHAINS if robots <= MANY_CHAINS_UP_TO else FEW_CHAINS
         return self.chains
-
-    def stretch_for(self, robots: int) -> float:
-        """`stretch` of a structure of so many robots."""
-        if self.stretch is None:
-            return STRETCH if robots <= STRETCHED_UP_TO else 0.0
-        return self.stretch
 
 
 LocalizationParams = Annotated[

@@ -138,10 +138,7 @@ class Swarm:
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
-                np.repeat(
-                    [p.stretch_for(n) for p, n in zip(params, self.size, strict=True)], self.size
-                ),
-                *_by_robot(known, self.start, np.argsort(self.order)),
+                *_by_robot(known, params, self.start, np.argsort(self.order)),
                 np.concatenate([e.place for e in known])[self.order],
                 np.concatenate([e.precision for e in known])[self.order],
                 np.concatenate([e.walk for e in known])[self.order],
@@ -244,16 +241,22 @@ class Swarm:
 
 
 def _by_robot(
-    known: Sequence[Equations], start: NDArray[np.int64], number: NDArray[np.intp]
+    known: Sequence[Equations],
+    params: Sequence[JointParams],
+    start: NDArray[np.int64],
+    number: NDArray[np.intp],
 ) -> tuple[NDArray[Any], ...]:
     """Every contact from both its sides, robot after robot, `number` of these in memory.
 
     Returns:
-        Start of each robot's, partner, whether it is final, shift, lever and variance.
+        Start of each robot's, partner, whether it is final, stretch, shift, lever and variance.
     """
     robot = number[np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])]
     other = number[np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])]
     is_final = np.concatenate([e.is_final for e in known]).astype(np.int64)
+    stretch = np.concatenate(
+        [p.stretch * e.is_final / e.fewest for e, p in zip(known, params, strict=True)]
+    )
     shift = np.concatenate([e.shift for e in known])
     lever = np.concatenate([e.lever for e in known])
     variance = np.concatenate([e.variance for e in known])
@@ -265,6 +268,7 @@ def _by_robot(
         np.concatenate([[0], count.cumsum()]),
         np.pad(partner, (0, room)),
         np.pad(np.tile(is_final, 2)[order], (0, room)),
+        np.pad(np.tile(stretch, 2)[order], (0, room)),
         np.pad(np.concatenate([shift, -shift])[order], ((0, room), (0, 0))),
         np.pad(np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order], ((0, room), (0, 0))),
         np.pad(np.tile(variance, 2)[order], (0, room), constant_values=1.0),

@@ -10,18 +10,21 @@ from numpy.typing import NDArray
 
 from tiswarm.localization.joint.equations import Equations
 
-TOLERATED = 80.0
+TOLERATED = 54.0
 """Square of how far the tolerance alone makes a robot stray, in squares of the tolerance."""
-FREE = 0.78
+FREE = 0.57
 """Standard deviations of an error in one of a chain, where equations have no noise."""
-RELATED = 0.2
-RELATED_AT = 13.0
+RELATED = 0.23
+RELATED_AT = 10.4
 """Power by which deviations below so many tolerances are raised, and greater ones lowered, where
 equations are nothing but noise: noise of a walk's early stances is in many of them at once, which
 chains do not know."""
-UNSETTLED = 0.8
+UNSETTLED = 1.07
 """By how much errors are greater where there are no equations at all, relatively: of what nothing
 says chains see less than there is."""
+SHARED = 4.9
+"""Weight of what a robot shares with all others, beside its own. Few contacts, those of the anchor,
+decide where all of a structure is; chains agree on that more often than they are right."""
 
 
 def deviation(
@@ -40,7 +43,9 @@ def deviation(
         sound: Chains whose mean is the estimate, shape (chains,).
         tolerance: Tolerance at which the chains ended [R].
     """
-    square = spread[sound].mean(axis=0) + disagreement(mean, sound)
+    differing = disagreement(mean, sound) + SHARED * disagreement(_others(mean), sound)
+    differing[0] = 0.0  # the anchor's place is known
+    square = spread[sound].mean(axis=0) + differing
     noise = _noise_share(known.variance, tolerance)
     tolerated = TOLERATED * (1.0 - noise) * tolerance**2
     square *= square / np.maximum(square + tolerated, np.finfo(np.float64).tiny)
@@ -61,6 +66,13 @@ def disagreement(mean: NDArray[np.float64], sound: NDArray[np.bool_]) -> NDArray
     drawn = mean[sound] if chains > 1 else mean
     square: NDArray[np.float64] = ((drawn - position) ** 2).sum(axis=2).mean(axis=0)
     return square * ((chains + 1.0) / (chains - 1.0) if chains > 1 else 1.0)
+
+
+def _others(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean position of all robots but the anchor and the robot itself, shape (chains, N, 3)."""
+    robots = mean.shape[1]
+    total: NDArray[np.float64] = mean[:, 1:].sum(axis=1, keepdims=True)
+    return (total - mean) / max(robots - 2, 1)
 
 
 def _noise_share(variance: NDArray[np.float64], tolerance: float) -> float:

@@ -73,6 +73,14 @@ class Equations:
         known = len(self.robot) + np.count_nonzero(self.precision[1:])
         return max(0.0, 1.0 - known / max(self.place[1:].size, 1))
 
+    @property
+    def fewest(self) -> NDArray[np.int64]:
+        """Contacts at the end, of the two robots of each contact the fewer, at least 1, (C,)."""
+        pair = np.column_stack([self.robot, self.other])
+        count = np.bincount(pair[self.is_final].ravel(), minlength=len(self.place))
+        fewest: NDArray[np.int64] = np.maximum(count[pair].min(axis=1), 1)
+        return fewest
+
     def lengths(
         self, position: NDArray[np.float64], yaw: NDArray[np.float64]
     ) -> NDArray[np.float64]:

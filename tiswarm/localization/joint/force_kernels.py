@@ -40,8 +40,9 @@ def turned(x, y, heading: Ref, r):
 
 @ti.func
 def pull_of_contacts(
-    square, solid, robust, stretch, turning: ti.template(), turns, robot, base, contact_start: Ref,
-    partner: Ref, touching: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref, heading: Ref,
+    square, solid, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
+    partner: Ref, touching: Ref, stretch: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref,
+    heading: Ref,
 ):  # fmt: skip
     """Sum of the forces of a robot's contacts with its torque, of their stiffness and its inertia.
 
@@ -75,7 +76,7 @@ def pull_of_contacts(
         force -= with_torque(stiff * residual * within * inverse * apart, arm)
         if touching[slot] == 1:
             trust = (square + variance[slot]) * length * inverse
-            push = trust * square * stretch / ti.max(between.norm(), 1.0)
+            push = trust * square * stretch[slot] / ti.max(between.norm(), 1.0)
             force += with_torque(push * between, 0.0 * arm)
         stiffness += stiff
         inertia += stiff * arm.norm_sqr()
@@ -112,7 +113,7 @@ def push_of_overlaps(
 @ti.func
 def pull_robot(
     grid: Ref, docks: ti.template(), turning: ti.template(), r, tolerance, non_overlap: Ref,
-    robust: Ref, stretch: Ref, contact_start: Ref, partner: Ref, touching: Ref, shift: Ref,
+    robust: Ref, contact_start: Ref, partner: Ref, touching: Ref, stretch: Ref, shift: Ref,
     lever: Ref, variance: Ref, place: Ref, precision: Ref, walk: Ref, yaw_precision: Ref, arm: Ref,
     row: Ref, row_first: Ref, row_count: Ref, position: Ref, force: Ref, mass: Ref, heading: Ref,
 ):  # fmt: skip
@@ -121,8 +122,8 @@ def pull_robot(
     i = r % non_overlap.shape[0]
     turns = yaw_precision[i] > 0.0
     pull, stiffness, inertia = pull_of_contacts(
-        square, non_overlap[i], robust[i], stretch[i], turning, turns, i, r - i, contact_start,
-        partner, touching, shift, lever, variance, position, heading,
+        square, non_overlap[i], robust[i], turning, turns, i, r - i, contact_start, partner,
+        touching, stretch, shift, lever, variance, position, heading,
     )  # fmt: skip
     if non_overlap[i] == 1:
         push, hardness, lag = push_of_overlaps(

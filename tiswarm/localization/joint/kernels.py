@@ -61,10 +61,10 @@ def take_steps(
     number: Ints1,
     non_overlap: Ints1,
     robust: Reals1,
-    stretch: Reals1,
     contact_start: Ints1,
     partner: Ints1,
     touching: Ints1,
+    stretch: Reals1,
     shift: Reals2,
     lever: Reals2,
     variance: Reals1,
@@ -123,11 +123,11 @@ def take_steps(
         number: Join number within its structure, shape (N,).
         non_overlap: Whether the cue is on in its structure, shape (N,).
         robust: One over the square of the loss's width, 0 for none [1], shape (N,).
-        stretch: How much likelier robots in contact are for each dock radius more between their
-            centers, as a logarithm [R^-1], shape (N,).
         contact_start: First contact of each robot, shape (N + 1,).
         partner: The other robot, shape (K,); every contact stands at both its robots.
         touching: Whether it is of the final stance, shape (K,).
+        stretch: How much likelier the two robots are for each dock radius more between their
+            centers, as a logarithm [R^-1], shape (K,).
         shift: Seen from the robot [R], shape (K, 3).
         lever: Parts of it that turn, the robot's x and y and the other's [R], shape (K, 4).
         variance: Of each contact [R^2], shape (K,).
@@ -193,7 +193,7 @@ def take_steps(
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
                                 grid, docks, turning, r, tolerance[t], non_overlap, robust,
-                                stretch, contact_start, partner, touching, shift, lever, variance,
+                                contact_start, partner, touching, stretch, shift, lever, variance,
                                 place, precision, walk, yaw_precision, arm, row, row_first,
                                 row_count, position, force, mass, heading,
                             )  # fmt: skip
@@ -215,9 +215,9 @@ def take_steps(
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
             pull_robot(
-                grid, docks, turning, r, tolerance[now], non_overlap, robust, stretch,
-                contact_start, partner, touching, shift, lever, variance, place, precision, walk,
-                yaw_precision, arm, row, row_first, row_count, position, force, mass, heading,
+                grid, docks, turning, r, tolerance[now], non_overlap, robust,
+                contact_start, partner, touching, stretch, shift, lever, variance, place, precision,
+                walk, yaw_precision, arm, row, row_first, row_count, position, force, mass, heading,
             )  # fmt: skip
         for i in range((start.shape[0] - 1) * GRAIN):
             if i % GRAIN == 0:
