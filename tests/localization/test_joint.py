@@ -1,6 +1,7 @@
 """The annealer's forces are right, its estimates good, and the same whoever asks and how."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.doubts import judgement
-from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
+from tiswarm.localization.joint import anneal, force_kernels, kernels, method, seats
 from tiswarm.localization.joint.branches import branches
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.joint.motion_kernels import BRANCH_WEIGHT
@@ -357,6 +358,22 @@ def test_a_log_of_bare_contacts_is_enough(log):
     assert (estimate.sd[1:] > 0.4).all()  # on a sphere, and not all around it in so few steps
     silent = dataclasses.replace(bare, contacts=np.empty((0, 4), np.int32))
     assert np.isfinite(localize(silent, SHORT).position).all()
+
+
+def test_robots_that_nothing_ties_are_put_amid_those_that_something_does():
+    """Along axes that nothing tells; their contacts with each other and their heights stay."""
+    chain = np.random.default_rng(0).normal(0.0, 5.0, (2, 6, 3))
+    chain[:, 0] = [1.0, 2.0, 3.0]
+    untied = np.array([False, False, True, False, True, True])
+    known = SimpleNamespace(untied=untied, unplaced=np.array([True, True, False]))
+
+    put = method.amid(chain, known)
+
+    np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
+    np.testing.assert_array_equal(put[..., 2], chain[..., 2])
+    moved = (put - chain)[:, untied, :2]
+    expected = (chain[:, ~untied].mean(axis=1) - [1.0, 2.0, 3.0])[:, None, :2]
+    np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=1e-12)
 
 
 def _renamed_and_shuffled(log: SensingLog) -> SensingLog:

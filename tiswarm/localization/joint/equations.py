@@ -64,6 +64,9 @@ class Equations:
     unplaced: NDArray[np.bool_]
     """Axes along which nothing but contacts tells where robots are, shape (3,)."""
 
+    untied: NDArray[np.bool_]
+    """Robots that no chain of contacts ties to one whose place is known, shape (N,)."""
+
     yaw_precision: float
     """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
@@ -178,7 +181,8 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     unplaced: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
-    loose = _untied(robot, other, is_placed)[:, None] & (precision == 0.0)
+    untied = _untied(robot, other, is_placed)
+    loose = untied[:, None] & (precision == 0.0)
     scatter = SCATTER * np.cbrt(log.robot_count)
     place = np.where(loose, log.anchor_position / log.dock_radius, place)
     precision = np.where(loose, scatter**-2, precision)
@@ -197,6 +201,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         precision=precision,
         walk=walk,
         unplaced=unplaced,
+        untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
 
@@ -204,7 +209,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
 def _untied(
     robot: NDArray[np.int64], other: NDArray[np.int64], is_placed: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Whether no chain of contacts leads from each robot to one whose place is known."""
+    """Whether no chain of contacts leads from each robot to one whose place is known, (N,)."""
     graph = touching(np.column_stack([robot, other]), len(is_placed))
     _, part = connected_components(graph, directed=False)
     return ~np.isin(part, part[is_placed])

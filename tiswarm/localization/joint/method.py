@@ -58,10 +58,11 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     missed = gap**2 / (known.variance + tolerance**2)
     sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
-    mean = annealed.mean[sound]
+    chain = amid(annealed.mean, known)
+    mean = chain[sound]
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
-    sd = deviation(known, annealed.mean, annealed.spread, sound, tolerance)
+    sd = deviation(known, chain, annealed.spread, sound, tolerance)
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(
@@ -76,6 +77,21 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
     )
+
+
+def amid(mean: NDArray[np.float64], known: Equations) -> NDArray[np.float64]:
+    """Put robots that nothing ties to the anchor amid those that something does.
+
+    The annealer holds them near the anchor, which may be at an end of the structure; a structure
+    has its robots about its middle.
+
+    Args:
+        mean: Mean position of each chain, shape (chains, N, 3).
+        known: Its equations.
+    """
+    middle = mean[:, ~known.untied].mean(axis=1, keepdims=True)
+    shift: NDArray[np.float64] = (middle - mean[:, :1]) * known.untied[:, None] * known.unplaced
+    return mean + shift
 
 
 def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
