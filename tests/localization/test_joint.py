@@ -104,6 +104,17 @@ def test_a_robot_that_lost_touch_is_put_back(towers):
     np.testing.assert_array_equal(position[0], history.position)
 
 
+def test_a_robot_that_noise_alone_moved_is_not_put_back(towers):
+    """Where equations are as uncertain as that, nobody is lost."""
+    history = towers[0]
+    known = equations(observe(history, SensingParams()), JointParams())
+    position = history.position[None].copy()
+    position[0, -1] += [25.0, 10.0, 1.5]
+    unsure = dataclasses.replace(known, variance=known.variance + 10.0**2)
+
+    assert seats.reseat(unsure, position, np.zeros(position.shape[:2])) == 0
+
+
 def test_a_long_arm_is_not_torn_from_its_anchor():
     """A thousand robots come to the one that stands still, whose contacts are not given up."""
     params = CantileverParams(movers=10, solve_every=100, mechanics=MechanicsParams(model="rigid"))

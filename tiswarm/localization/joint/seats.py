@@ -10,6 +10,8 @@ from tiswarm.records.sensing_log import SensingLog
 
 LOST = 2.0 * SPACING
 """Docks in contact that are this much farther apart no longer find each other [R]."""
+NOISY = 3.0
+"""Nor are they lost before they are so many standard deviations off."""
 
 
 def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> NDArray[np.float64]:
@@ -56,7 +58,8 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
     across = _across(known)
     rows = _rows(known, len(count))
     moved = 0
-    for here, missed in zip(position, gap > LOST, strict=True):
+    far = np.maximum(LOST, NOISY * np.sqrt(known.variance))
+    for here, missed in zip(position, gap > far, strict=True):
         lost = np.bincount(known.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
             mine = rows[i]
