@@ -79,6 +79,22 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + held) / 2.0)
 
 
+def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
+    """And the axis says so; others are not squeezed by it."""
+    last = {"baseline": 40, "no-z": 40, "back-propagation": 400}
+    for name, iteration in last.items():
+        write_case(tmp_path / "cases" / f"0-{name}", seed=0, last_iteration=iteration)
+    rows = [[f"0-{name}", "done", name] for name in last]
+    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+
+    figure = draw_convergence({case.series: [case] for case in read_cases(tmp_path)}, "")
+
+    (axes,) = figure.axes
+    assert axes.get_xlim() == (0.0, 80.0)
+    assert axes.get_xlabel() == "Iteration (drawn to 80 of 400)"
+    assert len(axes.lines[2].get_xdata()) > len(axes.lines[0].get_xdata())
+
+
 def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch):
     """Where a run grows several kinds, none is drawn into the other's axes."""
     names = [

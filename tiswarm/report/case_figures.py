@@ -99,7 +99,17 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
         top = max(top, float((mean + spread).max()))
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
+    _cut_long_lines(axes)
     return top
+
+
+def _cut_long_lines(axes: "Axes") -> None:
+    """Let lines that go on for much longer than most leave the frame, not squeeze the others."""
+    ends = [float(np.max(line.get_xdata())) for line in axes.lines]
+    drawn = 2.0 * float(np.median(ends or [0.0]))
+    if max(ends, default=0.0) > drawn > 0.0:
+        axes.set_xlim(right=drawn)
+        axes.set_xlabel(f"Iteration (drawn to {drawn:.0f} of {max(ends):.0f})")
 
 
 def _traces(cases: list[Case]) -> tuple[Array, Array]:
