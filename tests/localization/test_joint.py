@@ -10,7 +10,7 @@ from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.doubts import judgement
-from tiswarm.localization.joint import anneal, force_kernels, kernels, method, seats
+from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
 from tiswarm.localization.joint.branches import branches
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.joint.motion_kernels import BRANCH_WEIGHT
@@ -304,7 +304,6 @@ def test_wrong_contacts_are_given_up(towers):
         return sum(_rmse(e.position, h) for e, h in zip(estimates, towers, strict=True))
 
     assert total(robust) < 0.7 * total(trusting)
-    found = []
     for log, history, estimate in zip(logs, towers, robust, strict=True):
         judged = judgement(history, log, estimate, cues=params.cues)
         true = _touched(history)
@@ -314,12 +313,8 @@ def test_wrong_contacts_are_given_up(towers):
         hits = [row for row in doubted if row in wrong]
         assert set(doubted) <= set(felt)
         assert judged["wrong_contacts"] == len(wrong) > 5
-        assert judged["doubted_precision"] == len(hits) / len(doubted)
-        assert judged["doubted_recall"] == len(hits) / len(wrong)
-        found.append((len(hits), len(doubted), len(wrong)))
-    hits, doubted, wrong = np.sum(found, axis=0)
-    assert hits / doubted > 0.9
-    assert hits / wrong > 0.5
+        assert judged["doubted_precision"] == len(hits) / len(doubted) > 0.9
+        assert judged["doubted_recall"] == len(hits) / len(wrong) > 0.5
 
 
 def _touched(history):
@@ -378,7 +373,7 @@ def test_robots_that_nothing_ties_are_put_amid_those_that_something_does():
     untied = np.array([False, False, True, False, True, True])
     known = SimpleNamespace(untied=untied, unplaced=np.array([True, True, False]))
 
-    put = method.amid(chain, known)
+    put = seats.amid(chain, known)
 
     np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
     np.testing.assert_array_equal(put[..., 2], chain[..., 2])

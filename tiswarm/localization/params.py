@@ -22,7 +22,7 @@ class BackPropagation:
 
     In a round docks in contact that are nearer than D part as firmly as others approach. The
     defaults are a compromise for structures of the seeds 1000 to 1059, settled or not: with a gain
-    of .5 settled ones come out worse than without any round.
+    of .5 settled towers come out worse than without any round.
     """
 
     every: Annotated[int, Field(ge=1)] = 10

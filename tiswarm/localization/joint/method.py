@@ -9,6 +9,7 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
+from tiswarm.localization.joint.seats import amid
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
@@ -77,21 +78,6 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
     )
-
-
-def amid(mean: NDArray[np.float64], known: Equations) -> NDArray[np.float64]:
-    """Put robots that nothing ties to the anchor amid those that something does.
-
-    The annealer holds them near the anchor, which may be at an end of the structure; a structure
-    has its robots about its middle.
-
-    Args:
-        mean: Mean position of each chain, shape (chains, N, 3).
-        known: Its equations.
-    """
-    middle = mean[:, ~known.untied].mean(axis=1, keepdims=True)
-    shift: NDArray[np.float64] = (middle - mean[:, :1]) * known.untied[:, None] * known.unplaced
-    return mean + shift
 
 
 def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Where robots are put by what they touch: all of them at first, and again those that got lost."""
+"""Where robots are put: all at first, again those that got lost, and those that nothing ties."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,21 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
             here[i] = np.where(known.precision[i] > 0.0, here[i], met)
             moved += 1
     return moved
+
+
+def amid(mean: NDArray[np.float64], known: Equations) -> NDArray[np.float64]:
+    """Put robots that nothing ties to the anchor amid those that something does.
+
+    The annealer holds them near the anchor, which may be at an end of the structure; a structure
+    has its robots about its middle.
+
+    Args:
+        mean: Mean position of each chain, shape (chains, N, 3).
+        known: Its equations.
+    """
+    middle = mean[:, ~known.untied].mean(axis=1, keepdims=True)
+    shift: NDArray[np.float64] = (middle - mean[:, :1]) * known.untied[:, None] * known.unplaced
+    return mean + shift
 
 
 def _rows(known: Equations, robots: int) -> list[NDArray[np.intp]]:
