@@ -192,12 +192,16 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
         torque[i] += np.cross(turn[i] @ own, pull)[2]
         torque[j] -= np.cross(turn[j] @ its, pull)[2]
         if is_final:
-            least = min(contacts[i], contacts[j])
-            between = position[i] - position[j]
-            outward = between / max(np.linalg.norm(between), 1.0)
-            push = tolerance**2 * stretch / least / (1.0 + (gap / width) ** 2 / within) * outward
-            force[i] += push
-            force[j] -= push
+            trust = 1.0 / (1.0 + (gap / width) ** 2 / within)
+            toward = apart / np.linalg.norm(apart)
+            centers = 2.0 * toward - (apart - position[i] + position[j])  # if docks just touched
+            push = tolerance**2 * trust * stretch / min(contacts[i], contacts[j])
+            push *= centers / max(np.linalg.norm(centers), 1.0)
+            across = (push - push @ toward * toward) * min(1.0, 2.0 / np.linalg.norm(apart))
+            force[i] += across
+            force[j] -= across
+            torque[i] += np.cross(turn[i] @ own, across - push)[2]
+            torque[j] -= np.cross(turn[j] @ its, across - push)[2]
     touching = {tuple(row) for row in log.contacts.tolist()}
     for i in range(len(position)):
         for j in range(i + 1, len(position)):

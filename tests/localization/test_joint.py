@@ -25,6 +25,7 @@ from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import CantileverParams
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
+PAIR = JointParams(steps=300, start_tolerance=0.1, end_tolerance=0.1, non_overlap=False)
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
@@ -178,7 +179,34 @@ def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
     The contact leaves open a direction, u on a sphere around the dock it touches; all are as likely
     but for `stretch`.
     """
-    log = SensingLog(
+    log = _pair()
+    cosine = np.linspace(-1.0, 1.0, 2001)  # of u with the x axis, along which both docks lie
+    far = np.sqrt(9.0 + 4.0 + 12.0 * cosine)
+    for stretch in (0.0, 1.0):
+        params = dataclasses.replace(PAIR, chains=200, hold_steps=2000, stretch=stretch)
+        found = anneal.anneal([log], [params], [equations(log, params)])[0]
+        weight = np.exp(stretch * far)
+        expected = 3.0 + 2.0 * np.sum(cosine * weight) / weight.sum()
+        assert found.mean[:, 1, 0].mean() == pytest.approx(expected, abs=0.1)
+
+
+def test_what_is_likelier_the_farther_it_reaches_does_not_draw_contacts_out():
+    """However little is known of them: docks stay as near each other as without `stretch`."""
+    log = _pair()
+    length = []
+    for stretch in (0.0, 1.0):
+        params = dataclasses.replace(
+            PAIR, chains=1000, hold_steps=1, stretch=stretch, contact_sd=1.0, robust=False
+        )
+        known = equations(log, params)
+        found = anneal.anneal([log], [params], [known])[0]
+        length.append(known.lengths(found.last, found.last_yaw).mean())
+    assert length[1] == pytest.approx(length[0], abs=0.1)
+
+
+def _pair() -> SensingLog:
+    """Two robots of one dock each, which touch; orientation is all else that is known."""
+    return SensingLog(
         robot_id=np.arange(2),
         dock_radius=1.0,
         dock_offset_body=np.array([[1.5, 0.0, 0.0]]),
@@ -189,17 +217,6 @@ def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
         flip_height=np.full(2, np.nan),
         spawn_position=np.full((2, 3), np.nan),
     )
-    cosine = np.linspace(-1.0, 1.0, 2001)  # of u with the x axis, along which both docks lie
-    far = np.sqrt(9.0 + 4.0 + 12.0 * cosine)
-    for stretch in (0.0, 1.0):
-        params = JointParams(
-            chains=200, steps=300, hold_steps=2000, start_tolerance=0.1, end_tolerance=0.1,
-            stretch=stretch, non_overlap=False,
-        )  # fmt: skip
-        found = anneal.anneal([log], [params], [equations(log, params)])[0]
-        weight = np.exp(stretch * far)
-        expected = 3.0 + 2.0 * np.sum(cosine * weight) / weight.sum()
-        assert found.mean[:, 1, 0].mean() == pytest.approx(expected, abs=0.1)
 
 
 @pytest.mark.parametrize("noise", [SensingParams(), BIASED])

@@ -51,8 +51,10 @@ def pull_of_contacts(
     holds a robot whose contacts are all in doubt. Docks in contact at the end do not push each
     other apart as all others do; what these are given by mistake is taken back.
 
-    Robots in contact at the end push each other apart by s^2 `stretch`, for they are likelier the
-    farther they reach; as far as a contact gives way, so does the push.
+    Robots in contact at the end push each other apart, for they are likelier the farther apart
+    their centers would be if their docks just touched: energy -s^2 `stretch` times that distance,
+    which only the direction between the docks decides. So the push is across it, lest it draw out
+    contacts that little is known of; as far as a contact gives way, so does the push.
     """
     here = vector_at(position, base + robot)
     force = with_torque(0.0 * here, here)
@@ -76,8 +78,13 @@ def pull_of_contacts(
         force -= with_torque(stiff * residual * within * inverse * apart, arm)
         if touching[slot] == 1:
             trust = (square + variance[slot]) * length * inverse
-            push = trust * square * stretch[slot] / ti.max(between.norm(), 1.0)
-            force += with_torque(push * between, 0.0 * arm)
+            held = between + (SPACING / length - 1.0) * apart
+            push = trust * square * stretch[slot] / ti.max(held.norm(), 1.0) * held
+            across = push - push.dot(apart) / (length * length) * apart
+            across *= SPACING / ti.max(length, SPACING)
+            # The turn of an arm turns `apart`, and would move `held` were it not for the contact.
+            force += with_torque(across, arm) - with_torque(push, arm)
+            force += with_torque(push, 0.0 * arm)
         stiffness += stiff
         inertia += stiff * arm.norm_sqr()
     return force, stiffness, inertia
