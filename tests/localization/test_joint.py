@@ -383,20 +383,22 @@ def test_a_log_of_bare_contacts_is_enough(log):
     assert np.isfinite(localize(silent, SHORT).position).all()
 
 
-def test_robots_that_nothing_ties_are_put_amid_those_that_something_does():
-    """Along axes that nothing tells; their contacts with each other and their heights stay."""
+def test_each_part_that_nothing_ties_is_put_amid_what_something_does():
+    """Along axes that nothing tells; its shape and its heights stay."""
     chain = np.random.default_rng(0).normal(0.0, 5.0, (2, 6, 3))
-    chain[:, 0] = [1.0, 2.0, 3.0]
     untied = np.array([False, False, True, False, True, True])
-    known = SimpleNamespace(untied=untied, unplaced=np.array([True, True, False]))
+    known = SimpleNamespace(
+        part=np.array([0, 0, 1, 0, 2, 1]), untied=untied, unplaced=np.array([True, True, False])
+    )
 
     put = seats.amid(chain, known)
 
     np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
     np.testing.assert_array_equal(put[..., 2], chain[..., 2])
-    moved = (put - chain)[:, untied, :2]
-    expected = (chain[:, ~untied].mean(axis=1) - [1.0, 2.0, 3.0])[:, None, :2]
-    np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=1e-12)
+    np.testing.assert_allclose(put[:, 5] - put[:, 2], chain[:, 5] - chain[:, 2], atol=1e-12)
+    middle = chain[:, ~untied, :2].mean(axis=1)
+    np.testing.assert_allclose(put[:, [2, 5], :2].mean(axis=1), middle, atol=1e-12)
+    np.testing.assert_allclose(put[:, 4, :2], middle, atol=1e-12)
 
 
 def _renamed_and_shuffled(log: SensingLog) -> SensingLog:

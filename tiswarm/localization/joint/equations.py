@@ -64,6 +64,9 @@ class Equations:
     unplaced: NDArray[np.bool_]
     """Axes along which nothing but contacts tells where robots are, shape (3,)."""
 
+    part: NDArray[np.int32]
+    """Connected part of the contact graph that each robot is in, shape (N,)."""
+
     untied: NDArray[np.bool_]
     """Robots that no chain of contacts ties to one whose place is known, shape (N,)."""
 
@@ -181,7 +184,9 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     unplaced: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
-    untied = _untied(robot, other, is_placed)
+    graph = touching(np.column_stack([robot, other]), log.robot_count)
+    _, part = connected_components(graph, directed=False)
+    untied = ~np.isin(part, part[is_placed])
     loose = untied[:, None] & (precision == 0.0)
     scatter = SCATTER * np.cbrt(log.robot_count)
     place = np.where(loose, log.anchor_position / log.dock_radius, place)
@@ -201,18 +206,10 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         precision=precision,
         walk=walk,
         unplaced=unplaced,
+        part=part,
         untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
-
-
-def _untied(
-    robot: NDArray[np.int64], other: NDArray[np.int64], is_placed: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Whether no chain of contacts leads from each robot to one whose place is known, (N,)."""
-    graph = touching(np.column_stack([robot, other]), len(is_placed))
-    _, part = connected_components(graph, directed=False)
-    return ~np.isin(part, part[is_placed])
 
 
 def _no_stances(log: SensingLog) -> Stances:

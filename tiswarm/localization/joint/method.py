@@ -63,7 +63,8 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     mean = chain[sound]
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
-    sd = deviation(known, chain, annealed.spread, sound, tolerance)
+    # Chains agree where robots are put that nothing ties, but not where these may be.
+    sd = deviation(known, annealed.mean, annealed.spread, sound, tolerance)
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(

@@ -70,18 +70,22 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
 
 
 def amid(mean: NDArray[np.float64], known: Equations) -> NDArray[np.float64]:
-    """Put robots that nothing ties to the anchor amid those that something does.
+    """Put each part that nothing ties to the anchor amid the robots that something does.
 
-    The annealer holds them near the anchor, which may be at an end of the structure; a structure
-    has its robots about its middle.
+    The annealer holds it near the anchor, which may be at an end of the structure; a structure has
+    its robots about its middle.
 
     Args:
         mean: Mean position of each chain, shape (chains, N, 3).
         known: Its equations.
     """
-    middle = mean[:, ~known.untied].mean(axis=1, keepdims=True)
-    shift: NDArray[np.float64] = (middle - mean[:, :1]) * known.untied[:, None] * known.unplaced
-    return mean + shift
+    middle = mean[:, ~known.untied].mean(axis=1)
+    put = mean.copy()
+    for part in np.unique(known.part[known.untied]):
+        robots = known.part == part
+        shift = (middle - mean[:, robots].mean(axis=1)) * known.unplaced
+        put[:, robots] += shift[:, None]
+    return put
 
 
 def _rows(known: Equations, robots: int) -> list[NDArray[np.intp]]:
