@@ -83,10 +83,12 @@ def test_robots_are_found_without_noise(towers):
         np.testing.assert_array_equal(estimate.trace[-1], estimate.position)
 
 
-def test_a_large_structure_is_annealed_by_fewer_chains():
-    """Unless the settings say by how many."""
+def test_a_large_structure_is_annealed_fewer_times_and_quicker():
+    """Unless the settings say how often, in how many steps."""
     assert [JointParams().chains_for(robots) for robots in (2, 3000, 3001)] == [8, 8, 4]
-    assert JointParams(chains=9).chains_for(3001) == 9
+    assert [JointParams().steps_for(robots) for robots in (2, 3000, 3001)] == [3000, 3000, 2000]
+    chosen = JointParams(chains=9, steps=70)
+    assert (chosen.chains_for(3001), chosen.steps_for(3001)) == (9, 70)
 
 
 def test_a_robot_that_lost_touch_is_put_back(towers):

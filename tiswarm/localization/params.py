@@ -10,8 +10,12 @@ from tiswarm.params import STRICT
 CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometry")
 """What a localizer may use of a log, where it has it."""
 
-MANY_CHAINS, FEW_CHAINS, MANY_CHAINS_UP_TO = 8, 4, 3000
-"""Annealings of a structure of at most so many robots, and of a larger one."""
+LARGE = 3000
+"""Structures of more robots than this are annealed fewer times, and quicker."""
+CHAINS, STEPS = 8, 3000
+"""Annealings of a structure, and steps of each, for their accuracy."""
+CHAINS_IF_LARGE, STEPS_IF_LARGE = 4, 2000
+"""Those of a large one, where time counts more than the little that others add."""
 
 Width = Annotated[float, Field(gt=0.0)]
 
@@ -231,8 +235,9 @@ class JointParams(CueParams):
     """Annealings from different starts; the estimate is their mean, `sd` their spread. If null 8,
     or 4 for more than 3,000 robots, where time counts more than the little that others add."""
 
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 2000
-    """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape."""
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    """Steps of an annealing; in fewer than some 500 robots cannot cool, and may escape. If null
+    3,000, or 2,000 for more than 3,000 robots."""
 
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
@@ -261,8 +266,14 @@ class JointParams(CueParams):
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""
         if self.chains is None:
-            return MANY_CHAINS if robots <= MANY_CHAINS_UP_TO else FEW_CHAINS
+            return CHAINS if robots <= LARGE else CHAINS_IF_LARGE
         return self.chains
+
+    def steps_for(self, robots: int) -> int:
+        """Steps of each of them."""
+        if self.steps is None:
+            return STEPS if robots <= LARGE else STEPS_IF_LARGE
+        return self.steps
 
 
 LocalizationParams = Annotated[

@@ -104,7 +104,7 @@ def _localize_s(settings: Scenario) -> float:
             steps += rounds.sweeps * (1.0 + max(n / rounds.every, 1.0)) / 2.0
         return VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
-        return JOINT_S * n * params.chains_for(n) * (params.steps + params.hold_steps)
+        return JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
     return LEAST_SQUARES_S * n
 
 

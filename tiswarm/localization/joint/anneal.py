@@ -91,6 +91,7 @@ class Swarm:
         running = backend.current()
         self.memory = memory = Memory(running, on_host=False)
         self.chains = params[0].chains_for(logs[0].robot_count)
+        self.steps = params[0].steps_for(logs[0].robot_count)
         self.schedule = params[0]
         seed = self.schedule.seed
         self.known = known
@@ -165,13 +166,13 @@ class Swarm:
 
     def run(self) -> list[Annealed]:
         """Take all steps."""
-        steps, holding = len(self.tolerance), self.schedule.hold_steps
-        frames = np.linspace(0, steps, FRAMES).astype(np.int64)
-        frames = np.union1d(frames, self.schedule.steps)
+        holding = self.schedule.hold_steps
+        frames = np.linspace(0, self.steps + holding, FRAMES).astype(np.int64)
+        frames = np.union1d(frames, self.steps)
         trace = []
         for frame in frames.tolist():
             self.advance(frame)
-            if PUT_BACK_FROM * self.schedule.steps <= frame < self.schedule.steps:
+            if PUT_BACK_FROM * self.steps <= frame < self.steps:
                 self.put_back()
             trace.append(self.by_robot(self.position)[0])
         last = self.by_robot(self.position)
@@ -205,7 +206,7 @@ class Swarm:
                 self.age.fill(0)
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
-                rows.capacity, self.near, self.schedule.seed, until, self.schedule.steps,
+                rows.capacity, self.near, self.schedule.seed, until, self.steps,
                 *self.equations, *self.branches, rows.table, rows.begin, rows.sorted_dock,
                 rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
                 rows.row_count, rows.longest, self.arm, self.first_of_block, self.taken, self.age,
@@ -231,7 +232,7 @@ class Swarm:
     def _tolerances(self) -> NDArray[np.float64]:
         """Tolerance of each step, shape (T,)."""
         begin, end = self.schedule.start_tolerance, self.schedule.end_tolerance
-        cooled = begin * (end / begin) ** (np.arange(self.schedule.steps) / self.schedule.steps)
+        cooled = begin * (end / begin) ** (np.arange(self.steps) / self.steps)
         return np.concatenate([cooled, np.full(self.schedule.hold_steps, end)])
 
     def by_robot(self, array: DeviceArray) -> NDArray[np.float64]:

@@ -29,8 +29,8 @@ MOST_NAMED = 8
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
-    schedule = (params.steps, params.hold_steps, params.start_tolerance, params.end_tolerance)
-    chains = params.chains_for(log.robot_count)
+    chains, steps = params.chains_for(log.robot_count), params.steps_for(log.robot_count)
+    schedule = (steps, params.hold_steps, params.start_tolerance, params.end_tolerance)
     return (len(log.dock_offset_body), params.seed, chains, *schedule)
 
 
