@@ -60,6 +60,18 @@ def test_the_tolerance_alone_makes_no_error(noise):
     assert short[2] > 1.2 * free
 
 
+def test_the_colder_chains_end_the_surer_is_what_they_tell():
+    """Where they stray, without noise, as much all the same."""
+    mean, spread, sound = np.zeros((2, 1, 3)), np.ones((2, 1)), np.ones(2, bool)
+
+    cold, warm = (
+        deviation.deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[0]
+        for tolerance in (0.01, 0.025)
+    )
+
+    assert 0.8 * warm < cold < 0.9 * warm
+
+
 def _told(mean):
     """What chains tell of each robot that do nothing but disagree, in what they disagree by."""
     sound = np.ones(len(mean), bool)

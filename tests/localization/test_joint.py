@@ -264,9 +264,13 @@ def test_company_threads_names_and_order_do_not_change_a_byte(towers):
 
 
 def test_steps_are_the_same_however_threads_share_them(towers):
-    """A thread for each structure, or all for each step: the same bits, lists of any length."""
+    """A thread for each structure, or all for each step: the same bits, lists of any length.
+
+    Structures that cool unlike each other too.
+    """
     logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
-    params = [dataclasses.replace(SHORT, steps=60, hold_steps=20)] * 3
+    short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
+    params = [dataclasses.replace(short, end_tolerance=end) for end in (None, 0.1, 0.2)]
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     swarms = [anneal.Swarm(logs, params, known, by_block=by_block) for by_block in (True, False)]
     rows = swarms[0].neighbors

@@ -245,8 +245,9 @@ class JointParams(CueParams):
     start_tolerance: Annotated[float, Field(gt=0.0)] = 0.6
     """How far equations may be missed, as a standard deviation, when annealing begins [R]."""
 
-    end_tolerance: Annotated[float, Field(gt=0.0)] = 0.025
-    """The same when it ends [R]."""
+    end_tolerance: Annotated[float, Field(gt=0.0)] | None = None
+    """The same when it ends [R]. If null 0.01 where equations suffice and are sharp, up to 0.025
+    where they lack a twentieth of the coordinates or more, or contacts are that uncertain."""
 
     contact_sd: Annotated[float, Field(gt=0.0)] = 0.006
     """How far from D docks that feel each other may be, as a standard deviation [R]."""

@@ -16,6 +16,7 @@ from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
 from tiswarm.localization.joint.kernels import SKIN, STALE, THIN_SKIN, note_places, take_steps
+from tiswarm.localization.joint.schedule import cooled, end_tolerance
 from tiswarm.localization.joint.seats import first_guess, reseat
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -131,11 +132,11 @@ class Swarm:
             start=first_of_block if by_block else None,
         )
         self.listed = memory.upload(listed.ravel())
-        self.tolerance = self._tolerances()
         self.equations = [
             memory.upload(values)
             for values in (
-                self.tolerance,
+                self._tolerances(params),
+                np.repeat(np.arange(len(logs)), self.size),
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
                 np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], self.size),
@@ -229,11 +230,15 @@ class Swarm:
             self.memory.refill(self.position, position[:, self.order].reshape(-1, 3))
             self.age.fill(STALE)
 
-    def _tolerances(self) -> NDArray[np.float64]:
-        """Tolerance of each step, shape (T,)."""
-        begin, end = self.schedule.start_tolerance, self.schedule.end_tolerance
-        cooled = begin * (end / begin) ** (np.arange(self.steps) / self.steps)
-        return np.concatenate([cooled, np.full(self.schedule.hold_steps, end)])
+    def _tolerances(self, params: Sequence[JointParams]) -> NDArray[np.float64]:
+        """Tolerance of each structure at each step, shape (S, T)."""
+        holding = self.schedule.hold_steps
+        return np.array(
+            [
+                cooled(p.start_tolerance, end_tolerance(e, p), self.steps, holding)
+                for e, p in zip(self.known, params, strict=True)
+            ]
+        )
 
     def by_robot(self, array: DeviceArray) -> NDArray[np.float64]:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""

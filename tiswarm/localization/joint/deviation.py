@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.localization.joint.equations import Equations
+from tiswarm.localization.joint.schedule import WARM
 
 TOLERATED = 54.0
 """Square of how far the tolerance alone makes a robot stray, in squares of the tolerance."""
 FREE = 0.57
 """Standard deviations of an error in one of a chain, where equations have no noise."""
+FREE_COLD = 0.15
+"""Power of the tolerance, relative to the warmest, that these go with."""
 RELATED = 0.23
 RELATED_AT = 10.4
 """Power by which deviations below so many tolerances are raised, and greater ones lowered, where
@@ -46,12 +49,13 @@ def deviation(
     differing = disagreement(mean, sound) + SHARED * disagreement(_others(mean), sound)
     differing[0] = 0.0  # the anchor's place is known
     square = spread[sound].mean(axis=0) + differing
-    noise = _noise_share(known.variance, tolerance)
+    noise = _noise_share(known.variance)
     tolerated = TOLERATED * (1.0 - noise) * tolerance**2
     square *= square / np.maximum(square + tolerated, np.finfo(np.float64).tiny)
     power = RELATED * noise
     related = np.sqrt(square) ** (1.0 - power) * (RELATED_AT * tolerance) ** power
-    sd: NDArray[np.float64] = related * FREE ** (1.0 - noise) * (1.0 + UNSETTLED * known.shortage)
+    free = (FREE * (tolerance / WARM) ** FREE_COLD) ** (1.0 - noise)
+    sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage)
     return sd
 
 
@@ -75,6 +79,6 @@ def _others(mean: NDArray[np.float64]) -> NDArray[np.float64]:
     return (total - mean) / max(robots - 2, 1)
 
 
-def _noise_share(variance: NDArray[np.float64], tolerance: float) -> float:
+def _noise_share(variance: NDArray[np.float64]) -> float:
     """Part of the contacts' variance that is noise and not tolerance; 1 without contacts."""
-    return float(np.mean(variance / (variance + tolerance**2))) if len(variance) else 1.0
+    return float(np.mean(variance / (variance + WARM**2))) if len(variance) else 1.0

@@ -56,8 +56,9 @@ def take_steps(
     seed: I32,
     until: I32,
     held: I32,
-    tolerance: Reals1,
+    tolerance: Reals2,
     # equations
+    structure: Ints1,
     number: Ints1,
     non_overlap: Ints1,
     robust: Reals1,
@@ -119,7 +120,8 @@ def take_steps(
         seed: Of the random numbers.
         until: Step before which to stop.
         held: First step that counts for the averages.
-        tolerance: s at each step [R], shape (T,).
+        tolerance: s of each structure at each step [R], shape (S, T).
+        structure: Which one each robot is of, shape (N,).
         number: Join number within its structure, shape (N,).
         non_overlap: Whether the cue is on in its structure, shape (N,).
         robust: One over the square of the loss's width, 0 for none [1], shape (N,).
@@ -178,6 +180,7 @@ def take_steps(
                 longest[b] = 0
                 while taken[b] < until and longest[b] <= room:
                     t = taken[b]
+                    s = tolerance[b % tolerance.shape[0], t]
                     if age[b] == STALE:
                         grid.cutoff = near + skin[b]
                         for r in range(start[b], start[b + 1]):
@@ -192,19 +195,19 @@ def take_steps(
                     if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
-                                grid, docks, turning, r, tolerance[t], non_overlap, robust,
+                                grid, docks, turning, r, s, non_overlap, robust,
                                 contact_start, partner, touching, stretch, shift, lever, variance,
                                 place, precision, walk, yaw_precision, arm, row, row_first,
                                 row_count, position, force, mass, heading,
                             )  # fmt: skip
                         move_branches(
-                            seed, t, b, tolerance[t], tree, first_branch, branch_pull,
+                            seed, t, b, s, tree, first_branch, branch_pull,
                             branch_velocity, branch_shift, start, force, mass,
                         )  # fmt: skip
                         strayed = 0.0
                         for r in range(start[b], start[b + 1]):
                             strayed = ti.max(strayed, move_robot(
-                                seed, t, r, tolerance[t], t >= held, turning, number,
+                                seed, t, r, s, t >= held, turning, number,
                                 yaw_precision, branch, branch_shift, arm, listed, position,
                                 velocity, force, mass, heading, total, square_total,
                             ))  # fmt: skip
@@ -214,21 +217,25 @@ def take_steps(
         now = taken[0]
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
+            s = tolerance[structure[r % structure.shape[0]], now]
             pull_robot(
-                grid, docks, turning, r, tolerance[now], non_overlap, robust,
+                grid, docks, turning, r, s, non_overlap, robust,
                 contact_start, partner, touching, stretch, shift, lever, variance, place, precision,
                 walk, yaw_precision, arm, row, row_first, row_count, position, force, mass, heading,
             )  # fmt: skip
         for i in range((start.shape[0] - 1) * GRAIN):
             if i % GRAIN == 0:
+                b = i // GRAIN
+                s = tolerance[b % tolerance.shape[0], now]
                 move_branches(
-                    seed, now, i // GRAIN, tolerance[now], tree, first_branch, branch_pull,
+                    seed, now, b, s, tree, first_branch, branch_pull,
                     branch_velocity, branch_shift, start, force, mass,
                 )  # fmt: skip
         strayed = 0.0
         for r in range(row_count.shape[0]):
+            s = tolerance[structure[r % structure.shape[0]], now]
             ti.atomic_max(strayed, move_robot(
-                seed, now, r, tolerance[now], now >= held, turning, number, yaw_precision, branch,
+                seed, now, r, s, now >= held, turning, number, yaw_precision, branch,
                 branch_shift, arm, listed, position, velocity, force, mass, heading, total,
                 square_total,
             ))  # fmt: skip

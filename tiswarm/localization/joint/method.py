@@ -9,6 +9,7 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
+from tiswarm.localization.joint.schedule import end_tolerance
 from tiswarm.localization.joint.seats import amid
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
@@ -30,8 +31,7 @@ MOST_NAMED = 8
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
     chains, steps = params.chains_for(log.robot_count), params.steps_for(log.robot_count)
-    schedule = (steps, params.hold_steps, params.start_tolerance, params.end_tolerance)
-    return (len(log.dock_offset_body), params.seed, chains, *schedule)
+    return (len(log.dock_offset_body), params.seed, chains, steps, params.hold_steps)
 
 
 def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) -> list[Estimate]:
@@ -49,7 +49,7 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
     return [
-        _estimate(log, e, a, p.end_tolerance)
+        _estimate(log, e, a, end_tolerance(e, p))
         for log, e, a, p in zip(logs, known, annealed, params, strict=True)
     ]
 
