@@ -1,7 +1,8 @@
 """How an annealing cools: the tolerance at each step, which is its temperature too. Lengths in R.
 
-Colder, solutions that miss equations by little are told apart. Chains then stray less over what
-nothing tells, and average less of it, and what noise tells nothing about is not worth the cold.
+The colder the end, the better are solutions told apart that miss equations by little. But the less
+do chains stray over what nothing tells, so they average less of it; and noise leaves nothing to be
+told apart.
 """
 
 import numpy as np
