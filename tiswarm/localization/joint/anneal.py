@@ -52,6 +52,9 @@ class Annealed:
     last_yaw: NDArray[np.float64]
     """How far robots were turned at last [rad], shape (chains, N)."""
 
+    tolerance: float
+    """How far equations could be missed at last, as a standard deviation."""
+
     iteration: NDArray[np.int64]
     """Steps at which the trace was recorded, shape (K,)."""
 
@@ -132,10 +135,11 @@ class Swarm:
             start=first_of_block if by_block else None,
         )
         self.listed = memory.upload(listed.ravel())
+        self.tolerance = self._tolerances(params)
         self.equations = [
             memory.upload(values)
             for values in (
-                self._tolerances(params),
+                self.tolerance,
                 np.repeat(np.arange(len(logs)), self.size),
                 np.concatenate([np.arange(size) for size in self.size])[self.order],
                 np.repeat([int(p.non_overlap) for p in params], self.size),
@@ -188,12 +192,15 @@ class Swarm:
                 mean=mean[:, a:b],
                 mean_yaw=heading[:, a:b, TOTAL] / holding,
                 last_yaw=heading[:, a:b, YAW],
+                tolerance=tolerance,
                 spread=spread[:, a:b],
                 last=last[:, a:b],
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]),
             )
-            for a, b in zip(self.start[:-1], self.start[1:], strict=True)
+            for a, b, tolerance in zip(
+                self.start[:-1], self.start[1:], self.tolerance[:, -1].tolist(), strict=True
+            )
         ]
 
     def advance(self, until: int) -> None:
@@ -231,7 +238,7 @@ class Swarm:
             self.age.fill(STALE)
 
     def _tolerances(self, params: Sequence[JointParams]) -> NDArray[np.float64]:
-        """Tolerance of each structure at each step, shape (S, T)."""
+        """Tolerance of each structure at each step, shape (S, steps)."""
         holding = self.schedule.hold_steps
         return np.array(
             [

@@ -80,5 +80,5 @@ def _others(mean: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _noise_share(variance: NDArray[np.float64]) -> float:
-    """Part of the contacts' variance that is noise and not tolerance; 1 without contacts."""
+    """Part of the contacts' variance that is noise, not the warmest tolerance; 1 without any."""
     return float(np.mean(variance / (variance + WARM**2))) if len(variance) else 1.0

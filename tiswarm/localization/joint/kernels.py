@@ -120,7 +120,7 @@ def take_steps(
         seed: Of the random numbers.
         until: Step before which to stop.
         held: First step that counts for the averages.
-        tolerance: s of each structure at each step [R], shape (S, T).
+        tolerance: s of each structure at each step [R], shape (S, steps).
         structure: Which one each robot is of, shape (N,).
         number: Join number within its structure, shape (N,).
         non_overlap: Whether the cue is on in its structure, shape (N,).

@@ -9,7 +9,6 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
-from tiswarm.localization.joint.schedule import end_tolerance
 from tiswarm.localization.joint.seats import amid
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
@@ -48,15 +47,12 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
-    return [
-        _estimate(log, e, a, end_tolerance(e, p))
-        for log, e, a, p in zip(logs, known, annealed, params, strict=True)
-    ]
+    return [_estimate(*each) for each in zip(logs, known, annealed, strict=True)]
 
 
-def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: float) -> Estimate:
+def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate:
     gap = known.lengths(annealed.last, annealed.last_yaw) - SPACING
-    missed = gap**2 / (known.variance + tolerance**2)
+    missed = gap**2 / (known.variance + annealed.tolerance**2)
     sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
     chain = amid(annealed.mean, known)
@@ -64,7 +60,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed, tolerance: 
     position = mean.mean(axis=0)
     between = ((mean - position) ** 2).sum(axis=2)
     # Chains agree where robots are put that nothing ties, but not where these may be.
-    sd = deviation(known, annealed.mean, annealed.spread, sound, tolerance)
+    sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(
