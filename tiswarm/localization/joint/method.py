@@ -10,6 +10,7 @@ from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.joint.seats import amid
+from tiswarm.localization.joint.solutions import listed
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
@@ -23,8 +24,6 @@ DOUBT = 5.0
 GIVEN_UP = 20.0
 """Standard deviations that one contact counts for at most in that sum: enough that a chain which
 gave up a contact that others kept got stuck, not so many that the farthest decides."""
-MOST_NAMED = 8
-"""Robots that a note names."""
 
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
@@ -58,7 +57,6 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate
     chain = amid(annealed.mean, known)
     mean = chain[sound]
     position = mean.mean(axis=0)
-    between = ((mean - position) ** 2).sum(axis=2)
     # Chains agree where robots are put that nothing ties, but not where these may be.
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
     trace = np.concatenate([annealed.trace[:-1], position[None]])
@@ -70,7 +68,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate
         sd=sd * log.dock_radius,
         yaw=yaw if known.yaw_precision else None,
         doubted=known.felt[(missed[sound] > DOUBT**2).all(axis=0)],
-        notes=_ambiguous(log, np.sqrt(between.max(axis=0)), _rms(gap[sound])),
+        notes=listed(mean, _rms(gap[sound]), log.robot_id, log.dock_radius, log.length_unit),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
@@ -81,22 +79,3 @@ def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
     """Root mean square over the contacts of gaps (K, C), 0 where there are none, shape (K,)."""
     rms: NDArray[np.float64] = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
     return rms
-
-
-def _ambiguous(
-    log: SensingLog, off: NDArray[np.float64], residual: NDArray[np.float64]
-) -> tuple[str, ...]:
-    """Name robots that stand elsewhere in another solution about as good."""
-    robots = np.flatnonzero(off > SPACING)
-    if not len(robots):
-        return ()
-    names = _listed([str(log.robot_id[i]) for i in robots[np.argsort(-off[robots], kind="stable")]])
-    low, high = residual.min() * log.dock_radius, residual.max() * log.dock_radius
-    unit = log.length_unit
-    found = f"solutions with residuals from {low:.3g} to {high:.3g} {unit}"
-    return (f"{found} differ by more than the width of a dock in the place of robot {names}",)
-
-
-def _listed(names: list[str]) -> str:
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
