@@ -10,10 +10,13 @@ from tiswarm.compute.choices import Precision
 from tiswarm.console import ConsoleWatcher
 
 
-@app.command(epilog="Example: tiswarm localize sensing.jsonl --set z_correction=false")
+@app.command(epilog="Example: tiswarm localize sensing.jsonl --method joint --out estimate.csv")
 def localize(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log, sensing.jsonl.")],
-    method: Annotated[str, typer.Option(help="Localization method.")] = "virtual-force",
+    method: Annotated[
+        str,
+        typer.Option(help="virtual-force, the paper's; joint, the most accurate; least-squares."),
+    ] = "virtual-force",
     cues: Annotated[
         str | None, typer.Option(metavar="CUE,...", help="What of the log to use, and no more.")
     ] = None,
