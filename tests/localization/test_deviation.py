@@ -44,10 +44,10 @@ def test_the_tolerance_alone_makes_no_error(noise):
 
     Unless noise makes it stray. More straying never means less error, more unknowns more.
     """
-    mean = np.zeros((2, 3, 3))
-    spread = np.tile([0.0, 1e-3, 1.0], (2, 1))
+    mean = np.zeros((2, 4, 3))
+    spread = np.tile([0.0, 0.0, 1e-3, 1.0], (2, 1))
 
-    still, tied, free = deviation.deviation(
+    _, still, tied, free = deviation.deviation(
         _known(noise=noise), mean, spread, np.ones(2, bool), 0.025
     )
     short = deviation.deviation(
@@ -57,15 +57,15 @@ def test_the_tolerance_alone_makes_no_error(noise):
     assert still == 0.0
     assert 0.0 < tied < free
     assert (tied < 0.2 * np.sqrt(1e-3)) == (noise < 1.0)
-    assert short[2] > 1.2 * free
+    assert short[-1] > 1.2 * free
 
 
 def test_the_colder_chains_end_the_surer_is_what_they_tell():
     """Where they stray, without noise, as much all the same."""
-    mean, spread, sound = np.zeros((2, 1, 3)), np.ones((2, 1)), np.ones(2, bool)
+    mean, spread, sound = np.zeros((2, 2, 3)), np.ones((2, 2)), np.ones(2, bool)
 
     cold, warm = (
-        deviation.deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[0]
+        deviation.deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[1]
         for tolerance in (0.01, 0.025)
     )
 
@@ -93,7 +93,8 @@ def test_the_anchor_is_where_it_is():
     """Even where all others move at once."""
     mean = np.random.default_rng(1).normal(0.0, 1.0, (4, 1, 3)) * np.array([0.0, 1.0, 1.0])[:, None]
 
-    sd = deviation.deviation(_known(noise=1.0), mean, np.zeros((4, 3)), np.ones(4, bool), 0.025)
+    spread = np.full((4, 3), 1e-9)  # as sums of squares leave
+    sd = deviation.deviation(_known(noise=1.0), mean, spread, np.ones(4, bool), 0.025)
 
     assert sd[0] == 0.0
     assert (sd[1:] > 0.0).all()

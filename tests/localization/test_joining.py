@@ -71,6 +71,19 @@ def test_what_cannot_join_is_told(lines):
         full.join(lines[2])
 
 
+@pytest.mark.parametrize("method", ["virtual-force", "least-squares", "joint"])
+def test_an_anchor_alone_is_where_it_is(lines, tmp_path, method):
+    """The first line of a log that robots have yet to join is a log."""
+    path = tmp_path / "sensing.jsonl"
+    path.write_text("\n".join(lines[:2]))
+
+    estimate = tiswarm.localize(path, method)
+
+    anchor = json.loads(lines[0])["anchor_position"]
+    np.testing.assert_allclose(estimate.position, [anchor], rtol=0.0, atol=1e-12)
+    assert estimate.sd is None or estimate.sd.tolist() == [0.0]
+
+
 def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
     """What the command line takes, `tiswarm.localize` takes, and refuses the same."""
     path = tmp_path / "sensing.jsonl"

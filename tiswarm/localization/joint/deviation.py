@@ -47,7 +47,6 @@ def deviation(
         tolerance: Tolerance at which the chains ended [R].
     """
     differing = disagreement(mean, sound) + SHARED * disagreement(_others(mean), sound)
-    differing[0] = 0.0  # the anchor's place is known
     square = spread[sound].mean(axis=0) + differing
     noise = _noise_share(known.variance)
     tolerated = TOLERATED * (1.0 - noise) * tolerance**2
@@ -56,6 +55,7 @@ def deviation(
     related = np.sqrt(square) ** (1.0 - power) * (RELATED_AT * tolerance) ** power
     free = (FREE * (tolerance / WARM) ** FREE_COLD) ** (1.0 - noise)
     sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage)
+    sd[0] = 0.0  # the anchor's place is known
     return sd
 
 
