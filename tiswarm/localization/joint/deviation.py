@@ -11,21 +11,22 @@ from numpy.typing import NDArray
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.schedule import WARM
 
-TOLERATED = 54.0
+TOLERATED = 40.0
 """Square of how far the tolerance alone makes a robot stray, in squares of the tolerance."""
-FREE = 0.57
+FREE = 0.61
 """Standard deviations of an error in one of a chain, where equations have no noise."""
 FREE_COLD = 0.15
 """Power of the tolerance, relative to the warmest, that these go with."""
-RELATED = 0.23
-RELATED_AT = 10.4
+RELATED = 0.193
+RELATED_AT = 11.4
 """Power by which deviations below so many tolerances are raised, and greater ones lowered, where
 equations are nothing but noise: noise of a walk's early stances is in many of them at once, which
 chains do not know."""
-UNSETTLED = 1.07
+UNSETTLED = 3.1
 """By how much errors are greater where there are no equations at all, relatively: of what nothing
-says chains see less than there is."""
-SHARED = 4.9
+says chains see less than there is. Where few are missing, others make up for them: it goes with the
+square of the shortage."""
+SHARED = 4.0
 """Weight of what a robot shares with all others, beside its own. Few contacts, those of the anchor,
 decide where all of a structure is; chains agree on that more often than they are right."""
 
@@ -54,7 +55,7 @@ def deviation(
     power = RELATED * noise
     related = np.sqrt(square) ** (1.0 - power) * (RELATED_AT * tolerance) ** power
     free = (FREE * (tolerance / WARM) ** FREE_COLD) ** (1.0 - noise)
-    sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage)
+    sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage**2)
     sd[0] = 0.0  # the anchor's place is known
     return sd
 
