@@ -9,7 +9,7 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
-from tiswarm.localization.joint.seats import amid
+from tiswarm.localization.joint.seats import rejoined
 from tiswarm.localization.joint.solutions import listed
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
@@ -54,11 +54,11 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate
     missed = gap**2 / (known.variance + annealed.tolerance**2)
     sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
-    chain = amid(annealed.mean, known)
+    chain, untold = rejoined(annealed.mean, known)
     mean = chain[sound]
     position = mean.mean(axis=0)
-    # Chains agree where robots are put that nothing ties, but not where these may be.
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
+    sd = np.maximum(sd, np.sqrt(untold[sound].mean(axis=0)))
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(

@@ -1,4 +1,4 @@
-"""Where robots are put: all at first, again those that got lost, and those that nothing ties."""
+"""Where robots are put: at first, again if they got lost, and at last if nothing ties them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ LOST = 2.0 * SPACING
 """Docks in contact that are this much farther apart no longer find each other [R]."""
 NOISY = 3.0
 """Nor are they lost before they are so many standard deviations off."""
+RECENT = 5.0
+"""Robots that join meanwhile make it e times less likely that one joins where another did."""
+UNTOLD = 2.0
+"""Mean square error of what is put there, in variances of where robots joined."""
 
 
 def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> NDArray[np.float64]:
@@ -69,23 +73,33 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
     return moved
 
 
-def amid(mean: NDArray[np.float64], known: Equations) -> NDArray[np.float64]:
-    """Put each part that nothing ties to the anchor amid the robots that something does.
+def rejoined(
+    mean: NDArray[np.float64], known: Equations
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Put each part that nothing ties to the anchor where its first robot may have joined.
 
-    The annealer holds it near the anchor, which may be at an end of the structure; a structure has
-    its robots about its middle.
+    It touched one that was there before, and robots join where the last ones did. The annealer,
+    which is told neither, leaves the part near the anchor.
 
     Args:
         mean: Mean position of each chain, shape (chains, N, 3).
         known: Its equations.
+
+    Returns:
+        These positions with such parts put there, and mean squares by which these may be off, 0
+        for all others, shape (chains, N).
     """
-    middle = mean[:, ~known.untied].mean(axis=1)
-    put = mean.copy()
-    for part in np.unique(known.part[known.untied]):
-        robots = known.part == part
-        shift = (middle - mean[:, robots].mean(axis=1)) * known.unplaced
-        put[:, robots] += shift[:, None]
-    return put
+    put, square = mean.copy(), np.zeros(mean.shape[:2])
+    firsts = np.unique(known.part, return_index=True)[1]
+    for first in np.sort(firsts[known.untied[firsts]]).tolist():
+        weight = np.exp(np.arange(1 - first, 1) / RECENT)
+        weight /= weight.sum()
+        place = weight @ put[:, :first]
+        away = (put[:, :first] - place[:, None]) * known.unplaced
+        part = known.part == known.part[first]
+        put[:, part] += ((place - put[:, first]) * known.unplaced)[:, None]
+        square[:, part] = (UNTOLD * (away**2).sum(axis=2) @ weight)[:, None]
+    return put, square
 
 
 def _rows(known: Equations, robots: int) -> list[NDArray[np.intp]]:
