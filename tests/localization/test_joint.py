@@ -389,23 +389,24 @@ def test_a_log_of_bare_contacts_is_enough(log):
     assert np.isfinite(localize(silent, SHORT).position).all()
 
 
-def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joined():
+@pytest.mark.parametrize("before", [0, 300])
+def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joined(before):
     """Along axes that nothing tells, amid earlier robots; its shape and its heights stay.
 
     It may be off as far as these are from there, and more.
     """
-    chain = np.random.default_rng(0).normal(0.0, 5.0, (2, 6, 3))
-    untied = np.array([False, False, True, False, True, True])
-    known = SimpleNamespace(
-        part=np.array([0, 0, 2, 0, 1, 2]), untied=untied, unplaced=np.array([True, True, False])
-    )
+    chain = np.random.default_rng(0).normal(0.0, 5.0, (2, before + 6, 3))
+    part = np.pad([0, 0, 2, 0, 1, 2], (before, 0))
+    untied = part > 0
+    known = SimpleNamespace(part=part, untied=untied, unplaced=np.array([True, True, False]))
 
     put, square = seats.rejoined(chain, known)
 
     np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
     np.testing.assert_array_equal(put[..., 2], chain[..., 2])
-    np.testing.assert_allclose(put[:, 5] - put[:, 2], chain[:, 5] - chain[:, 2], atol=1e-12)
-    for first in (2, 4):
+    shape = put[:, -1] - put[:, -4]
+    np.testing.assert_allclose(shape, chain[:, -1] - chain[:, -4], atol=1e-12)
+    for first in (before + 2, before + 4):
         likely = [np.exp((i - first) / seats.RECENT) for i in range(first)]
         place = sum(w * put[:, i, :2] for i, w in enumerate(likely)) / sum(likely)
         np.testing.assert_allclose(put[:, first, :2], place, atol=1e-12)
@@ -413,7 +414,7 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
         off = seats.UNTOLD * sum(w * a for w, a in zip(likely, away, strict=True)) / sum(likely)
         np.testing.assert_allclose(square[:, first], off, rtol=1e-12)
     np.testing.assert_array_equal(square[:, ~untied], 0.0)
-    np.testing.assert_array_equal(square[:, 5], square[:, 2])
+    np.testing.assert_array_equal(square[:, -1], square[:, -4])
 
 
 def _renamed_and_shuffled(log: SensingLog) -> SensingLog:

@@ -14,6 +14,8 @@ NOISY = 3.0
 """Nor are they lost before they are so many standard deviations off."""
 RECENT = 5.0
 """Robots that join meanwhile make it e times less likely that one joins where another did."""
+FORGOTTEN = 200
+"""After so many nothing is left of it, to rounding."""
 UNTOLD = 2.0
 """Mean square error of what is put there, in variances of where robots joined."""
 
@@ -92,10 +94,11 @@ def rejoined(
     put, square = mean.copy(), np.zeros(mean.shape[:2])
     firsts = np.unique(known.part, return_index=True)[1]
     for first in np.sort(firsts[known.untied[firsts]]).tolist():
-        weight = np.exp(np.arange(1 - first, 1) / RECENT)
+        earlier = put[:, max(first - FORGOTTEN, 0) : first]
+        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / RECENT)
         weight /= weight.sum()
-        place = weight @ put[:, :first]
-        away = (put[:, :first] - place[:, None]) * known.unplaced
+        place = weight @ earlier
+        away = (earlier - place[:, None]) * known.unplaced
         part = known.part == known.part[first]
         put[:, part] += ((place - put[:, first]) * known.unplaced)[:, None]
         square[:, part] = (UNTOLD * (away**2).sum(axis=2) @ weight)[:, None]
