@@ -66,6 +66,27 @@ def judged_wrong(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[st
         yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {told}"
 
 
+def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Say line by line which solutions a method found, where these are several."""
+    found, unit = estimate.solutions, log.length_unit
+    if len(found) <= 1:
+        return
+    chains = sum(solution.chains for solution in found)
+    for number, solution in enumerate(found[:MOST_SHOWN], start=1):
+        told = f"solution {number} of {len(found)}: {solution.chains} of {chains} chains"
+        told += f", residual {solution.residual:.3g} {unit}"
+        if number > 1:
+            away = np.linalg.norm(solution.position - found[0].position, axis=1)
+            farthest = np.argsort(-away, kind="stable")
+            elsewhere = farthest[away[farthest] > log.spacing]
+            told += f", {solution.residual - found[0].residual:.2g} {unit} more than solution 1"
+            told += f"; up to {away.max():.3g} {unit} from there: {_robots(log, elsewhere)}"
+        yield told
+    if len(found) > MOST_SHOWN:
+        yield f"{len(found) - MOST_SHOWN} more solutions"
+    yield f"the estimate is the mean of all {chains} chains, which is none of these"
+
+
 def _left_open(known: Certainty) -> str:
     """Count what some cues leave unknown."""
     modes = known.floppy_modes

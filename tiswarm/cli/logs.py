@@ -31,7 +31,7 @@ def localize(
 ) -> None:
     """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
     from tiswarm.compute import backend
-    from tiswarm.inspection import doubts, judged_wrong
+    from tiswarm.inspection import ambiguities, doubts, judged_wrong
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.records.tables import write_estimate
@@ -48,7 +48,7 @@ def localize(
     if not quiet:
         for line in doubts(sensed, log, filter(None, [estimate.certainty])):
             typer.echo(line)
-        for line in [*judged_wrong(sensed, log, estimate), *estimate.notes]:
+        for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
             typer.echo(line)
         typer.echo(
             f"{estimate.robot_count} robots, residual {estimate.residual[-1]:.2g} "

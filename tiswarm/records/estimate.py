@@ -14,6 +14,20 @@ structures, for distances are not normal: robots of an arm share their error."""
 
 
 @dataclass(frozen=True, kw_only=True)
+class Solution:
+    """One of several ways to satisfy what was sensed, about as good as the others."""
+
+    chains: int
+    """How many of the method's chains ended there."""
+
+    residual: float
+    """Least residual of these, in the log's unit."""
+
+    position: NDArray[np.float64]
+    """Centers in the chain that has it, in the log's unit, shape (N, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Estimated positions of N robots, in join order, and how they were reached."""
 
@@ -38,8 +52,9 @@ class Estimate:
     """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method
     does not judge them."""
 
-    notes: tuple[str, ...] = ()
-    """What else the method has to say about the log, a line each."""
+    solutions: tuple[Solution, ...] = ()
+    """Distinct solutions that the method found, of less residual before those of more; `position`
+    is the mean over all of their chains. Empty where the method looks for one only."""
 
     certainty: Certainty | None = None
     """What the cues in use cannot tell; filled in after the method has run."""

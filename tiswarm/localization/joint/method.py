@@ -10,7 +10,7 @@ from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.joint.seats import rejoined
-from tiswarm.localization.joint.solutions import listed
+from tiswarm.localization.joint.solutions import distinct
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
@@ -58,6 +58,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate
     mean = chain[sound]
     position = mean.mean(axis=0)
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
+    # Chains agree where parts are put that nothing ties, but not where these may be.
     sd = np.maximum(sd, np.sqrt(untold[sound].mean(axis=0)))
     trace = np.concatenate([annealed.trace[:-1], position[None]])
     yaw = annealed.mean_yaw[sound].mean(axis=0)
@@ -68,7 +69,7 @@ def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate
         sd=sd * log.dock_radius,
         yaw=yaw if known.yaw_precision else None,
         doubted=known.felt[(missed[sound] > DOUBT**2).all(axis=0)],
-        notes=listed(mean, _rms(gap[sound]), log.robot_id, log.dock_radius, log.length_unit),
+        solutions=distinct(mean * log.dock_radius, _rms(gap[sound]) * log.dock_radius, log.spacing),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,

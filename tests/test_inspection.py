@@ -1,0 +1,53 @@
+"""What a method was not sure of is told in lines that say which robots, and how much."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tiswarm.inspection import MOST_SHOWN, ambiguities
+from tiswarm.records.estimate import Solution
+from tiswarm.sensing import SensingParams, observe
+
+
+@pytest.fixture
+def log(towers):
+    """What thirty robots sensed."""
+    return observe(towers[0], SensingParams())
+
+
+def _told(log, *solutions):
+    """Lines on solutions, each given by its chains, its residual and who stands how far off."""
+    found = []
+    for chains, residual, off in solutions:
+        position = np.zeros((log.robot_count, 3))
+        position[list(off), 1] = list(off.values())
+        found.append(Solution(chains=chains, residual=residual, position=position))
+    return list(ambiguities(log, SimpleNamespace(solutions=tuple(found))))
+
+
+def test_each_solution_is_told_with_its_gap(log):
+    """The gap of residuals, how far off it is at most, and which robots, the farthest first."""
+    assert _told(log, (2, 0.1, {}), (1, 0.25, {4: 2.5, 7: 5.0, 9: 1.9})) == [
+        "solution 1 of 2: 2 of 3 chains, residual 0.1 R",
+        (
+            "solution 2 of 2: 1 of 3 chains, residual 0.25 R, 0.15 R more than solution 1; "
+            "up to 5 R from there: 2 robots (7, 4)"
+        ),
+        "the estimate is the mean of all 3 chains, which is none of these",
+    ]
+
+
+def test_of_one_solution_nothing_is_told(log):
+    """Nor by methods that look for none."""
+    assert _told(log, (8, 0.1, {})) == _told(log) == []
+
+
+def test_long_lists_are_cut(log):
+    """And how much is left out is told."""
+    many = [(1, 0.1 * k, {k: 3.0 * k for k in range(1, k + 1)}) for k in range(MOST_SHOWN + 3)]
+
+    lines = _told(log, *many)
+
+    assert len(lines) == MOST_SHOWN + 2
+    assert lines[-2] == "3 more solutions"
