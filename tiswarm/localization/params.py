@@ -11,7 +11,7 @@ CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometr
 """What a localizer may use of a log, where it has it."""
 
 LARGE = 3000
-"""Structures of more robots than this are annealed fewer times, and quicker."""
+"""Structures of more robots than this are annealed fewer times, quicker, and not refined."""
 CHAINS, STEPS = 8, 3000
 """Annealings of a structure, and steps of each, for their accuracy."""
 CHAINS_IF_LARGE, STEPS_IF_LARGE = 4, 2000
@@ -228,6 +228,10 @@ class JointParams(CueParams):
     solve_yaw: bool = True
     """Solve for each robot's bias of yaw where the log states one; else it widens equations."""
 
+    refine: bool | None = None
+    """Let errors that equations of walks share count once, by generalized least squares from where
+    the chains ended. If null up to 3,000 robots, beyond which it would take longer than they do."""
+
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     """Seed of the chains' random numbers."""
 
@@ -269,6 +273,10 @@ class JointParams(CueParams):
         if self.chains is None:
             return CHAINS if robots <= LARGE else CHAINS_IF_LARGE
         return self.chains
+
+    def refines(self, robots: int) -> bool:
+        """Whether to refine what chains of a structure of so many robots come to."""
+        return robots <= LARGE if self.refine is None else self.refine
 
     def steps_for(self, robots: int) -> int:
         """Steps of each of them."""

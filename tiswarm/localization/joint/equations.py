@@ -7,23 +7,47 @@ follows from the noise of every orientation that went into it. Lengths in dock r
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.localization.joint.path import CENTER, Path
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import touching
 from tiswarm.records.contradictions import ASSUMED
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
-from tiswarm.records.walks import displacements, owners
+from tiswarm.records.sensing_log import SensingLog, Stances
 
 SCATTER = 1.5
 """How far from the anchor robots are that nothing ties to it: a standard deviation, times the
 cube root of the number of robots, as crowds of robots are wide."""
 FLIPS_UNTOLD = 10
 """Flips that a height is taken to come from where the log has no stances."""
+
+
+class Told(NamedTuple):
+    """What tells each coordinate of where N robots are, if anything does."""
+
+    row: NDArray[np.int64]
+    """Stance in the walks, shape (N, 3)."""
+
+    dock: NDArray[np.int64]
+    """Dock whose coordinate was known there, or CENTER, shape (N, 3)."""
+
+    variance: NDArray[np.float64]
+    """Of what was known, without noise of orientations; infinite if nothing was, shape (N, 3)."""
+
+    @classmethod
+    def nothing(cls, robots: int) -> "Told":
+        """Nothing yet."""
+        shape = (robots, 3)
+        return cls(np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.full(shape, np.inf))
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """Whether anything tells it, shape (N, 3)."""
+        return np.isfinite(self.variance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +97,15 @@ class Equations:
     yaw_precision: float
     """One over the variance of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
+    path: Path
+    """Walks that all of this was felt on."""
+
+    told: Told
+    """What tells where centers are."""
+
+    own_variance: float
+    """Part of the contacts' variance that is no noise of orientations."""
+
     @property
     def shortage(self) -> float:
         """By how much equations are too few, relative to unknown coordinates (Maxwell's count)."""
@@ -106,63 +139,6 @@ class Equations:
         return length
 
 
-class _Path:
-    """Every stance of every robot, the final one last, seen from the final center."""
-
-    def __init__(self, log: SensingLog, stances: Stances, noise: SensingNoise) -> None:
-        size = np.diff(stances.start)
-        robots = len(size)
-        self.owner = np.concatenate([owners(stances), np.arange(robots)])
-        order = np.argsort(self.owner, kind="stable")
-        self.owner = self.owner[order]
-        self.row = np.empty(len(order), np.int64)
-        """Where each of the log's stances, and then each final one, stands among all."""
-        self.row[order] = np.arange(len(order))
-        self.final = self.row[len(order) - robots :]
-        self.first = np.r_[0, self.final[:-1] + 1]
-        wxyz = np.concatenate([stances.orientation_wxyz, log.orientation_wxyz])[order]
-        self.arm = dock_offsets(wxyz, log.dock_offset_body) / log.dock_radius
-        still = np.zeros((robots, 3))
-        self.shift = np.concatenate([displacements(log, stances), still])[order] / log.dock_radius
-        pivot = np.r_[stances.pivot_dock, np.zeros(robots, np.int32)][order]
-        # The dock that a robot leaves a stance by stays put; a final stance is measured from the
-        # center itself.
-        self.held = self.arm[np.arange(len(order)), pivot]
-        self.held[self.final] = 0.0
-        reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
-        reached[self.first] = 0.0
-        self.tilt, self.yaw, self.bias = np.radians(
-            [noise.tilt_deg, noise.yaw_deg, noise.yaw_bias_deg or 0.0]
-        )
-        summed = np.cumsum(self._turned(reached)[::-1], axis=0)[::-1]
-        later = np.concatenate([summed[1:], np.zeros((1, 3))])
-        self.walked = later - later[self.final][self.owner]
-        """Variance of what lies between a stance and the final center, shape (stances, 3)."""
-
-    def _turned(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
-        x, y, z = arm.T**2
-        tilt, yaw = self.tilt**2, self.yaw**2
-        return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
-
-    def docks(
-        self, row: NDArray[np.int64], dock: NDArray[np.int32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """From final centers to docks at some stances, and the variance, both of shape (n, 3)."""
-        at = self.shift[row] + self.arm[row, dock]
-        variance = self.walked[row] + self._turned(self.arm[row, dock] - self.held[row])
-        return at, variance + self._biased(at)
-
-    def starts(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """From final centers to where walks began, and the variance, both of shape (N, 3)."""
-        at = self.shift[self.first]
-        return at, self.walked[self.first] + self._turned(self.held[self.first]) + self._biased(at)
-
-    def _biased(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
-        x, y, _ = self.bias**2 * arm.T**2
-        return np.column_stack([y, x, np.zeros(len(arm))])
-
-
 def equations(log: SensingLog, params: JointParams) -> Equations:
     """Write down what a log says, as far as its cues are on.
 
@@ -175,12 +151,13 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     is_solved = params.solve_yaw and bias > 0.0
     if is_solved:
         noise = replace(noise, yaw_bias_deg=0.0)
-    path = _Path(log, log.stances or _no_stances(log), noise)
+    path = Path(log, log.stances or _no_stances(log), noise)
     contact, is_final = _contacts(log, path, params)
     row, own, other, dock = contact.T
     robot = path.owner[row]
-    place, precision, walk = _places(log, path, params)
-    walk *= is_solved
+    place, precision, told = _places(log, path, params)
+    # x and y are not told by anything but odometry.
+    walk = np.where(told.is_known[:, :2] & is_solved, path.shift[path.first, :2], 0.0)
     unplaced: NDArray[np.bool_] = np.logical_not(np.any(precision[1:] > 0.0, axis=0))
     is_placed: NDArray[np.bool_] = np.asarray((precision > 0.0).all(axis=1))
     is_placed[0] = True
@@ -209,6 +186,9 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         part=part,
         untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
+        path=path,
+        told=told,
+        own_variance=params.contact_sd**2,
     )
 
 
@@ -223,7 +203,7 @@ def _no_stances(log: SensingLog) -> Stances:
 
 
 def _contacts(
-    log: SensingLog, path: _Path, params: JointParams
+    log: SensingLog, path: Path, params: JointParams
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Rows of (stance, own dock, other robot, its dock), sorted, and whether each is final."""
     rows: NDArray[np.int64] = np.empty((0, 4), np.int64)
@@ -252,49 +232,58 @@ def _numbered(rows: NDArray[np.int64], sizes: tuple[int, int, int]) -> NDArray[n
 
 
 def _places(
-    log: SensingLog, path: _Path, params: JointParams
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    log: SensingLog, path: Path, params: JointParams
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Told]:
     """What is known of each coordinate of each center: the surest of all that tells it.
 
     Returns:
-        Coordinates and one over their variance, both of shape (N, 3), and the walk behind x and y,
-        shape (N, 2), from the final center to the spawn.
+        Coordinates and one over their variance, both of shape (N, 3), and what told them.
     """
     place = np.zeros((log.robot_count, 3))
     variance = np.full((log.robot_count, 3), np.inf)
+    told = Told.nothing(log.robot_count)
     start, start_variance = path.starts()
-    everyone = np.arange(log.robot_count)
 
     def learn(
-        robot: NDArray[np.int64], axis: int, at: NDArray[np.float64], sure: NDArray[np.float64]
+        row: NDArray[np.int64],
+        dock: NDArray[np.int64],
+        axis: int,
+        at: NDArray[np.float64],
+        sure: NDArray[np.float64],
+        apart: float,
     ) -> None:
+        robot = path.owner[row]
         order = np.lexsort((-sure, robot))  # of a robot's rows the surest comes last
         order = order[np.isfinite(at[order]) & (sure[order] < variance[robot[order], axis])]
-        place[robot[order], axis] = at[order]
-        variance[robot[order], axis] = sure[order]
+        mine = robot[order], axis
+        place[mine], variance[mine] = at[order], sure[order]
+        told.row[mine], told.dock[mine], told.variance[mine] = row[order], dock[order], apart
 
+    center = np.full(log.robot_count, CENTER)
+    height_variance = params.height_sd**2
     if params.height:
         walked = start_variance[:, 2]
         if log.stances is None:
             reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
             walked = np.full(log.robot_count, FLIPS_UNTOLD * (2.0 * reach * path.tilt) ** 2)
-        learn(everyone, 2, log.flip_height / log.dock_radius, walked + params.height_sd**2)
+        height = log.flip_height / log.dock_radius
+        learn(path.first, center, 2, height, walked + height_variance, height_variance)
     if params.ground and log.ground_z is not None:
         row, dock = _grounded(log, path, params).T
         at, sure = path.docks(row, dock)
         height = log.ground_z / log.dock_radius + 1.0 - at[:, 2]
-        learn(path.owner[row], 2, height, sure[:, 2] + params.height_sd**2)
+        learn(row, dock, 2, height, sure[:, 2] + height_variance, height_variance)
     if params.odometry:
-        told = None if log.noise is None else log.noise.spawn
-        spawn_sd = params.spawn_sd if told is None else told / log.dock_radius
+        spawn = None if log.noise is None else log.noise.spawn
+        spawn_sd = params.spawn_sd if spawn is None else spawn / log.dock_radius
+        apart = spawn_sd**2 + height_variance
         for axis in range(3):
             at = log.spawn_position[:, axis] / log.dock_radius - start[:, axis]
-            learn(everyone, axis, at, start_variance[:, axis] + spawn_sd**2 + params.height_sd**2)
-    walk = np.where(np.isfinite(variance[:, :2]), start[:, :2], 0.0)  # else nothing tells x, y
-    return place, 1.0 / variance, walk
+            learn(path.first, center, axis, at, start_variance[:, axis] + apart, apart)
+    return place, 1.0 / variance, told
 
 
-def _grounded(log: SensingLog, path: _Path, params: JointParams) -> NDArray[np.int64]:
+def _grounded(log: SensingLog, path: Path, params: JointParams) -> NDArray[np.int64]:
     """Docks on flat ground, rows of (stance, dock)."""
     final = log.ground_docks.astype(np.int64)
     rows = np.column_stack([path.final[final[:, 0]], final[:, 1]])

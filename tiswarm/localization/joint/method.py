@@ -9,6 +9,7 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
+from tiswarm.localization.joint.refine import is_related, refine
 from tiswarm.localization.joint.seats import rejoined
 from tiswarm.localization.joint.solutions import distinct
 from tiswarm.localization.params import JointParams
@@ -46,34 +47,51 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
-    return [_estimate(*each) for each in zip(logs, known, annealed, strict=True)]
+    return [_estimate(*each) for each in zip(logs, params, known, annealed, strict=True)]
 
 
-def _estimate(log: SensingLog, known: Equations, annealed: Annealed) -> Estimate:
+def _estimate(
+    log: SensingLog, params: JointParams, known: Equations, annealed: Annealed
+) -> Estimate:
     gap = known.lengths(annealed.last, annealed.last_yaw) - SPACING
     missed = gap**2 / (known.variance + annealed.tolerance**2)
     sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
     sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
+    doubted = (missed[sound] > DOUBT**2).all(axis=0)
     chain, untold = rejoined(annealed.mean, known)
     mean = chain[sound]
-    position = mean.mean(axis=0)
+    position, yaw = mean.mean(axis=0), annealed.mean_yaw[sound].mean(axis=0)
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
+    if params.refines(log.robot_count) and is_related(known):
+        trusted = ~doubted if params.robust else np.ones_like(doubted)
+        position, yaw, sd = refine(known, position, yaw, sd, trusted, _curved(known, annealed))
     # Chains agree where parts are put that nothing ties, but not where these may be.
     sd = np.maximum(sd, np.sqrt(untold[sound].mean(axis=0)))
     trace = np.concatenate([annealed.trace[:-1], position[None]])
-    yaw = annealed.mean_yaw[sound].mean(axis=0)
     return Estimate(
         robot_id=log.robot_id,
         position=position * log.dock_radius,
         located=located(log),
         sd=sd * log.dock_radius,
         yaw=yaw if known.yaw_precision else None,
-        doubted=known.felt[(missed[sound] > DOUBT**2).all(axis=0)],
+        doubted=known.felt[doubted],
         solutions=distinct(mean * log.dock_radius, _rms(gap[sound]) * log.dock_radius, log.spacing),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
         residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
     )
+
+
+def _curved(known: Equations, annealed: Annealed) -> NDArray[np.float64]:
+    """Variance of contacts about their linear form, because chains stray, shape (C,).
+
+    A distance D grows by s^2 / 2D if the one dock is off by s across from the other.
+    """
+    apart = annealed.mean[:, known.robot] - annealed.mean[:, known.other]
+    differing = apart.var(axis=0).sum(axis=1)
+    straying = (annealed.spread[:, known.robot] + annealed.spread[:, known.other]).mean(axis=0)
+    variance: NDArray[np.float64] = ((differing + straying) / (2.0 * SPACING)) ** 2
+    return variance
 
 
 def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
