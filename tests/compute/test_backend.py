@@ -130,3 +130,19 @@ def test_a_home_that_cannot_be_written_does_no_harm(home):
     )
 
     assert Path(done.stdout.strip()).exists() == (not home)
+
+
+def test_linear_algebra_has_one_thread_whatever_is_loaded_later():
+    """NumPy and SciPy bring a library each; threads of their own would round differently."""
+    code = (
+        "from tiswarm.compute import backend; backend.start()\n"
+        "import scipy.linalg, scipy.sparse.linalg, threadpoolctl\n"
+        "print({each['num_threads'] for each in threadpoolctl.threadpool_info()"
+        " if each['user_api'] == 'blas'})"
+    )
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout.splitlines()[-1] == "{1}"
