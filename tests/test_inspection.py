@@ -34,7 +34,7 @@ def test_each_solution_is_told_with_its_gap(log):
             "solution 2 of 2: 1 of 3 chains, residual 0.25 R, 0.15 R more than solution 1; "
             "up to 5 R from there: 2 robots (7, 4)"
         ),
-        "the estimate is the mean of all 3 chains, which is none of these",
+        "the estimate follows from the mean of all 3 chains and is none of these",
     ]
 
 

@@ -84,7 +84,7 @@ def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
         yield told
     if len(found) > MOST_SHOWN:
         yield f"{len(found) - MOST_SHOWN} more solutions"
-    yield f"the estimate is the mean of all {chains} chains, which is none of these"
+    yield f"the estimate follows from the mean of all {chains} chains and is none of these"
 
 
 def _left_open(known: Certainty) -> str:

@@ -236,7 +236,7 @@ class JointParams(CueParams):
     """Seed of the chains' random numbers."""
 
     chains: Annotated[int, Field(ge=1, le=1000)] | None = None
-    """Annealings from different starts; the estimate is their mean, `sd` their spread. If null 8,
+    """Annealings from different starts; the estimate is made of their mean. If null 8,
     or 4 for more than 3,000 robots, where time counts more than the little that others add."""
 
     steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None

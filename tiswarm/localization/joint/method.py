@@ -41,9 +41,10 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
         params: Settings for each.
 
     Returns:
-        One estimate a log: the mean over the end of all chains but those that got stuck, and as
-        `sd` what their straying and disagreeing tells of its error. The residual is the root mean
-        square of what docks in contact are nearer or farther than D.
+        One estimate a log: the mean over the end of all chains but those that got stuck, refined
+        where errors of equations are related. `sd` is what chains' straying and disagreeing, or
+        the refined equations, tell of its error, the residual the root mean square of what docks in
+        contact are nearer or farther than D.
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
