@@ -21,17 +21,19 @@ from tiswarm.localization.joint.force_kernels import SPACING, TINY
 
 ROUNDS = 2
 """Linear problems solved, each at where the last one led."""
-STRAY = 6.0
-"""How far from where chains ended, in deviations told by these, robots may be by chance: robots
-that share errors move together, which such a bound on each of them must not hinder."""
+STRAY = 12.0
+"""How far from where chains ended, in deviations told by these, robots may be by chance: so far
+that robots which share errors, a hundred of them, are not held back by it when they move together."""
 LEAST_STRAY = 0.05
 """And no less than this [R]."""
 STRIDE = 0.5
 """The farthest that a robot moves in a round [R]."""
 UNKNOWNS = 7
 """Of each robot: its shift, the turn of its final stance, and its yaw."""
-PROBES = 16
+PROBES = 64
 """Draws of all errors by which is measured how far off the result may be."""
+MEASURED = 0.97
+"""Standard deviations of an error in what draws say; fitted on training structures."""
 OPEN = 2.0
 """Robots that may be farther off, in deviations told by chains, are not held by equations: overlaps
 and what robots are likely to build decide where they are, and chains know of these."""
@@ -95,7 +97,7 @@ def refine(
     for _ in range(ROUNDS):
         linear = problem.linearized(state, stray)
         state = problem.solved(state, begin, linear)
-    left = np.sqrt(linear.variance())
+    left = MEASURED * np.sqrt(linear.variance())
     is_held = (left <= OPEN * sd) & ~known.untied
     return Refined(
         position=np.where(is_held[:, None], state.position, position),
