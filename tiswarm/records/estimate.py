@@ -54,7 +54,8 @@ class Estimate:
 
     solutions: tuple[Solution, ...] = ()
     """Distinct solutions that the method found, of less residual before those of more; `position`
-    is the mean over all of their chains, or follows from it. Empty where the method looks for one only."""
+    is the mean over all of their chains, or follows from it. Empty where the method looks for one
+    only."""
 
     certainty: Certainty | None = None
     """What the cues in use cannot tell; filled in after the method has run."""

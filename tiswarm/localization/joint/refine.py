@@ -23,7 +23,7 @@ ROUNDS = 2
 """Linear problems solved, each at where the last one led."""
 STRAY = 12.0
 """How far from where chains ended, in deviations told by these, robots may be by chance: so far
-that robots which share errors, a hundred of them, are not held back by it when they move together."""
+that it does not hold back a hundred robots which share an error and move together."""
 LEAST_STRAY = 0.05
 """And no less than this [R]."""
 STRIDE = 0.5
