@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.localization.joint import refine as module
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.joint.path import CENTER
-from tiswarm.localization.joint.refine import is_related, refine
+from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.sensing import SensingParams, observe
@@ -167,17 +167,20 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers):
     assert np.mean(variance[1:] / true) == pytest.approx(1.0, abs=0.1)
 
 
-def test_related_errors_are_those_of_noisy_walks_alone(towers):
+def test_only_noisy_walks_are_refined_and_no_great_bias(towers):
     """Else nothing changes, to the last bit."""
     quiet, noisy = observe(towers[0], SensingParams()), observe(towers[0], NOISY)
-    biased = observe(towers[0], BIASED)
+    biased, mild = (
+        observe(towers[0], dataclasses.replace(BIASED, yaw_bias_deg=bias)) for bias in (20.0, 10.0)
+    )
     final = JointParams(walk_contacts=False, steps=500, chains=2, hold_steps=100)
 
-    assert is_related(equations(noisy, ALL))
-    assert is_related(equations(biased, ALL))
-    assert not is_related(equations(quiet, ALL))
-    assert not is_related(equations(noisy, final))
-    assert not is_related(equations(biased, dataclasses.replace(ALL, solve_yaw=False)))
+    assert is_of_use(equations(noisy, ALL))
+    assert is_of_use(equations(mild, ALL))
+    assert not is_of_use(equations(biased, ALL))
+    assert not is_of_use(equations(quiet, ALL))
+    assert not is_of_use(equations(noisy, final))
+    assert not is_of_use(equations(mild, dataclasses.replace(ALL, solve_yaw=False)))
     estimates = [
         localize(noisy, dataclasses.replace(final, refine=choice)) for choice in (True, False)
     ]

@@ -230,7 +230,8 @@ class JointParams(CueParams):
 
     refine: bool | None = None
     """Let errors that equations of walks share count once, by generalized least squares from where
-    the chains ended. If null up to 3,000 robots, beyond which it would take longer than they do."""
+    the chains ended; never where a bias of yaw of more than 0.2 rad is to be solved for. If null
+    up to 3,000 robots, beyond which it would take longer than the chains."""
 
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     """Seed of the chains' random numbers."""

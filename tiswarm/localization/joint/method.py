@@ -9,7 +9,7 @@ from tiswarm.localization.joint.anneal import Annealed, anneal
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
-from tiswarm.localization.joint.refine import is_related, refine
+from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.joint.seats import rejoined
 from tiswarm.localization.joint.solutions import distinct
 from tiswarm.localization.params import JointParams
@@ -42,7 +42,7 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 
     Returns:
         One estimate a log: the mean over the end of all chains but those that got stuck, refined
-        where errors of equations are related. `sd` is what chains' straying and disagreeing, or
+        where that is of use. `sd` is what chains' straying and disagreeing, or
         the refined equations, tell of its error, the residual the root mean square of what docks in
         contact are nearer or farther than D.
     """
@@ -63,7 +63,7 @@ def _estimate(
     mean = chain[sound]
     position, yaw = mean.mean(axis=0), annealed.mean_yaw[sound].mean(axis=0)
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
-    if params.refines(log.robot_count) and is_related(known):
+    if params.refines(log.robot_count) and is_of_use(known):
         trusted = ~doubted if params.robust else np.ones_like(doubted)
         position, yaw, sd = refine(known, position, yaw, sd, trusted, _curved(known, annealed))
     # Chains agree where parts are put that nothing ties, but not where these may be.

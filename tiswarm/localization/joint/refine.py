@@ -34,6 +34,9 @@ PROBES = 64
 """Draws of all errors by which is measured how far off the result may be."""
 MEASURED = 0.97
 """Standard deviations of an error in what draws say; fitted on training structures."""
+MOST_BIAS = 0.2
+"""Where robots may be turned by more than that [rad], chains that got it wrong are too far from the
+truth to be led there in a straight line."""
 OPEN = 2.0
 """Robots that may be farther off, in deviations told by chains, are not held by equations: overlaps
 and what robots are likely to build decide where they are, and chains know of these."""
@@ -66,11 +69,12 @@ class _State(NamedTuple):
     deviations, shape (stances, 3)."""
 
 
-def is_related(known: Equations) -> bool:
-    """Whether errors of equations are related so that it matters: those of noisy walks are."""
+def is_of_use(known: Equations) -> bool:
+    """Whether errors of equations are related, as those of noisy walks are, and not too large."""
     path = known.path
     is_noisy = max(path.tilt, path.yaw) > 0.0 and path.bias == 0.0
-    return is_noisy and not bool(known.is_final.all())
+    is_biased = 0.0 < known.yaw_precision < MOST_BIAS**-2
+    return is_noisy and not is_biased and not bool(known.is_final.all())
 
 
 def refine(
