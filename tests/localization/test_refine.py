@@ -157,6 +157,7 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers):
     moved = (found.position - state.position)[1:]
     assert np.linalg.norm(moved, axis=1).max() < module.STRIDE
     np.testing.assert_allclose(moved.ravel(), step[:shift], atol=1e-9)
+    assert not state.turn.any()  # it was not written to
     turned = found.turn.ravel()
     np.testing.assert_allclose(turned[problem.final], step[shift:], atol=1e-9)
     np.testing.assert_allclose(turned[problem.earlier], turn, atol=1e-9)

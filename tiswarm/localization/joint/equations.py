@@ -113,6 +113,12 @@ class Equations:
         return max(0.0, 1.0 - known / max(self.place[1:].size, 1))
 
     @property
+    def sensed_place(self) -> NDArray[np.float64]:
+        """Where each center is known to be, its yaw taken as it is sensed, shape (N, 3)."""
+        place: NDArray[np.float64] = self.place - np.pad(self.walk, ((0, 0), (0, 1)))
+        return place
+
+    @property
     def fewest(self) -> NDArray[np.int64]:
         """Contacts at the end, of the two robots of each contact the fewer, at least 1, (C,)."""
         pair = np.column_stack([self.robot, self.other])

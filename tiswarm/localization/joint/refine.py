@@ -139,8 +139,7 @@ class _Problem:
         self.final = (3 * path.final[:, None] + np.arange(3)).ravel()
         self.earlier = np.setdiff1d(turns, self.final)
         at = self._summed(self.arm)[len(first) :]
-        walk = np.pad(known.walk, ((0, 0), (0, 1)))
-        self.level = (known.place - walk)[is_told] + at[np.arange(len(at)), self.axis]
+        self.level = known.sensed_place[is_told] + at[np.arange(len(at)), self.axis]
         """What is told: coordinates of docks, or of centers where walks began."""
 
     def linearized(self, state: _State, stray: NDArray[np.float64]) -> "_Linear":
@@ -174,7 +173,7 @@ class _Problem:
 
     def solved(self, state: _State, begin: _State, linear: "_Linear") -> _State:
         """Go from a state to where the sum of squares, linearized there, is least."""
-        turn = state.turn.ravel()
+        turn = state.turn.flatten()  # a copy: the state stays as it is
         off = np.concatenate(
             [(state.position - begin.position).ravel(), turn[self.final], state.yaw]
         )

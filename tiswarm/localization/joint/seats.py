@@ -36,7 +36,7 @@ def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> ND
     anchor = log.anchor_position / log.dock_radius
     across = _across(known)
     is_known = known.precision > 0.0
-    place = known.place - np.pad(known.walk, ((0, 0), (0, 1)))
+    place = known.sensed_place
     guess[:, 0] = anchor
     for i in range(1, log.robot_count):
         mine = rows[i]
