@@ -32,7 +32,7 @@ class BackPropagation:
     every: Annotated[int, Field(ge=1)] = 10
     """Joins between two rounds; the last join is followed by one too."""
 
-    sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 1000
+    sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 2000
     """Steps that every robot takes in a round; 0 switches rounds off."""
 
     gain: Annotated[float, Field(gt=0.0, le=1.0)] = 0.35
