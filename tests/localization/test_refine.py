@@ -12,7 +12,10 @@ from tiswarm.localization.joint.path import CENTER
 from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.localization.registry import localize
+from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=20.0, spawn_noise=0.0)
@@ -250,3 +253,20 @@ def test_of_what_nothing_holds_chains_tell_how_far_off_it_is(towers):
 
     assert found.sd[alone] == sd[alone]
     assert np.median(found.sd[1:alone] / sd[1:alone]) < 0.5
+
+
+def test_chains_do_not_hold_back_what_many_robots_share():
+    """All of 300 moved alike go back, though each by itself was off by what is likely."""
+    robots, off = 300, 0.3
+    params = TowerParams(force_threshold=1e9)
+    (history,) = grow(params, robots=robots, seeds=[5], robot=RobotGeometry())
+    log = observe(history, NOISY)
+    known = equations(log, dataclasses.replace(ALL, contact_sd=np.sqrt(0.1)))
+    count = len(known.robot)
+    rest = (np.zeros(robots), np.full(robots, off), np.ones(count, np.bool_), np.zeros(count))
+    moved = history.position.copy()
+    moved[1:, 0] += off
+
+    there, back = (refine(known, at, *rest).position for at in (history.position, moved))
+
+    assert np.linalg.norm(back - there, axis=1).mean() < 0.03 * off

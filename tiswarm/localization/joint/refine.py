@@ -21,9 +21,9 @@ from tiswarm.localization.joint.force_kernels import SPACING, TINY
 
 ROUNDS = 2
 """Linear problems solved, each at where the last one led."""
-STRAY = 12.0
-"""How far from where chains ended, in deviations told by these, robots may be by chance: so far
-that it does not hold back a hundred robots which share an error and move together."""
+STRAY = 1.2
+"""How far from where chains ended robots may be by chance, in deviations told by these, times the
+square root of the number of robots: so far that all may share an error and move together."""
 LEAST_STRAY = 0.05
 """And no less than this [R]."""
 STRIDE = 0.5
@@ -96,7 +96,7 @@ def refine(
         curved: Variance of contacts because distances are no linear functions, shape (C,).
     """
     problem = _Problem(known, trusted, curved)
-    stray = np.maximum(STRAY * sd, LEAST_STRAY)
+    stray = np.maximum(STRAY * np.sqrt(len(sd)) * sd, LEAST_STRAY)
     begin = state = _State(position, yaw, np.zeros((len(known.path.owner), 3)))
     for _ in range(ROUNDS):
         linear = problem.linearized(state, stray)
