@@ -38,6 +38,14 @@ def test_each_solution_is_told_with_its_gap(log):
     ]
 
 
+def test_one_of_a_kind_is_told_as_one(log):
+    """Else a line reads as if a number were missing."""
+    lines = _told(log, (8, 0.1, {}), (1, 0.2, {4: 3.0}), *[(1, 0.3, {})] * (MOST_SHOWN - 1))
+
+    assert lines[1].endswith(": 1 robot (4)")
+    assert lines[-2] == "1 more solution"
+
+
 def test_of_one_solution_nothing_is_told(log):
     """Nor by methods that look for none."""
     assert _told(log, (8, 0.1, {})) == _told(log) == []

@@ -15,6 +15,7 @@ from tiswarm.records.contradictions import HEADER_LINES, contradictions
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.wording import counted
 
 MOST_SHOWN = 10
 
@@ -51,8 +52,8 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[
     impossible = contradictions(log)
     for line, problem in impossible[:MOST_SHOWN]:
         yield f"{path}:{line}: contacts: {problem}"
-    if len(impossible) > MOST_SHOWN:
-        yield f"{path}: contacts: {len(impossible) - MOST_SHOWN} more such contradictions"
+    if (more := len(impossible) - MOST_SHOWN) > 0:
+        yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
 
 
 def judged_wrong(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
@@ -83,26 +84,26 @@ def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
             told += f"; up to {away.max():.3g} {unit} from there: {_robots(log, elsewhere)}"
         yield told
     if len(found) > MOST_SHOWN:
-        yield f"{len(found) - MOST_SHOWN} more solutions"
+        yield counted(len(found) - MOST_SHOWN, "more solution")
     yield f"the estimate follows from the mean of all {chains} chains and is none of these"
 
 
 def _left_open(known: Certainty) -> str:
     """Count what some cues leave unknown."""
     modes = known.floppy_modes
+    untold = "too many robots to count the floppy modes"
     told = (
         f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.turning}: "
-        f"{'too many robots to count the' if modes is None else modes} floppy modes of "
-        f"{known.unknowns}"
+        f"{untold if modes is None else counted(modes, 'floppy mode')} of {known.unknowns}"
     )
-    return told if known.loose is None else f"{told}, {known.loose.sum()} robots loose"
+    return told if known.loose is None else f"{told}, {counted(known.loose.sum(), 'robot')} loose"
 
 
 def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:
     """Count robots, and name the first."""
     names = ", ".join(map(str, log.robot_id[rows[:MOST_SHOWN]].tolist()))
     more = ", ..." if len(rows) > MOST_SHOWN else ""
-    return f"{len(rows)} robots ({names}{more})"
+    return f"{counted(len(rows), 'robot')} ({names}{more})"
 
 
 def _inspect_log(path: Path) -> Inspection:
@@ -111,11 +112,9 @@ def _inspect_log(path: Path) -> Inspection:
     except InputError as mistake:
         return Inspection(mistakes=(mistake,))
     stances = 0 if log.stances is None else len(log.stances.pivot_dock)
-    told = [
-        f"{log.robot_count} robots, {len(log.contacts)} contacts, {stances} stances",
-        *doubts(log, path, by_cue(log)),
-    ]
-    return Inspection(summary="\n".join(told))
+    sizes = {"robot": log.robot_count, "contact": len(log.contacts), "stance": stances}
+    held = ", ".join(counted(number, noun) for noun, number in sizes.items())
+    return Inspection(summary="\n".join([held, *doubts(log, path, by_cue(log))]))
 
 
 def _inspect_scenario(path: Path) -> Inspection:

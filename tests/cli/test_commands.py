@@ -165,7 +165,7 @@ def test_what_cannot_be_known_is_said_and_marked(tiswarm, small_run, tmp_path):
 
     for done in (checked, localized):
         assert done.returncode == 0
-        assert "tied to the anchor by no chain of contacts: 1 robots (11)" in done.stdout
+        assert "tied to the anchor by no chain of contacts: 1 robot (11)" in done.stdout
         assert f"{broken}:{len(lines) - 1}: contacts: robot 10's contact" in done.stdout
     marks = [row.split(",")[-1] for row in (tmp_path / "estimate.csv").read_text().split()]
     assert marks[0] == "known"

@@ -35,6 +35,7 @@ def localize(
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.records.tables import write_estimate
+    from tiswarm.records.wording import counted
     from tiswarm.scenario import localization_params
 
     chosen = [] if seed is None else [f"seed={seed}"]
@@ -51,7 +52,7 @@ def localize(
         for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
             typer.echo(line)
         typer.echo(
-            f"{estimate.robot_count} robots, residual {estimate.residual[-1]:.2g} "
+            f"{counted(estimate.robot_count, 'robot')}, residual {estimate.residual[-1]:.2g} "
             f"{sensed.length_unit} rms -> {out}"
         )
 

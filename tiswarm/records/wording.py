@@ -1,4 +1,4 @@
-"""Mistakes in users' files in plain words: what is wrong, and what to do about it."""
+"""Plain words: what is wrong in users' files and what to do about it, and how many of what."""
 
 import difflib
 import json
@@ -85,3 +85,8 @@ def dotted(path: Sequence[Part]) -> str:
         name = str(part) if str(part).isprintable() else json.dumps(part)
         text += f"[{part}]" if isinstance(part, int) else f".{name}" if text else name
     return text
+
+
+def counted(number: int, noun: str) -> str:
+    """Write how many there are: 1 robot, 2 robots."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
