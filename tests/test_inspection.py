@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.inspection import MOST_SHOWN, ambiguities
+from tiswarm.inspection import MOST_SHOWN, ambiguities, outcome
 from tiswarm.records.estimate import Solution
 from tiswarm.sensing import SensingParams, observe
 
@@ -59,3 +59,14 @@ def test_long_lists_are_cut(log):
 
     assert len(lines) == MOST_SHOWN + 2
     assert lines[-2] == "3 more solutions"
+
+
+def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
+    """A mean over what nothing tells misses contacts that every chain meets."""
+    robots = log.robot_count
+    solutions = (Solution(chains=7, residual=0.0042, position=np.zeros((robots, 3))),)
+    found = SimpleNamespace(robot_count=robots, residual=np.array([2.0, 0.25]), solutions=solutions)
+
+    assert outcome(log, found) == "30 robots, residual 0.25 R rms, of the best chain 0.0042 R"
+    found.solutions = ()
+    assert outcome(log, found) == "30 robots, residual 0.25 R rms"

@@ -88,6 +88,14 @@ def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     yield f"the estimate follows from the mean of all {chains} chains and is none of these"
 
 
+def outcome(log: SensingLog, estimate: Estimate) -> str:
+    """Say in one line what a method came to, and beside a mean of chains what the best one did."""
+    unit, residual = log.length_unit, estimate.residual[-1]
+    told = [counted(estimate.robot_count, "robot"), f"residual {residual:.2g} {unit} rms"]
+    told += [f"of the best chain {each.residual:.2g} {unit}" for each in estimate.solutions[:1]]
+    return ", ".join(told)
+
+
 def _left_open(known: Certainty) -> str:
     """Count what some cues leave unknown."""
     modes = known.floppy_modes

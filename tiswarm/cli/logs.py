@@ -31,11 +31,10 @@ def localize(
 ) -> None:
     """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
     from tiswarm.compute import backend
-    from tiswarm.inspection import ambiguities, doubts, judged_wrong
+    from tiswarm.inspection import ambiguities, doubts, judged_wrong, outcome
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.records.tables import write_estimate
-    from tiswarm.records.wording import counted
     from tiswarm.scenario import localization_params
 
     chosen = [] if seed is None else [f"seed={seed}"]
@@ -51,10 +50,7 @@ def localize(
             typer.echo(line)
         for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
             typer.echo(line)
-        typer.echo(
-            f"{counted(estimate.robot_count, 'robot')}, residual {estimate.residual[-1]:.2g} "
-            f"{sensed.length_unit} rms -> {out}"
-        )
+        typer.echo(f"{outcome(sensed, estimate)} -> {out}")
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")

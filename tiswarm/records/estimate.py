@@ -69,7 +69,7 @@ class Estimate:
     residual: NDArray[np.float64]
     """What the method drives to zero, at those iterations, shape (K,).
 
-    For virtual-force: root mean square step of the robots [log unit per iteration]. For
+    For virtual-force: root mean square step of the robots [log unit per iteration]. For joint and
     least-squares: root mean square by which docks in contact are not D apart [log unit].
     """
 
