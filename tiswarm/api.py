@@ -155,7 +155,5 @@ def run(
     )
     draw_all(result, watcher.say, pictures=pictures)
     if result.failed:
-        first = result.failed[0]
-        message = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
-        warnings.warn(message, stacklevel=2)
+        warnings.warn(result.what_failed, stacklevel=2)
     return Run(result.folder)

@@ -83,8 +83,8 @@ def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
             told += f", {solution.residual - found[0].residual:.2g} {unit} more than solution 1"
             told += f"; up to {away.max():.3g} {unit} from there: {_robots(log, elsewhere)}"
         yield told
-    if len(found) > MOST_SHOWN:
-        yield counted(len(found) - MOST_SHOWN, "more solution")
+    if (more := len(found) - MOST_SHOWN) > 0:
+        yield counted(more, "more solution")
     yield f"the estimate follows from the mean of all {chains} chains and is none of these"
 
 

@@ -91,7 +91,7 @@ def test_warnings_count_what_limits_a_run():
     told = " ".join(warnings_of(summary, manifest))
 
     assert "1 of 3 cases failed: too few robots" in told
-    assert "Growth of 1 cases ended early: the gap is bridged" in told
+    assert "Growth of 1 case ended early: the gap is bridged" in told
     assert "3 robots in 1 cases are tied to the anchor by no" in told
     assert "leaves 4 to 12 floppy modes" in told
     assert "open3d: died" in told

@@ -90,9 +90,7 @@ def run(
         if not quiet:
             typer.echo(study.headline(result.folder))
     if result.failed:
-        first = result.failed[0]
-        msg = f"{len(result.failed)} cases failed, the first: {first.case}: {first.reason}"
-        raise CasesFailedError(msg)
+        raise CasesFailedError(result.what_failed)
 
 
 def _shard(text: str) -> tuple[int, int]:

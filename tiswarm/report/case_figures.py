@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiswarm.records.wording import counted
 from tiswarm.report.canvas import (
     COLUMN_WIDTH,
     PAGE_WIDTH,
@@ -66,7 +67,7 @@ def draw_convergence(series: Series, note: str) -> "Figure":
     seeds = max(map(len, series.values()))
     figure.legend(
         legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
-        title=f"mean ± std, {seeds} structures" if seeds > 1 else "1 structure", title_fontsize=7.0,
+        title="mean ± std, " * (seeds > 1) + counted(seeds, "structure"), title_fontsize=7.0,
     )  # fmt: skip
     left = len(points) - len(shown)
     add_note(figure, "; ".join(filter(None, [f"{left} more points not shown" * (left > 0), note])))
@@ -166,8 +167,9 @@ def draw_error_along_growth(kinds: dict[str, Series], note: str) -> "Figure":
     first = {kind: next(iter(series.values())) for kind, series in kinds.items()}
     _scatter(panels, [_errors_at(cases, GROWS[kind][0]) for kind, cases in first.items()])
     for axes, (kind, cases) in zip(panels, first.items(), strict=True):
+        many = counted(len(cases), "structure")
         axes.set_xlabel(GROWS[kind][1])
-        axes.set_title(f"{kind}, {cases[0].condition}, {len(cases)} structures", fontsize=8.0)
+        axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
     panels[0].set_ylabel("Error [R]")
     add_note(figure, note)
     return figure

@@ -14,6 +14,7 @@ from PIL import Image
 
 from tiswarm.errors import InputError
 from tiswarm.records.atomic import write_text
+from tiswarm.records.wording import counted
 from tiswarm.report.folder import Tell, read_cases, read_table
 from tiswarm.report.page_tables import (
     case_table,
@@ -102,16 +103,16 @@ def _gather(folder: Path) -> dict[str, Any]:
 
 def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
     """Say in a line what was computed, and in what time."""
-    counts = [f"{len(summary)} cases", f"{summary['seed'].nunique()} seeds"]
-    counts += [f"{summary['condition'].nunique()} conditions"]
+    counts = [counted(len(summary), "case")]
+    counts += [counted(summary[noun].nunique(), noun) for noun in ("seed", "condition")]
     if "robots" in summary:
         least, most = summary["robots"].min(), summary["robots"].max()
-        counts += [f"{least:g} robots" if least == most else f"{least:g} to {most:g} robots"]
+        alike = counted(int(least), "robot")
+        counts += [alike if least == most else f"{least:g} to {most:g} robots"]
     spent = sum(stage["wall_s"] for stage in manifest.get("stages", {}).values())
     time = f", computed in {spent:.1f} s" if spent else ""
-    one = [text.removesuffix("s") if text.startswith("1 ") else text for text in counts]
     each = " each" if len(summary) > 1 else ""
-    return f"{', '.join(one)}{each}{time}."
+    return f"{', '.join(counts)}{each}{time}."
 
 
 def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from tiswarm.records.wording import counted
 from tiswarm.report.folder import swept_columns
 
 MOST_CASES = 2_000
@@ -146,7 +147,7 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
     ended = summary.loc[done, "reason"].dropna()
     if len(ended):
         shown = "; ".join(map(str, [*dict.fromkeys(ended)][:MOST_REASONS]))
-        found.append(f"Growth of {len(ended)} cases ended early: {shown}.")
+        found.append(f"Growth of {counted(len(ended), 'case')} ended early: {shown}.")
     if "unlocated" in summary and (lost := summary["unlocated"].fillna(0)).any():
         found.append(
             f"{int(lost.sum())} robots in {(lost > 0).sum()} cases are tied to the anchor by no "

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from tiswarm.errors import InputError
 from tiswarm.localization.params import CUES, LocalizationParams
-from tiswarm.records.wording import Part, dotted
+from tiswarm.records.wording import Part, counted, dotted
 from tiswarm.scenario.check import SMALLEST, Mistake, validated
 from tiswarm.scenario.document import Document, parse_document, read_document
 from tiswarm.scenario.model import CONDITION_SECTIONS, Plain, Scenario, plain
@@ -43,7 +43,7 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     first, more = mistakes[0], len(mistakes) - 1
     if not more:
         raise first
-    problem = f"{first.problem} (and {more} more mistake{'s' * (more > 1)})"
+    problem = f"{first.problem} (and {counted(more, 'more mistake')})"
     raise InputError(problem, path=first.path, line=first.line, key=first.key)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
+from tiswarm.records.wording import counted
 from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.study import manifest, tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard
@@ -41,6 +42,12 @@ class RunResult:
     failed: tuple[CaseRecord, ...]
     missing: int
     """Cases left to other shards that are not there yet; tables are written once none is."""
+
+    @property
+    def what_failed(self) -> str:
+        """How many cases failed, and why the first of them did."""
+        many, first = counted(len(self.failed), "case"), self.failed[0]
+        return f"{many} failed, the first: {first.case}: {first.reason}"
 
 
 def run(

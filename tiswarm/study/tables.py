@@ -19,6 +19,7 @@ from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.evaluation.published import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.localization.params import VirtualForceParams
+from tiswarm.records.wording import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
 from tiswarm.sensing import SensingParams
@@ -146,7 +147,7 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
     interval = f" ± {row['rmse_R_ci95']:.2f}" if row["rmse_R_ci95"] >= 0.0 else ""
     return (
         f"{name}: RMSE {row['rmse_R_mean']:.2f}{interval} R, disparity "
-        f"{row['procrustes_disparity_mean']:.4f}, {row['cases']} structures"
+        f"{row['procrustes_disparity_mean']:.4f}, {counted(row['cases'], 'structure')}"
     )
 
 

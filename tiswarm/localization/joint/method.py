@@ -42,9 +42,9 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 
     Returns:
         One estimate a log: the mean over the end of all chains but those that got stuck, refined
-        where that is of use. `sd` is what chains' straying and disagreeing, or
-        the refined equations, tell of its error, the residual the root mean square of what docks in
-        contact are nearer or farther than D.
+        where that is of use. `sd` is what chains' straying and disagreeing, or the refined
+        equations, tell of its error, the residual the root mean square of what docks in contact are
+        nearer or farther than D.
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
