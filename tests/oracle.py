@@ -169,8 +169,11 @@ def swarm_step(
     return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]
 
 
-def joint_force(log, known, position, yaw, tolerance, width, stretch):
-    """Force and torque of the joint annealer on every robot: contacts, overlaps, known places."""
+def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
+    """Force and torque of the joint annealer on every robot: contacts, overlaps, known places.
+
+    Docks overlap that are nearer than `size`.
+    """
     turn = [Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix() for angle in yaw]
     arm = [[r @ matrix(q) @ b / log.dock_radius for b in log.dock_offset_body]
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
@@ -186,7 +189,8 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
         gap = np.linalg.norm(apart) - 2.0
         within = tolerance**2 + variance
         stiff = tolerance**2 / within / (1.0 + (gap / width) ** 2 / within)
-        pull = -stiff * gap * apart / np.linalg.norm(apart)
+        slope = gap if gap > 0.0 else _slope_inside(gap + 2.0, 2.0)
+        pull = -stiff * slope * apart / np.linalg.norm(apart)
         force[i] += pull
         force[j] -= pull
         torque[i] += np.cross(turn[i] @ own, pull)[2]
@@ -209,8 +213,8 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
                 for b, other in enumerate(arm[j]):
                     apart = position[i] + own - position[j] - other
                     length = np.linalg.norm(apart)
-                    if length < 2.0 and (i, a, j, b) not in touching:
-                        push = (2.0 - length) * apart / length
+                    if length < size and (i, a, j, b) not in touching:
+                        push = -_slope_inside(length, size) * apart / length
                         force[i] += push
                         force[j] -= push
                         torque[i] += np.cross(own, push)[2]
@@ -220,6 +224,12 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch):
     hold = known_well / (1.0 + known_well) * (known.place - walk - position)
     torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
     return force + hold, torque
+
+
+def _slope_inside(length, size, h=1e-4):
+    """Slope of the energy (size^2 - length^2)^2 / (8 size^2), by differences."""
+    above, below = (((size**2 - d**2) ** 2 / (8.0 * size**2)) for d in (length + h, length - h))
+    return (above - below) / (2.0 * h)
 
 
 def flip_paths(walk, step, body, k):

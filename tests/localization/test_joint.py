@@ -11,9 +11,8 @@ from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.doubts import judgement
 from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
-from tiswarm.localization.joint.branches import branches
+from tiswarm.localization.joint.branches import branches, weights
 from tiswarm.localization.joint.equations import equations
-from tiswarm.localization.joint.motion_kernels import BRANCH_WEIGHT
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
@@ -40,29 +39,34 @@ def _rmse(position, history):
     return np.sqrt(((position - history.position) ** 2).sum(axis=1).mean())
 
 
+@pytest.mark.parametrize("steps", [4, 40])
 @pytest.mark.parametrize("robust", [True, False])
 @pytest.mark.parametrize("noise", [NOISY, BIASED])
-def test_forces_match_the_energies_written_out_slowly(towers, noise, robust):
-    """Contacts, overlaps and known places pull and turn as sums over all of them say."""
+def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, steps):
+    """Contacts, overlaps and known places pull and turn as sums over all of them say.
+
+    Docks grow in the first tenth of the steps.
+    """
     log = observe(towers[0], noise)
     params = dataclasses.replace(SHORT, robust=robust, start_tolerance=0.3, end_tolerance=0.3)
     known = equations(log, params)
     swarm = anneal.Swarm([log], [params], [known])
-    swarm.advance(4)
+    swarm.advance(steps)
     before, heading = swarm.by_robot(swarm.position), swarm.by_robot(swarm.heading)
     yaw = heading[:, :, force_kernels.YAW]
+    size = 2.0 * min(1.0, (steps + 1) / (anneal.GROWING * SHORT.steps))
 
-    swarm.advance(5)
+    swarm.advance(steps + 1)
 
     forces = swarm.by_robot(swarm.force)
     torques = swarm.by_robot(swarm.heading)[:, :, force_kernels.TORQUE]
     assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
     for k in range(SHORT.chains):
         width = 3.0 if robust else np.inf
-        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, params.stretch)
-        np.testing.assert_allclose(forces[k], slow[0], rtol=1e-9, atol=1e-11)
+        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, params.stretch, size)
+        np.testing.assert_allclose(forces[k], slow[0], rtol=1e-7, atol=1e-7)
         if noise is BIASED:
-            np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(torques[k], slow[1], rtol=1e-7, atol=1e-7)
 
 
 def test_robots_are_found_without_noise(towers):
@@ -149,15 +153,18 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
     swarm = anneal.Swarm([log], [params], [known])
     tree = branches(np.column_stack([known.robot, known.other]), log.robot_count)
     count = len(tree.parent)
-    pull, speed, _ = swarm.branches[3:]
+    pull, speed, _ = swarm.branches[4:]
     swarm.advance(4)
     before, slow = swarm.by_robot(swarm.position), swarm.by_robot(swarm.velocity)
+    slow *= np.sqrt(swarm.by_robot(swarm.mass))[..., None]
     heavy_before = speed.to_numpy().reshape(-1, count, 3)
+    heavy_before *= np.sqrt(pull.to_numpy().reshape(-1, count, 4)[..., 3:])
 
     swarm.advance(5)
 
+    # Robots and branches that become heavier keep their kinetic energy.
     force, mass = swarm.by_robot(swarm.force), swarm.by_robot(swarm.mass)[..., None]
-    expected = 0.5 * (slow + force / mass + swarm.by_robot(swarm.velocity))
+    expected = 0.5 * (slow / np.sqrt(mass) + force / mass + swarm.by_robot(swarm.velocity))
     heavy = speed.to_numpy().reshape(-1, count, 3)
     pulls, weight = np.split(pull.to_numpy().reshape(-1, count, 4), [3], axis=2)
     for k in range(1, count):
@@ -165,9 +172,10 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
         own = tree.order[tree.first[k] : tree.first[k + 1]]
         np.testing.assert_allclose(pulls[:, k], force[:, robots].sum(axis=1), atol=1e-12)
         np.testing.assert_allclose(
-            weight[:, k], BRANCH_WEIGHT * mass[:, own].sum(axis=1), rtol=1e-12
+            weight[:, k], weights(tree)[k] * mass[:, own].sum(axis=1), rtol=1e-12
         )
-        shift = 0.5 * (heavy_before[:, k] + pulls[:, k] / weight[:, k] + heavy[:, k])
+        kept = heavy_before[:, k] / np.sqrt(weight[:, k])
+        shift = 0.5 * (kept + pulls[:, k] / weight[:, k] + heavy[:, k])
         expected[:, robots] += shift[:, None] * known.unplaced
     assert known.unplaced.tolist() == [spawn_noise is None] * 2 + [False]
     np.testing.assert_allclose(
@@ -185,7 +193,9 @@ def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
     cosine = np.linspace(-1.0, 1.0, 2001)  # of u with the x axis, along which both docks lie
     far = np.sqrt(9.0 + 4.0 + 12.0 * cosine)
     for stretch in (0.0, 1.0):
-        params = dataclasses.replace(PAIR, chains=200, hold_steps=2000, stretch=stretch)
+        params = dataclasses.replace(
+            PAIR, chains=200, hold_steps=2000, stretch=stretch, robust=False
+        )
         found = anneal.anneal([log], [params], [equations(log, params)])[0]
         weight = np.exp(stretch * far)
         expected = 3.0 + 2.0 * np.sum(cosine * weight) / weight.sum()
@@ -327,6 +337,7 @@ def test_wrong_contacts_are_given_up(towers):
         return sum(_rmse(e.position, h) for e, h in zip(estimates, towers, strict=True))
 
     assert total(robust) < 0.7 * total(trusting)
+    taken, right, wanted = 0, 0, 0
     for log, history, estimate in zip(logs, towers, robust, strict=True):
         judged = judgement(history, log, estimate, cues=params.cues)
         true = _touched(history)
@@ -336,8 +347,11 @@ def test_wrong_contacts_are_given_up(towers):
         hits = [row for row in doubted if row in wrong]
         assert set(doubted) <= set(felt)
         assert judged["wrong_contacts"] == len(wrong) > 5
-        assert judged["doubted_precision"] == len(hits) / len(doubted) > 0.9
+        assert judged["doubted_precision"] == len(hits) / len(doubted)
         assert judged["doubted_recall"] == len(hits) / len(wrong) > 0.5
+        taken, right, wanted = taken + len(doubted), right + len(hits), wanted + len(wrong)
+    assert right / taken > 0.95
+    assert right / wanted > 0.85
 
 
 def _touched(history):
@@ -398,7 +412,8 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     chain = np.random.default_rng(0).normal(0.0, 5.0, (2, before + 6, 3))
     part = np.pad([0, 0, 2, 0, 1, 2], (before, 0))
     untied = part > 0
-    known = SimpleNamespace(part=part, untied=untied, unplaced=np.array([True, True, False]))
+    unobserved = untied[:, None] & np.array([True, True, False])
+    known = SimpleNamespace(part=part, untied=untied, unobserved=unobserved)
 
     put, square = seats.rejoined(chain, known)
 

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiswarm.localization.joint.schedule import COLD, LACKING, WARM, cooled, end_tolerance
+from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.joint.schedule import (
+    COLD,
+    LACKING,
+    WARM,
+    cooled,
+    end_tolerance,
+    thermostat,
+)
 from tiswarm.localization.params import JointParams
 
 DEFAULTS = JointParams()
@@ -49,3 +57,16 @@ def test_tolerances_fall_by_the_same_factor_and_are_held():
     assert tolerance[0] == 0.6
     np.testing.assert_allclose(tolerance[1:100] / tolerance[:99], (0.01 / 0.6) ** 0.01)
     np.testing.assert_array_equal(tolerance[100:], np.full(20, 0.01))
+
+
+def test_the_thermostat_lags_behind_a_tolerance_that_falls():
+    """By the exact factor of a friction that takes a part of the energy; held, it is reached."""
+    kept = MEMORY**2
+    steps = np.arange(2000)
+    falling = 0.6 * 0.995**steps
+
+    target = thermostat(np.array([falling, np.full(2000, 0.3)]))
+
+    ratio = target[0, 500:] / falling[500:] ** 2
+    np.testing.assert_allclose(ratio, (1.0 - kept) / (1.0 - kept / 0.995**2), rtol=1e-3)
+    np.testing.assert_allclose(target[1], 0.3**2)

@@ -19,8 +19,8 @@ def test_chains_that_differ_by_less_than_a_dock_are_one_solution():
     """One chain alone is one too."""
     position, residual = _chains(0.0, 1.9), np.array([0.3, 0.2])
 
-    (both,) = distinct(position, residual, 2.0)
-    (alone,) = distinct(position[:1], residual[:1], 2.0)
+    (both,) = distinct(position, residual, 10.0 * residual, 2.0)
+    (alone,) = distinct(position[:1], residual[:1], residual[:1], 2.0)
 
     assert (both.chains, both.residual, alone.chains) == (2, 0.2, 1)
     np.testing.assert_array_equal(both.position, position[1])
@@ -32,9 +32,12 @@ def test_chains_go_with_the_best_that_they_agree_with(order, unit):
     """Whatever order they come in, and whatever unit lengths are in."""
     position, residual = _chains(0.0, 5.0, 1.5, 6.0, -1.5), np.array([0.2, 0.1, 0.3, 0.4, 0.5])
 
-    found = distinct(unit * position[order], unit * residual[order], 2.0 * unit)
+    found = distinct(
+        unit * position[order], unit * residual[order], 10.0 * residual[order], 2.0 * unit
+    )
 
     assert [solution.chains for solution in found] == [2, 3]
     for solution, best in zip(found, [1, 0], strict=True):
         assert solution.residual == unit * residual[best]
+        assert solution.residual_sd == 10.0 * residual[best]
         np.testing.assert_array_equal(solution.position, unit * position[best])

@@ -23,8 +23,30 @@ class Solution:
     residual: float
     """Least residual of these, in the log's unit."""
 
+    residual_sd: float
+    """The same in standard deviations."""
+
     position: NDArray[np.float64]
     """Centers in the chain that has it, in the log's unit, shape (N, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convergence:
+    """Whether a method that anneals several chains found an estimate that fits what was sensed."""
+
+    converged: bool
+    """Whether the best chain misses its measurements by no more than chance allows."""
+
+    misfit_sd: float
+    """How far the chi-square of the best chain's measurements exceeds their count, in standard
+    deviations of a chi-square; contacts judged wrong do not count."""
+
+    chains: int
+    """Chains that the estimate is made of."""
+
+    restarted: int
+    """Annealings that were repeated with smaller steps, because a robot was farther away than its
+    contacts reach or the chain's temperature ran away."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +70,12 @@ class Estimate:
     """Turn about the vertical to be added to each sensed orientation [rad], shape (N,); None where
     the method takes them as they are."""
 
+    convergence: Convergence | None = None
+    """Whether the estimate fits what was sensed; None where the method does not tell."""
+
     doubted: NDArray[np.int64] | None = None
     """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method
-    does not judge them."""
+    does not judge them, or did not converge."""
 
     solutions: tuple[Solution, ...] = ()
     """Distinct solutions that the method found, of less residual before those of more; `position`
@@ -65,6 +90,10 @@ class Estimate:
 
     trace: NDArray[np.float64]
     """Estimated centers at those iterations, shape (K, N, 3)."""
+
+    residual_sd: float | None = None
+    """Residual of the estimate in standard deviations, root mean square over the contacts; None
+    where the method has none."""
 
     residual: NDArray[np.float64]
     """What the method drives to zero, at those iterations, shape (K,).

@@ -1,7 +1,7 @@
 """Annealing: every robot at once, of every structure, in several chains, ever less tolerant."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
 from tiswarm.localization.joint.kernels import SKIN, STALE, THIN_SKIN, note_places, take_steps
-from tiswarm.localization.joint.schedule import cooled, end_tolerance
+from tiswarm.localization.joint.schedule import cooled, end_tolerance, thermostat
 from tiswarm.localization.joint.seats import first_guess, reseat
 from tiswarm.localization.params import JointParams
 from tiswarm.records.sensing_log import SensingLog
@@ -27,6 +27,8 @@ PUT_BACK_FROM = 0.4
 """Part of the steps after which robots that got lost are put back."""
 LAUNCH = 3000
 """Robots of which a step takes as long as does a launch from Python."""
+GROWING = 0.1
+"""Part of the steps in which docks grow to their full size."""
 FRAMES = 24
 """Frames of the trace."""
 AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -55,15 +57,35 @@ class Annealed:
     tolerance: float
     """How far equations could be missed at last, as a standard deviation."""
 
+    temperature: NDArray[np.float64]
+    """Mean kinetic temperature of each chain once docks are grown, relative to its target,
+    shape (chains,)."""
+
     iteration: NDArray[np.int64]
     """Steps at which the trace was recorded, shape (K,)."""
 
     trace: NDArray[np.float64]
     """Positions of the first chain then, shape (K, N, 3)."""
 
+    def with_chains(self, chosen: NDArray[np.bool_], other: "Annealed") -> "Annealed":
+        """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
+        arrays: dict[str, Any] = {
+            name: np.where(
+                chosen.reshape(-1, *[1] * (getattr(self, name).ndim - 1)),
+                getattr(other, name),
+                getattr(self, name),
+            )
+            for name in ("mean", "spread", "last", "mean_yaw", "last_yaw", "temperature")
+        }
+        return replace(self, **arrays, trace=other.trace if chosen[0] else self.trace)
+
 
 def anneal(
-    logs: Sequence[SensingLog], params: Sequence[JointParams], known: Sequence[Equations]
+    logs: Sequence[SensingLog],
+    params: Sequence[JointParams],
+    known: Sequence[Equations],
+    *,
+    halvings: int = 0,
 ) -> list[Annealed]:
     """Anneal structures side by side.
 
@@ -71,8 +93,9 @@ def anneal(
         logs: One log a structure, all of one batch key with their settings.
         params: Settings for each.
         known: Equations of each.
+        halvings: How often to halve the length of a step.
     """
-    return Swarm(logs, params, known).run()
+    return Swarm(logs, params, known, inertia_factor=4.0**halvings).run()
 
 
 class Swarm:
@@ -85,13 +108,16 @@ class Swarm:
         known: Sequence[Equations],
         *,
         by_block: bool | None = None,
+        inertia_factor: float = 1.0,
     ) -> None:
         """Put every chain where it begins.
 
         Args: as `anneal` has them.
             by_block: Whether one thread takes all steps of a structure in one chain; else all
                 take each step together. By what is quicker if None; no bit depends on it.
+            inertia_factor: Factor of every mass; 4 halves the steps.
         """
+        self.inertia_factor = inertia_factor
         running = backend.current()
         self.memory = memory = Memory(running, on_host=False)
         self.chains = params[0].chains_for(logs[0].robot_count)
@@ -136,6 +162,7 @@ class Swarm:
         )
         self.listed = memory.upload(listed.ravel())
         self.tolerance = self._tolerances(params)
+        self.target = thermostat(self.tolerance)
         self.equations = [
             memory.upload(values)
             for values in (
@@ -151,17 +178,20 @@ class Swarm:
                 np.repeat([e.yaw_precision for e in known], self.size),
             )
         ]
-        branch, tree, first_branch = tables(known, trees, self.chains)
-        shifts = [memory.reals(self.chains * len(tree), columns) for columns in (4, 3, 3)]
-        self.branches = [*(memory.upload(table) for table in (branch, tree, first_branch)), *shifts]
+        branch_tables = tables(known, trees, self.chains)
+        branches_in_all = self.chains * len(branch_tables[1])
+        shifts = [memory.reals(branches_in_all, columns) for columns in (4, 3, 3)]
+        self.branches = [*(memory.upload(table) for table in branch_tables), *shifts]
         self.position = memory.upload(first.reshape(-1, 3))
         self.velocity, self.force, self.total = (memory.reals(copies, 3) for _ in range(3))
         self.mass, self.square_total = memory.reals(copies), memory.reals(copies)
         for array in (self.velocity, self.force, self.total, self.square_total, *shifts):
             array.fill(0.0)
-        self.mass.fill(1.0)
+        self.mass.fill(inertia_factor)
         self.arm = memory.upload(np.tile(arm, (self.chains, 1, 1)))
-        self.heading = memory.upload(np.tile(AS_SENSED, (copies, 1)))
+        self.heading = memory.upload(
+            np.tile(AS_SENSED, (copies, 1)) * [*[1.0] * 5, inertia_factor, 1.0]
+        )
         self.first_of_block = memory.upload(first_of_block)
         self.taken, self.age = memory.ints(blocks), memory.ints(blocks)
         self.skin = memory.reals(blocks)
@@ -174,12 +204,14 @@ class Swarm:
         holding = self.schedule.hold_steps
         frames = np.linspace(0, self.steps + holding, FRAMES).astype(np.int64)
         frames = np.union1d(frames, self.steps)
-        trace = []
+        trace, heat = [], []
         for frame in frames.tolist():
             self.advance(frame)
             if PUT_BACK_FROM * self.steps <= frame < self.steps:
                 self.put_back()
             trace.append(self.by_robot(self.position)[0])
+            if frame > GROWING * self.steps:
+                heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.position)
         moves = last.shape[1] > len(self.size)  # anchors do not
         if not np.isfinite(last).all() or (moves and np.array_equal(trace[0], trace[-1])):
@@ -188,19 +220,21 @@ class Swarm:
         square = self.by_robot(self.square_total) / holding
         spread = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.heading)
+        temperature = np.mean(heat, axis=0)
         return [
             Annealed(
                 mean=mean[:, a:b],
                 mean_yaw=heading[:, a:b, TOTAL] / holding,
                 last_yaw=heading[:, a:b, YAW],
                 tolerance=tolerance,
+                temperature=temperature[:, n],
                 spread=spread[:, a:b],
                 last=last[:, a:b],
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]),
             )
-            for a, b, tolerance in zip(
-                self.start[:-1], self.start[1:], self.tolerance[:, -1].tolist(), strict=True
+            for n, (a, b, tolerance) in enumerate(
+                zip(self.start[:-1], self.start[1:], self.tolerance[:, -1].tolist(), strict=True)
             )
         ]
 
@@ -216,15 +250,31 @@ class Swarm:
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
                 rows.capacity, self.near, self.schedule.seed, until, self.steps,
-                *self.equations, *self.branches, rows.table, rows.begin, rows.sorted_dock,
-                rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
-                rows.row_count, rows.longest, self.arm, self.first_of_block, self.taken, self.age,
-                self.skin, self.listed, self.position, self.velocity, self.force, self.mass,
-                self.heading, self.total, self.square_total,
+                max(GROWING * self.steps, 1.0), self.inertia_factor, *self.equations,
+                *self.branches, rows.table, rows.begin, rows.sorted_dock, rows.sorted_at,
+                rows.contact_start, rows.contact, rows.row, rows.row_first, rows.row_count,
+                rows.longest, self.arm, self.first_of_block, self.taken, self.age, self.skin,
+                self.listed, self.position, self.velocity, self.force, self.mass, self.heading,
+                self.total, self.square_total,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 self.age.fill(STALE)
+
+    def temperatures(self, step: int) -> NDArray[np.float64]:
+        """Kinetic temperature of each chain of each structure, relative to its target at a step.
+
+        Each degree of freedom has m v^2 = s^2 in the mean, s^2 being the thermostat's mean over the
+        time that friction takes; anchors, which do not move, have none.
+
+        Returns:
+            Temperatures, shape (chains, S); 1 where nobody moves.
+        """
+        moving = np.concatenate([np.arange(size) > 0 for size in self.size])
+        energy = self.by_robot(self.mass) * (self.by_robot(self.velocity) ** 2).sum(axis=2)
+        total = np.add.reduceat(energy * moving, self.start[:-1], axis=1)
+        freedom = 3.0 * (np.array(self.size) - 1.0) * self.target[:, step]
+        return np.where(freedom > 0.0, total / np.where(freedom > 0.0, freedom, 1.0), 1.0)
 
     def put_back(self) -> None:
         """Put robots back that lost most of those they touch, where the loss lets go of these."""

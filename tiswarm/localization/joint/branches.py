@@ -15,6 +15,14 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.records.contact_graph import touching
 
+BRANCH_WEIGHT = 3.0
+"""Least mass of a branch, in masses of its own robots: these are held by no less than the branch
+is, and move beside it."""
+MOST_MOBILITY = 1.0
+"""Most that the branches a robot is in may add up to in one over their mass. An overlap of two
+robots pushes them and all branches that hold one of them, so a step does work in proportion to that
+sum; robots alone have 1 each, and steps diverge from 4 on."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Branches:
@@ -56,13 +64,13 @@ def branches(pair: NDArray[np.int64], robots: int) -> Branches:
 
 def tables(
     known: Sequence[Equations], trees: Sequence[Branches], chains: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Write down the branches of all structures as kernels read them.
 
     Returns:
         Branch of each copy of a robot, shape (C N,); of each branch the start and end of its own
-        robots, its parent and the axes along which it moves, shape (T, 6); first branch of each
-        block, shape (B + 1,).
+        robots, its parent and the axes along which it moves, shape (T, 6); its weight, shape (T,);
+        first branch of each block, shape (B + 1,).
     """
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
@@ -71,7 +79,24 @@ def tables(
         np.column_stack([t.first[:-1], t.first[1:], t.parent, np.tile(e.unplaced, (n, 1))])
         for t, e, n in zip(trees, known, count, strict=True)
     ]
-    return branch.ravel(), np.concatenate(rows), np.cumsum([0, *np.tile(count, chains)])
+    weight = np.concatenate([weights(tree) for tree in trees])
+    return branch.ravel(), np.concatenate(rows), weight, np.cumsum([0, *np.tile(count, chains)])
+
+
+def weights(tree: Branches) -> NDArray[np.float64]:
+    """Weigh each branch, in masses of its own robots, such that no robot is moved by too many.
+
+    Thin branches that grow out of each other are heavier the more of them there are; what a branch
+    needs for its longest continuation holds for all others.
+    """
+    mobility = 1.0 / (BRANCH_WEIGHT * np.diff(tree.first))
+    mobility[0] = 0.0  # everyone together does not move
+    total = mobility.copy()
+    for branch in range(1, len(total)):
+        total[branch] += total[tree.parent[branch]]
+    for branch in range(len(total) - 1, 0, -1):
+        total[tree.parent[branch]] = max(total[tree.parent[branch]], total[branch])
+    return BRANCH_WEIGHT * np.maximum(1.0, total / MOST_MOBILITY)
 
 
 def _levels(robots: int, pair: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.joint.path import CENTER, Path
+from tiswarm.localization.joint.reach import reach
 from tiswarm.localization.params import JointParams
 from tiswarm.records.contact_graph import touching
-from tiswarm.records.contradictions import ASSUMED
+from tiswarm.records.contradictions import ALLOWED_SD, ASSUMED
 from tiswarm.records.sensing_log import SensingLog, Stances
 
-SCATTER = 1.5
-"""How far from the anchor robots are that nothing ties to it: a standard deviation, times the
-cube root of the number of robots, as crowds of robots are wide."""
+CLEARANCE = 10.0
+"""Least distance between parts of the contact graph that no measurement ties to each other [R]:
+more than docks of two robots that could overlap."""
 FLIPS_UNTOLD = 10
 """Flips that a height is taken to come from where the log has no stances."""
 
@@ -81,6 +83,10 @@ class Equations:
     precision: NDArray[np.float64]
     """One over the variance of each coordinate of `place`, 0 where unknown, shape (N, 3)."""
 
+    unobserved: NDArray[np.bool_]
+    """Coordinates of disconnected parts that no measurement ties to the anchor, shape (N, 3). The
+    first robot of such a part is held at a place of its own, far from all other parts."""
+
     walk: NDArray[np.float64]
     """Part of x and y of `place` that is the robot's own walk, to be turned back by the yaw that it
     has been turned; added to `place` here, shape (N, 2)."""
@@ -126,6 +132,26 @@ class Equations:
         fewest: NDArray[np.int64] = np.maximum(count[pair].min(axis=1), 1)
         return fewest
 
+    def reach(
+        self, tolerance: float = 0.0, trusted: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
+        """Bound the distance of each robot from the first one of its part [R], shape (N,).
+
+        Args:
+            tolerance: By how much contacts may be missed, beside their noise [R].
+            trusted: Contacts that count, shape (C,); all if None.
+        """
+        level = np.linalg.norm(self.lever[:, :2], axis=1) + np.linalg.norm(
+            self.lever[:, 2:], axis=1
+        )
+        # Robots whose yaw is solved for may turn the horizontal parts of the vector.
+        turned = np.hypot(level, self.shift[:, 2])
+        fixed = turned if self.yaw_precision else np.linalg.norm(self.shift, axis=1)
+        longest = fixed + SPACING + ALLOWED_SD * np.sqrt(self.variance + tolerance**2)
+        pair = np.column_stack([self.robot, self.other])
+        counts = slice(None) if trusted is None else trusted
+        return reach(pair[counts], longest[counts], self.part)
+
     def lengths(
         self, position: NDArray[np.float64], yaw: NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -170,13 +196,12 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
     graph = touching(np.column_stack([robot, other]), log.robot_count)
     _, part = connected_components(graph, directed=False)
     untied = ~np.isin(part, part[is_placed])
-    loose = untied[:, None] & (precision == 0.0)
-    scatter = SCATTER * np.cbrt(log.robot_count)
-    place = np.where(loose, log.anchor_position / log.dock_radius, place)
-    precision = np.where(loose, scatter**-2, precision)
     shift, variance = path.docks(row, own)
     its, its_variance = path.docks(path.final[other], dock)
-    return Equations(
+    measured = np.zeros((part.max() + 1, 3), np.bool_)
+    np.logical_or.at(measured, part, precision > 0.0)
+    unobserved: NDArray[np.bool_] = untied[:, None] & ~measured[part]
+    known = Equations(
         robot=robot,
         other=other,
         felt=np.column_stack([robot, row - path.first[robot], own, other, dock]),
@@ -187,6 +212,7 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         is_final=is_final,
         place=place + np.pad(walk, ((0, 0), (0, 1))),
         precision=precision,
+        unobserved=unobserved,
         walk=walk,
         unplaced=unplaced,
         part=part,
@@ -196,6 +222,28 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
         told=told,
         own_variance=params.contact_sd**2,
     )
+    return _separated(known, log.anchor_position / log.dock_radius, params.height_sd)
+
+
+def _separated(known: Equations, anchor: NDArray[np.float64], sd: float) -> Equations:
+    """Hold the first robot of each disconnected part at a place where no other part can be.
+
+    Parts that overlap would push each other, though nothing tells where they are. They stand in a
+    row along x, which only odometry measures; whoever has odometry is not disconnected.
+    """
+    first = np.unique(known.part, return_index=True)[1]
+    size = np.zeros(len(first))
+    np.maximum.at(size, known.part, known.reach())
+    first = np.sort(first[known.untied[first]])
+    row = np.r_[0, first]
+    width = size[known.part[row]] + CLEARANCE
+    place, precision = known.place.copy(), known.precision.copy()
+    middle = anchor[0] + np.cumsum(width[1:] + width[:-1])
+    for i, x in zip(first.tolist(), middle.tolist(), strict=True):
+        held = known.unobserved[i]
+        place[i, held] = np.array([x, anchor[1], anchor[2]])[held]
+        precision[i, held] = sd**-2
+    return replace(known, place=place, precision=precision)
 
 
 def _no_stances(log: SensingLog) -> Stances:

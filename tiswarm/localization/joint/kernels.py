@@ -25,6 +25,9 @@ SKIN = 2.0
 """How much farther than docks can touch rows of neighbors reach [R]."""
 THIN_SKIN = 0.01
 """The same while robots move so fast that farther rows would not serve a second step."""
+SMALLEST = 0.1
+"""Size of docks in the first step, as a part of their full size. Docks that are solid at once push
+each other out of the heap that initialization leaves, faster than friction takes the heat away."""
 STALE = -1
 """Age of rows that have to be made anew."""
 
@@ -44,6 +47,12 @@ def grow_old(b, strayed, age: Ref, skin: Ref):
         skin[b] = ti.select(strayed > (0.25 * SKIN) ** 2, THIN_SKIN, SKIN)
 
 
+@ti.func
+def growth_at(t, growing):
+    """Size of the docks in step `t`, as a part of their full size."""
+    return ti.min(1.0, ti.max(SMALLEST, (t + 1.0) / growing))
+
+
 @ti.kernel
 def take_steps(
     by_block: ti.template(),
@@ -56,6 +65,8 @@ def take_steps(
     seed: I32,
     until: I32,
     held: I32,
+    growing: Float,
+    inertia_factor: Float,
     tolerance: Reals2,
     # equations
     structure: Ints1,
@@ -76,6 +87,7 @@ def take_steps(
     # branches
     branch: Ints1,
     tree: Ints2,
+    branch_weight: Reals1,
     first_branch: Ints1,
     branch_pull: Reals2,
     branch_velocity: Reals2,
@@ -120,6 +132,8 @@ def take_steps(
         seed: Of the random numbers.
         until: Step before which to stop.
         held: First step that counts for the averages.
+        growing: Steps in which docks grow to their full size.
+        inertia_factor: Factor of every mass; 4 halves the steps.
         tolerance: s of each structure at each step [R], shape (S, steps).
         structure: Which one each robot is of, shape (N,).
         number: Join number within its structure, shape (N,).
@@ -141,8 +155,9 @@ def take_steps(
         branch: That each robot is an own one of, shape (C N,).
         tree: Start and end of each branch's own robots and the branch that it grows out of, all
             three counted within its structure, and along which axes it moves, shape (T, 6).
+        branch_weight: Mass of each branch, in masses of its own robots, shape (T,).
         first_branch: Of each block, shape (B + 1,).
-        branch_pull: Scratch, shape (C T, 4).
+        branch_pull: Read and written: pull and mass of each branch, shape (C T, 4).
         branch_velocity: Read and written, shape (C T, 3).
         branch_shift: Scratch, shape (C T, 3).
         table: Where each block's table starts, its buckets and strides, shape (B, 4).
@@ -195,13 +210,13 @@ def take_steps(
                     if longest[b] <= room:
                         for r in range(start[b], start[b + 1]):
                             pull_robot(
-                                grid, docks, turning, r, s, non_overlap, robust,
-                                contact_start, partner, touching, stretch, shift, lever, variance,
-                                place, precision, walk, yaw_precision, arm, row, row_first,
-                                row_count, position, force, mass, heading,
+                                grid, docks, turning, r, s, growth_at(t, growing), inertia_factor,
+                                non_overlap, robust, contact_start, partner, touching, stretch,
+                                shift, lever, variance, place, precision, walk, yaw_precision, arm,
+                                row, row_first, row_count, position, velocity, force, mass, heading,
                             )  # fmt: skip
                         move_branches(
-                            seed, t, b, s, tree, first_branch, branch_pull,
+                            seed, t, b, s, tree, branch_weight, first_branch, branch_pull,
                             branch_velocity, branch_shift, start, force, mass,
                         )  # fmt: skip
                         strayed = 0.0
@@ -219,16 +234,17 @@ def take_steps(
         for r in range(row_count.shape[0]):
             s = tolerance[structure[r % structure.shape[0]], now]
             pull_robot(
-                grid, docks, turning, r, s, non_overlap, robust,
-                contact_start, partner, touching, stretch, shift, lever, variance, place, precision,
-                walk, yaw_precision, arm, row, row_first, row_count, position, force, mass, heading,
+                grid, docks, turning, r, s, growth_at(now, growing), inertia_factor, non_overlap,
+                robust, contact_start, partner, touching, stretch, shift, lever, variance, place,
+                precision, walk, yaw_precision, arm, row, row_first, row_count, position, velocity,
+                force, mass, heading,
             )  # fmt: skip
         for i in range((start.shape[0] - 1) * GRAIN):
             if i % GRAIN == 0:
                 b = i // GRAIN
                 s = tolerance[b % tolerance.shape[0], now]
                 move_branches(
-                    seed, now, b, s, tree, first_branch, branch_pull,
+                    seed, now, b, s, tree, branch_weight, first_branch, branch_pull,
                     branch_velocity, branch_shift, start, force, mass,
                 )  # fmt: skip
         strayed = 0.0

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.localization.joint.anneal import Annealed, anneal
+from tiswarm.localization.joint.convergence import Verdict, failed, judge
 from tiswarm.localization.joint.deviation import deviation
 from tiswarm.localization.joint.equations import Equations, equations
 from tiswarm.localization.joint.force_kernels import SPACING
@@ -17,14 +18,8 @@ from tiswarm.records.contact_graph import located
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-CHANCE = 5.0
-"""A chain whose sum of squares is greater than the least by more standard deviations of such a
-sum got stuck, and does not count."""
-DOUBT = 5.0
-"""Contacts farther off than so many standard deviations are judged wrong."""
-GIVEN_UP = 20.0
-"""Standard deviations that one contact counts for at most in that sum: enough that a chain which
-gave up a contact that others kept got stuck, not so many that the farthest decides."""
+RESTARTS = 2
+"""How often a chain that failed is annealed again, each time in steps half as long."""
 
 
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
@@ -41,10 +36,10 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
         params: Settings for each.
 
     Returns:
-        One estimate a log: the mean over the end of all chains but those that got stuck, refined
-        where that is of use. `sd` is what chains' straying and disagreeing, or the refined
-        equations, tell of its error, the residual the root mean square of what docks in contact are
-        nearer or farther than D.
+        One estimate a log: the mean over the end of all chains that converged, refined where that
+        is of use. `sd` follows from the variance within and between chains, or from the refined
+        equations; the residual is the root mean square over the contacts of the distance of their
+        docks less D.
     """
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, known)
@@ -54,33 +49,53 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
 def _estimate(
     log: SensingLog, params: JointParams, known: Equations, annealed: Annealed
 ) -> Estimate:
-    gap = known.lengths(annealed.last, annealed.last_yaw) - SPACING
-    missed = gap**2 / (known.variance + annealed.tolerance**2)
-    sums = np.minimum(missed, GIVEN_UP**2).sum(axis=1)
-    sound = sums <= sums.min() + CHANCE * np.sqrt(2.0 * len(known.robot))
-    doubted = (missed[sound] > DOUBT**2).all(axis=0)
+    annealed, verdict = _restarted(log, params, known, annealed)
+    sound, convergence = verdict.converged, verdict.convergence
     chain, untold = rejoined(annealed.mean, known)
     mean = chain[sound]
     position, yaw = mean.mean(axis=0), annealed.mean_yaw[sound].mean(axis=0)
     sd = deviation(known, annealed.mean, annealed.spread, sound, annealed.tolerance)
-    if params.refines(log.robot_count) and is_of_use(known):
-        trusted = ~doubted if params.robust else np.ones_like(doubted)
+    if params.refines(log.robot_count) and is_of_use(known) and convergence.converged:
+        trusted = ~verdict.outlier if params.robust else np.ones_like(verdict.outlier)
         position, yaw, sd = refine(known, position, yaw, sd, trusted, _curved(known, annealed))
     # Chains agree where parts are put that nothing ties, but not where these may be.
     sd = np.maximum(sd, np.sqrt(untold[sound].mean(axis=0)))
-    trace = np.concatenate([annealed.trace[:-1], position[None]])
+    trace = np.concatenate([rejoined(annealed.trace[:-1], known)[0], position[None]])
+    width = np.sqrt(known.variance + annealed.tolerance**2)
+    last = known.lengths(annealed.last[sound], annealed.last_yaw[sound]) - SPACING
+    gap = known.lengths(trace, yaw) - SPACING
     return Estimate(
         robot_id=log.robot_id,
         position=position * log.dock_radius,
         located=located(log),
         sd=sd * log.dock_radius,
         yaw=yaw if known.yaw_precision else None,
-        doubted=known.felt[doubted],
-        solutions=distinct(mean * log.dock_radius, _rms(gap[sound]) * log.dock_radius, log.spacing),
+        convergence=convergence,
+        doubted=known.felt[verdict.outlier] if convergence.converged else None,
+        solutions=distinct(
+            mean * log.dock_radius, _rms(last) * log.dock_radius, _rms(last / width), log.spacing
+        ),
         iteration=annealed.iteration,
         trace=trace * log.dock_radius,
-        residual=_rms(known.lengths(trace, yaw) - SPACING) * log.dock_radius,
+        residual=_rms(gap) * log.dock_radius,
+        residual_sd=float(_rms(gap[-1:] / width)[0]),
     )
+
+
+def _restarted(
+    log: SensingLog, params: JointParams, known: Equations, annealed: Annealed
+) -> tuple[Annealed, Verdict]:
+    """Anneal chains that failed again, in ever smaller steps, and judge all of them."""
+    restarted = 0
+    has_failed = failed(known, annealed)
+    for attempt in range(1, RESTARTS + 1):
+        if not has_failed.any():
+            break
+        again = anneal([log], [params], [known], halvings=attempt)[0]
+        annealed = annealed.with_chains(has_failed, again)
+        restarted += int(has_failed.sum())
+        has_failed = failed(known, annealed)
+    return annealed, judge(known, annealed, has_failed, restarted)
 
 
 def _curved(known: Equations, annealed: Annealed) -> NDArray[np.float64]:

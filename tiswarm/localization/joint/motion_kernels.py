@@ -14,9 +14,6 @@ STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
 MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
-BRANCH_WEIGHT = 3.0
-"""Mass of a branch, in masses of its own robots: these are held by no less than the branch is, and
-move beside it."""
 BRANCH_KICKS = 2**30
 """Where the numbers of branches start among those of robots, for random numbers of their own."""
 
@@ -59,10 +56,13 @@ def turn_robot(seed, t, r, tolerance, averaged, number: Ref, arm: Ref, heading: 
 
 @ti.func
 def move_branches(
-    seed, t, b, tolerance, tree: Ref, first_branch: Ref, branch_pull: Ref, branch_velocity: Ref,
-    branch_shift: Ref, start: Ref, force: Ref, mass: Ref,
+    seed, t, b, tolerance, tree: Ref, branch_weight: Ref, first_branch: Ref, branch_pull: Ref,
+    branch_velocity: Ref, branch_shift: Ref, start: Ref, force: Ref, mass: Ref,
 ):  # fmt: skip
-    """Write how far every branch of a block is shifted, with those that it grows out of."""
+    """Write how far every branch of a block is shifted, with those that it grows out of.
+
+    A branch that becomes heavier keeps its kinetic energy.
+    """
     first, last = first_branch[b], first_branch[b + 1]
     chain = first // tree.shape[0]
     for k in range(first, last):
@@ -71,10 +71,12 @@ def move_branches(
         weight = 0.0 * pull[0]
         for r in range(start[b] + tree[n, 0], start[b] + tree[n, 1]):
             pull += vector_at(force, r)
-            weight += BRANCH_WEIGHT * mass[r]
+            weight += branch_weight[n] * mass[r]
+        lighter = ti.sqrt(branch_pull[k, 3] / weight)
         branch_pull[k, 3] = weight
         for c in ti.static(range(3)):
             branch_pull[k, c] = pull[c]
+            branch_velocity[k, c] *= lighter
             branch_shift[k, c] = 0.0
     for back in range(1, last - first):
         k = last - back

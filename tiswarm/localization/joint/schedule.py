@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.localization.joint.equations import Equations
+from tiswarm.localization.joint.motion_kernels import MEMORY
 from tiswarm.localization.params import JointParams
 
 COLD = 0.01
@@ -32,3 +33,21 @@ def cooled(begin: float, end: float, steps: int, holding: int) -> NDArray[np.flo
     """Tolerance of each step, shape (steps + holding,): ever less by the same factor, then held."""
     falling = begin * (end / begin) ** (np.arange(steps) / steps)
     return np.concatenate([falling, np.full(holding, end)])
+
+
+def thermostat(tolerance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of m v^2 that friction and kicks give a free robot, at each step.
+
+    It lags behind the square of the tolerance: a step keeps a part of the velocity.
+
+    Args:
+        tolerance: Of each step [R], shape (..., steps).
+
+    Returns:
+        The mean of m v^2 for each coordinate [R^2], shape (..., steps).
+    """
+    target = tolerance**2
+    for step in range(1, target.shape[-1]):
+        target[..., step] *= 1.0 - MEMORY**2
+        target[..., step] += MEMORY**2 * target[..., step - 1]
+    return target

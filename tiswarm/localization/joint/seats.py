@@ -21,8 +21,9 @@ UNTOLD = 2.0
 
 
 def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> NDArray[np.float64]:
-    """Put each robot where its contacts with earlier ones meet, give or take a dock radius.
+    """Put each robot where its contacts with robots already put meet, give or take a dock radius.
 
+    Robots follow each other along the chains of contacts, from the first robot of each part on.
     Which way a dock lies from the one it touches is not sensed. Robots are taken to stand across
     from each other there, for else thousands of them would begin in a heap.
 
@@ -32,17 +33,22 @@ def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> ND
     robot = np.arange(log.robot_count)
     draw = 3 * np.arange(chains)[:, None, None] + np.arange(3)
     guess = random.normal(seed, "first guess", robot[:, None], draw)
-    rows = _rows(known, log.robot_count)
-    anchor = log.anchor_position / log.dock_radius
     across = _across(known)
+    toward = np.concatenate([across, -across])
+    partner = np.concatenate([known.other, known.robot])
+    rows = _rows(np.concatenate([known.robot, known.other]), log.robot_count)
     is_known = known.precision > 0.0
     place = known.sensed_place
-    guess[:, 0] = anchor
-    for i in range(1, log.robot_count):
-        mine = rows[i]
-        met = guess[:, known.other[mine]] - across[mine] if len(mine) else anchor[None, None]
+    guess[:, 0] = log.anchor_position / log.dock_radius
+    is_put = robot == 0
+    for i in np.argsort(known.reach(), kind="stable").tolist():
+        if is_put[i]:
+            continue
+        mine = rows[i][is_put[partner[rows[i]]]]
+        met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
         guess[:, i] += met.mean(axis=1)
         guess[:, i, is_known[i]] = place[i, is_known[i]]
+        is_put[i] = True
     return guess
 
 
@@ -62,7 +68,7 @@ def reseat(known: Equations, position: NDArray[np.float64], yaw: NDArray[np.floa
     gap = np.abs(known.lengths(position, yaw) - SPACING)
     count = np.bincount(known.robot, minlength=position.shape[1])
     across = _across(known)
-    rows = _rows(known, len(count))
+    rows = _rows(known.robot, len(count))
     moved = 0
     far = np.maximum(LOST, NOISY * np.sqrt(known.variance))
     for here, missed in zip(position, gap > far, strict=True):
@@ -80,8 +86,8 @@ def rejoined(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Put each part that nothing ties to the anchor where its first robot may have joined.
 
-    It touched one that was there before, and robots join where the last ones did. The annealer,
-    which is told neither, leaves the part near the anchor.
+    It touched one that was there before, and robots join where the last ones did. The annealer
+    keeps such parts away from all others, and shapes them alone.
 
     Args:
         mean: Mean position of each chain, shape (chains, N, 3).
@@ -98,17 +104,17 @@ def rejoined(
         weight = np.exp(np.arange(1 - earlier.shape[1], 1) / RECENT)
         weight /= weight.sum()
         place = weight @ earlier
-        away = (earlier - place[:, None]) * known.unplaced
+        away = (earlier - place[:, None]) * known.unobserved[first]
         part = known.part == known.part[first]
-        put[:, part] += ((place - put[:, first]) * known.unplaced)[:, None]
+        put[:, part] += ((place - put[:, first]) * known.unobserved[first])[:, None]
         square[:, part] = (UNTOLD * (away**2).sum(axis=2) @ weight)[:, None]
     return put, square
 
 
-def _rows(known: Equations, robots: int) -> list[NDArray[np.intp]]:
-    """Equations of each robot that felt the contact."""
-    order = np.argsort(known.robot, kind="stable")
-    return np.split(order, np.searchsorted(known.robot[order], np.arange(1, robots)))
+def _rows(robot: NDArray[np.int64], robots: int) -> list[NDArray[np.intp]]:
+    """Where each robot stands in a list of them."""
+    order = np.argsort(robot, kind="stable")
+    return np.split(order, np.searchsorted(robot[order], np.arange(1, robots)))
 
 
 def _across(known: Equations) -> NDArray[np.float64]:

@@ -7,7 +7,10 @@ from tiswarm.records.estimate import Solution
 
 
 def distinct(
-    position: NDArray[np.float64], residual: NDArray[np.float64], width: float
+    position: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    residual_sd: NDArray[np.float64],
+    width: float,
 ) -> tuple[Solution, ...]:
     """Tell chains apart that put some robot more than the width of a dock elsewhere.
 
@@ -16,6 +19,7 @@ def distinct(
     Args:
         position: Centers in each chain, in the log's unit, shape (chains, N, 3).
         residual: Residual of each, in the log's unit, shape (chains,).
+        residual_sd: The same in standard deviations, shape (chains,).
         width: Width of a dock, in the log's unit.
     """
     found: list[list[int]] = []
@@ -27,6 +31,11 @@ def distinct(
         else:
             found.append([chain])
     return tuple(
-        Solution(chains=len(alike), residual=float(residual[alike[0]]), position=position[alike[0]])
+        Solution(
+            chains=len(alike),
+            residual=float(residual[alike[0]]),
+            residual_sd=float(residual_sd[alike[0]]),
+            position=position[alike[0]],
+        )
         for alike in found
     )

@@ -1,0 +1,187 @@
+"""Chains that cannot be right are annealed again, and an estimate that failed says so."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.structures import Rule, structure
+from tiswarm.localization.joint import anneal, method
+from tiswarm.localization.joint.convergence import RUNAWAY, failed, judge, squares
+from tiswarm.localization.joint.equations import equations
+from tiswarm.localization.joint.reach import reach
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.registry import localize
+
+SHORT = JointParams(chains=4, steps=1500, hold_steps=200)
+KINDS = ["tree", "loops", "ball", "chain"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_chain_gains_energy(kind):
+    """From the step on in which docks are grown the kinetic temperature is near its target.
+
+    Docks are tangent and a third of the robots are not tied to the anchor, as in the structures
+    that made chains fly apart: docks overlapped in a heap, and pushed robots and all branches that
+    hold them.
+    """
+    log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
+    params = JointParams()
+    swarm = anneal.Swarm([log], [params], [equations(log, params)])
+    heat = []
+
+    for step in (200, 300, 500, 800, 1200, 1800, 2500, 3000):
+        swarm.advance(step)
+        heat.append(swarm.temperatures(step - 1)[:, 0])
+
+    assert np.array(heat).shape == (8, params.chains_for(60))
+    assert 0.5 < np.min(heat) <= np.max(heat) < 2.0
+
+
+def test_contacts_that_cannot_hold_do_not_heat_a_chain():
+    """Docks that are pulled through each other at every step gain nothing: their energy is smooth.
+
+    Two robots of one dock are tied by contacts that contradict each other, and start where they
+    overlap.
+    """
+    log, _ = structure(Rule(docks=2), 12, 1)
+    tolerance = {"start_tolerance": 0.05, "end_tolerance": 0.05}
+    params = JointParams(steps=2000, chains=16, non_overlap=False, robust=False, **tolerance)
+    known = equations(log, params)
+    again = dataclasses.replace(known, shift=known.shift * 0.1)  # nowhere can all of these hold
+    swarm = anneal.Swarm([log], [params], [again])
+    swarm.advance(1500)
+    heat = []
+
+    for step in range(1500, 2000, 50):
+        swarm.advance(step)
+        heat.append(swarm.temperatures(step - 1)[:, 0])
+
+    assert np.mean(heat, axis=0).max() < RUNAWAY
+
+
+@settings(deadline=None, max_examples=25)
+@given(kind=st.sampled_from(KINDS), docks=st.integers(2, 5), seed=st.integers(0, 99))
+def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, seed):
+    """In truth; and the bound is that of the shortest chain of contacts."""
+    log, truth = structure(Rule(kind=kind, docks=docks, offset=2.0), 10, seed)
+    known = equations(log, JointParams())
+    longest = np.linalg.norm(known.shift, axis=1) + 2.0
+    slow = np.full(10, np.inf)
+    slow[0] = 0.0
+    for _ in range(10):
+        for i, j, far in zip(known.robot, known.other, longest, strict=True):
+            slow[i] = min(slow[i], slow[j] + far)
+            slow[j] = min(slow[j], slow[i] + far)
+
+    bound = reach(np.column_stack([known.robot, known.other]), longest, known.part)
+
+    tied = np.isfinite(slow)
+    np.testing.assert_allclose(bound[tied], slow[tied], rtol=1e-12)
+    assert np.isfinite(bound).all()
+    assert (np.linalg.norm(truth - truth[0], axis=1)[tied] <= bound[tied] + 1e-2).all()
+
+
+def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypatch):
+    """One whose robot is out of reach, or that ran hot; all others stay as they are."""
+    log, _ = structure(Rule(kind="loops"), 30, 2)
+    known = equations(log, SHORT)
+    sound = anneal.anneal([log], [SHORT], [known])[0]
+    away, hot = np.zeros((2, 4))
+    away[1], hot[2] = 1e3, 1e3
+    last = sound.last.copy()
+    last[:, -1] += away[:, None]
+    torn = dataclasses.replace(sound, last=last, temperature=sound.temperature + hot)
+    asked = []
+
+    def annealed_again(*_args, halvings=0):
+        asked.append(halvings)
+        return [torn if halvings < 2 else sound]
+
+    monkeypatch.setattr(method, "anneal", annealed_again)
+
+    estimate = localize(log, SHORT)
+
+    assert failed(known, torn).tolist() == [False, True, True, False]
+    assert not failed(known, sound).any()
+    assert asked == [0, 1, 2]
+    assert (estimate.convergence.restarted, estimate.convergence.converged) == (4, True)
+    plain = judge(known, sound, np.zeros(4, bool), 0)
+    np.testing.assert_array_equal(
+        estimate.position, sound.mean[plain.converged].mean(axis=0) * log.dock_radius
+    )
+
+
+def test_chains_that_fail_again_and_again_do_not_count(monkeypatch):
+    """Those that are left make the estimate; if none is, it says that it did not converge."""
+    log, _ = structure(Rule(kind="loops"), 30, 2)
+    known = equations(log, SHORT)
+    sound = anneal.anneal([log], [SHORT], [known])[0]
+    one = dataclasses.replace(sound, temperature=np.array([9.0, 1.0, 1.0, 1.0]))
+    every = dataclasses.replace(sound, temperature=np.full(4, 9.0))
+
+    verdicts = []
+    for chains in (one, every):
+        monkeypatch.setattr(method, "anneal", lambda *_args, found=chains, **_: [found])
+        verdicts.append(localize(log, SHORT).convergence)
+
+    assert not judge(known, one, failed(known, one), 0).converged[0]
+    assert [found.converged for found in verdicts] == [True, False]
+    assert [found.restarted for found in verdicts] == [2, 8]
+
+
+def test_an_estimate_that_misses_its_measurements_says_so():
+    """Contacts named at random cannot all hold; none of them is called wrong then."""
+    log, _ = structure(Rule(kind="loops"), 40, 3)
+    shuffled = log.contacts.copy()
+    shuffled[:, 1] = (shuffled[:, 1] + 1) % 3
+    shuffled[10:, 0] = shuffled[10:, 0] // 2
+    nonsense = dataclasses.replace(log, contacts=np.unique(shuffled, axis=0))
+
+    good, bad = localize(log, SHORT), localize(nonsense, SHORT)
+
+    assert good.convergence.converged
+    assert abs(good.convergence.misfit_sd) < 5.0
+    assert 0.3 < good.solutions[0].residual_sd < 2.0
+    assert good.doubted is not None
+    assert not bad.convergence.converged
+    assert bad.doubted is None
+
+
+def test_squares_are_those_of_residuals_in_standard_deviations():
+    """Of contacts, and of every coordinate that is measured: no anchor, no place of our making."""
+    log, truth = structure(Rule(kind="loops", untied=0.3), 20, 4)
+    heights = dataclasses.replace(log, flip_height=truth[:, 2].copy())
+    known = equations(heights, SHORT)
+    found = anneal.anneal([heights], [SHORT], [known])[0]
+
+    missed, away = squares(known, found)
+
+    square = found.tolerance**2
+    for chain in range(SHORT.chains):
+        x = found.last[chain]
+        gap = np.linalg.norm(x[known.robot] + known.shift - x[known.other], axis=1) - 2.0
+        np.testing.assert_allclose(missed[chain], gap**2 / (known.variance + square))
+        off = x[1:, 2] - truth[1:, 2]
+        np.testing.assert_allclose(away[chain], off**2 / (1.0 / known.precision[1:, 2] + square))
+
+
+def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
+    """Whatever is in them, and whoever of a part joined first without touching anybody."""
+    log, _ = structure(Rule(kind="tree", untied=0.5), 60, 5)
+
+    for seed in range(3):
+        found = localize(log, dataclasses.replace(SHORT, seed=seed))
+        known = equations(log, SHORT)
+        bound = known.reach() + 5.0
+        swarm = anneal.Swarm([log], [SHORT], [known])
+        start = swarm.by_robot(swarm.position)[0]
+        first = np.unique(known.part, return_index=True)[1]
+        apart = np.linalg.norm(start[first][:, None] - start[first], axis=2)
+        size = np.zeros(len(first))
+        np.maximum.at(size, known.part, bound)
+        np.fill_diagonal(apart, np.inf)
+        assert (apart > size[:, None] + size).all()
+        assert found.convergence.converged

@@ -1,0 +1,178 @@
+"""Structures that no robot of this project would build, to try localizers on.
+
+Robots with any number of docks are put down one by one, so that one dock touches a dock that is
+there, and turn about it until another one touches. Lengths in R.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.records.sensing_log import SensingLog
+
+SPACING = 2.0
+GAP = 1e-3
+"""Docks this much farther apart still touch."""
+TRIES = 200
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)[1:]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """How robots are put down."""
+
+    kind: str = "tree"
+    """tree: one contact each; loops: two; ball: two, near the anchor; chain: on the last robot."""
+
+    docks: int = 3
+    offset: float = 1.506
+    """Center to dock."""
+
+    untied: float = 0.0
+    """Share of the robots whose contacts with earlier ones are not in the log."""
+
+    missed: float = 0.0
+    """Share of the contacts that are not in the log."""
+
+    wrong: float = 0.0
+    """Share of the contacts that name another robot."""
+
+
+def structure(rule: Rule, robots: int, seed: int) -> tuple[SensingLog, NDArray[np.float64]]:
+    """Put down robots without overlap.
+
+    Returns:
+        What they sensed, without noise, and their true centers, shape (N, 3).
+    """
+    rng = np.random.default_rng(seed)
+    body = _body(rule.docks, rule.offset)
+    turn = Rotation.random(robots, rng)
+    center = np.zeros((1, 3))
+    taken = turn[0].apply(body)
+    for robot in range(1, robots):
+        arm, near = turn[robot].apply(body), center[0]
+        for _ in range(TRIES):
+            target = _target(rule.kind, rng, taken, rule.docks, center)
+            own = int(rng.integers(rule.docks))
+            pivot = taken[target] + SPACING * _direction(rng)
+            place, about = pivot - arm[own], _direction(rng)
+            if rule.kind in {"loops", "ball"} and rule.docks > 1:
+                angle = _first_touch(taken, pivot, arm - arm[own], about)
+                if angle is None:
+                    continue
+                spin = Rotation.from_rotvec(angle * about)
+                turn_there, place = spin * turn[robot], pivot - spin.apply(arm[own])
+            else:
+                turn_there = turn[robot]
+            docks = place + turn_there.apply(body)
+            if cKDTree(taken).query(docks)[0].min() > SPACING - 1e-9:
+                near = place
+                break
+        else:
+            return structure(rule, robots, seed + 10**6)
+        turn = Rotation.concatenate([turn[:robot], turn_there, turn[robot + 1 :]])
+        center = np.concatenate([center, near[None]])
+        taken = np.concatenate([taken, docks])
+    return _log(rule, rng, center, turn, body, taken), center
+
+
+def _body(docks: int, offset: float) -> NDArray[np.float64]:
+    """Docks evenly around the center; from four on, over a sphere."""
+    if docks <= 3:
+        angle = 2.0 * np.pi * np.arange(docks) / docks
+        return offset * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    k = np.arange(docks) + 0.5
+    z, angle = 1.0 - 2.0 * k / docks, np.pi * (1.0 + 5.0**0.5) * k
+    level = np.sqrt(1.0 - z**2)
+    return offset * np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
+
+
+def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def _target(
+    kind: str,
+    rng: np.random.Generator,
+    taken: NDArray[np.float64],
+    docks: int,
+    center: NDArray[np.float64],
+) -> int:
+    if kind == "chain":
+        return len(taken) - 1 - int(rng.integers(docks))
+    if kind == "ball":
+        away = np.linalg.norm(taken, axis=1) + rng.exponential(1.0, len(taken))
+        return int(away.argmin()) if rng.random() < 0.7 else int(rng.integers(len(taken)))
+    return int(rng.integers(len(taken)))
+
+
+def _first_touch(
+    taken: NDArray[np.float64],
+    pivot: NDArray[np.float64],
+    arm: NDArray[np.float64],
+    about: NDArray[np.float64],
+) -> float | None:
+    """Angle by which a robot turns about its pivot dock until another dock touches one."""
+    far = SPACING + np.linalg.norm(arm, axis=1).max()
+    close = taken[np.linalg.norm(taken - pivot, axis=1) < far]
+    swinging = arm[np.linalg.norm(arm, axis=1) > GAP]
+
+    def clearance(angle: float) -> float:
+        docks = pivot + Rotation.from_rotvec(angle * about).apply(swinging)
+        return float(np.linalg.norm(docks[:, None] - close, axis=2).min() - SPACING)
+
+    if clearance(0.0) < 0.0:
+        return None
+    last = 0.0
+    for angle in ANGLES.tolist():
+        if clearance(angle) < 0.0:
+            low, high = last, angle
+            for _ in range(50):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if clearance(middle) >= 0.0 else (low, middle)
+            return low
+        last = angle
+    return None
+
+
+def _log(
+    rule: Rule,
+    rng: np.random.Generator,
+    center: NDArray[np.float64],
+    turn: Rotation,
+    body: NDArray[np.float64],
+    taken: NDArray[np.float64],
+) -> SensingLog:
+    robots, docks = len(center), rule.docks
+    pair = np.sort(cKDTree(taken).query_pairs(SPACING + GAP, output_type="ndarray"), axis=1)
+    pair = pair[pair[:, 0] // docks != pair[:, 1] // docks].reshape(-1, 2)
+    pair = pair[np.lexsort(pair.T)]
+    pair = pair[rng.random(len(pair)) >= rule.missed]
+    silent = rng.random(robots) < rule.untied
+    pair = pair[~silent[pair[:, 1] // docks]]
+    is_wrong = (rng.random(len(pair)) < rule.wrong) & (pair[:, 1] // docks > 1)
+    other = rng.integers(0, pair[:, 1] // docks * docks)
+    pair[:, 0] = np.where(is_wrong, other, pair[:, 0])
+    pair = np.unique(pair, axis=0)
+    contacts = np.column_stack([pair[:, 0] // docks, pair[:, 0] % docks,
+                                pair[:, 1] // docks, pair[:, 1] % docks])  # fmt: skip
+    return SensingLog(
+        robot_id=np.arange(robots),
+        dock_radius=1.0,
+        dock_offset_body=body,
+        anchor_position=center[0],
+        orientation_wxyz=turn.as_quat(scalar_first=True),
+        contacts=contacts.astype(np.int32),
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=np.full(robots, np.nan),
+        spawn_position=np.full((robots, 3), np.nan),
+    )
+
+
+def with_heights(log: SensingLog, truth: NDArray[np.float64]) -> SensingLog:
+    """Add the true height of each robot to a log."""
+    return replace(log, flip_height=truth[:, 2].copy())
