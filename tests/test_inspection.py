@@ -22,17 +22,21 @@ def _told(log, *solutions):
     for chains, residual, off in solutions:
         position = np.zeros((log.robot_count, 3))
         position[list(off), 1] = list(off.values())
-        found.append(Solution(chains=chains, residual=residual, position=position))
+        found.append(
+            Solution(
+                chains=chains, residual=residual, residual_sd=10.0 * residual, position=position
+            )
+        )
     return list(ambiguities(log, SimpleNamespace(solutions=tuple(found))))
 
 
 def test_each_solution_is_told_with_its_gap(log):
     """The gap of residuals, how far off it is at most, and which robots, the farthest first."""
     assert _told(log, (2, 0.1, {}), (1, 0.25, {4: 2.5, 7: 5.0, 9: 1.9})) == [
-        "solution 1 of 2: 2 of 3 chains, residual 0.1 R",
+        "solution 1 of 2: 2 of 3 chains, residual 0.1 R (1 sd)",
         (
-            "solution 2 of 2: 1 of 3 chains, residual 0.25 R, 0.15 R more than solution 1; "
-            "up to 5 R from there: 2 robots (7, 4)"
+            "solution 2 of 2: 1 of 3 chains, residual 0.25 R (2.5 sd), "
+            "0.15 R more than solution 1; up to 5 R from there: 2 robots (7, 4)"
         ),
         "the estimate follows from the mean of all 3 chains and is none of these",
     ]
@@ -64,9 +68,12 @@ def test_long_lists_are_cut(log):
 def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
     """A mean over what nothing tells misses contacts that every chain meets."""
     robots = log.robot_count
-    solutions = (Solution(chains=7, residual=0.0042, position=np.zeros((robots, 3))),)
-    found = SimpleNamespace(robot_count=robots, residual=np.array([2.0, 0.25]), solutions=solutions)
+    best = Solution(chains=7, residual=0.0042, residual_sd=0.7, position=np.zeros((robots, 3)))
+    found = SimpleNamespace(
+        robot_count=robots, residual=np.array([2.0, 0.25]), residual_sd=31.0, solutions=(best,)
+    )
 
-    assert outcome(log, found) == "30 robots, residual 0.25 R rms, of the best chain 0.0042 R"
-    found.solutions = ()
+    told = "30 robots, residual 0.25 R rms (31 sd), of the best chain 0.0042 R (0.7 sd)"
+    assert outcome(log, found) == told
+    found.solutions, found.residual_sd = (), None
     assert outcome(log, found) == "30 robots, residual 0.25 R rms"

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch, Precision
 from tiswarm.console import ConsoleWatcher
+from tiswarm.inspection import failed_to_converge
 from tiswarm.localization import registry
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
@@ -105,6 +106,9 @@ def localize(
         precision: Real type of the kernels.
         settings: Settings of the method by name, nested ones as dictionaries.
 
+    Returns:
+        The estimate; a warning is issued where it did not converge.
+
     Raises:
         InputError: for a bad log, method, cue or setting.
         EnvironmentTroubleError: where the machine lacks the device.
@@ -112,7 +116,11 @@ def localize(
     params = localization_params(method, cues=cues, values=settings)
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     backend.start(arch, threads=threads, precision=precision)
-    return registry.localize(sensed, params)
+    estimate = registry.localize(sensed, params)
+    problem = failed_to_converge(sensed, estimate)
+    if problem is not None:
+        warnings.warn(problem, stacklevel=2)
+    return estimate
 
 
 def run(

@@ -37,6 +37,10 @@ class EnvironmentTroubleError(TiswarmError):
     """The machine lacks something: a backend, a library, memory, a writable folder."""
 
 
+NOT_CONVERGED = 4
+"""Exit status of `tiswarm localize` where it wrote an estimate that did not converge."""
+
+
 class CasesFailedError(TiswarmError):
     """Some cases of a study failed; the others are kept."""
 

@@ -56,6 +56,19 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[
         yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
 
 
+def failed_to_converge(log: SensingLog, estimate: Estimate) -> str | None:
+    """Warn of an estimate that cannot be trusted; None where there is nothing to warn of."""
+    found = estimate.convergence
+    if found is None or found.converged:
+        return None
+    residual = f"residual of its best chain {estimate.solutions[0].residual:.2g} {log.length_unit}"
+    return (
+        f"not converged: misses what was sensed by {found.misfit_sd:.0f} sd more than its count of "
+        f"measurements explains ({residual}); positions and sd may be far off. Try twice the steps "
+        "or chains; if that does not help, look for wrong contacts or state the log's noise"
+    )
+
+
 def judged_wrong(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     """Say line by line which contacts a method did not believe."""
     rows = estimate.doubted
@@ -75,7 +88,7 @@ def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
     chains = sum(solution.chains for solution in found)
     for number, solution in enumerate(found[:MOST_SHOWN], start=1):
         told = f"solution {number} of {len(found)}: {solution.chains} of {chains} chains"
-        told += f", residual {solution.residual:.3g} {unit}"
+        told += f", residual {solution.residual:.3g} {unit} ({solution.residual_sd:.2g} sd)"
         if number > 1:
             away = np.linalg.norm(solution.position - found[0].position, axis=1)
             farthest = np.argsort(-away, kind="stable")
@@ -92,7 +105,12 @@ def outcome(log: SensingLog, estimate: Estimate) -> str:
     """Say in one line what a method came to, and beside a mean of chains what the best one did."""
     unit, residual = log.length_unit, estimate.residual[-1]
     told = [counted(estimate.robot_count, "robot"), f"residual {residual:.2g} {unit} rms"]
-    told += [f"of the best chain {each.residual:.2g} {unit}" for each in estimate.solutions[:1]]
+    if estimate.residual_sd is not None:
+        told[-1] += f" ({estimate.residual_sd:.2g} sd)"
+    told += [
+        f"of the best chain {each.residual:.2g} {unit} ({each.residual_sd:.2g} sd)"
+        for each in estimate.solutions[:1]
+    ]
     return ", ".join(told)
 
 

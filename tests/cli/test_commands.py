@@ -4,14 +4,18 @@ import json
 import os
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 
 from tests.cli.conftest import REPOSITORY
+from tests.structures import Rule, structure
 from tiswarm.cli import main
+from tiswarm.records.sensing_file import write_sensing_log
 
 COMMANDS = (
     "run", "localize", "tune", "report", "render", "compare", "import", "export", "score",
@@ -171,6 +175,25 @@ def test_what_cannot_be_known_is_said_and_marked(tiswarm, small_run, tmp_path):
     assert marks[0] == "known"
     assert marks[-1] == "apart"
     assert marks[1] == "yes"
+
+
+def test_an_estimate_that_did_not_converge_is_written_with_a_warning(tiswarm, tmp_path):
+    """The first line says so and what to do, even if quiet; the exit status is 4."""
+    log, _ = structure(Rule(kind="loops"), 20, 0)
+    contacts = log.contacts.copy()
+    contacts[4:, 0] = 0  # all robots cannot touch the anchor's three docks
+    write_sensing_log(replace(log, contacts=np.unique(contacts, axis=0)), tmp_path / "bad.jsonl")
+    out = tmp_path / "estimate.csv"
+    chosen = ("--method", "joint", "--set", "steps=600", "--set", "chains=3", "--out", out)
+
+    done = tiswarm("localize", tmp_path / "bad.jsonl", *chosen)
+    quiet = tiswarm("localize", tmp_path / "bad.jsonl", *chosen, "--quiet")
+
+    assert done.returncode == quiet.returncode == 4
+    assert done.stderr.splitlines()[0] == quiet.stderr.strip()
+    assert quiet.stderr.startswith("tiswarm: warning: not converged: misses what was sensed by ")
+    assert "judged wrong" not in done.stdout
+    assert len(out.read_text().splitlines()) == 21
 
 
 def test_contacts_judged_wrong_are_listed_with_their_line(tiswarm, tmp_path):

@@ -98,6 +98,19 @@ def test_warnings_count_what_limits_a_run():
     assert [row[1].text for row in case_table(summary).rows] == ["done", "done", "failed"]
 
 
+def test_cases_that_did_not_converge_are_named_first():
+    """Unless every case of a method that tells did; others leave the column empty."""
+    summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "status": "done", "reason": None})
+    lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])
+
+    told = warnings_of(lost, {})
+
+    assert told[0].startswith("1 of 3 cases did not converge (0-a): their best chain misses")
+    assert "148 sd" in told[0]
+    assert warnings_of(lost.assign(converged=[True, True, None]), {}) == []
+    assert warnings_of(summary, {}) == []
+
+
 def test_what_a_method_says_of_its_estimate_is_held_against_the_truth():
     """Only where one says anything, and only what it says."""
     silent = pd.DataFrame({"condition": ["a"], "cases": [2], "paper_rmse_radii": [None]})

@@ -29,9 +29,19 @@ def localize(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Work out where the robots of a sensing log are; any simulator's, or a real swarm's."""
+    """Work out where the robots of a sensing log are; any simulator's, or a real swarm's.
+
+    Exits with status 4 where the estimate is written, but did not converge.
+    """
     from tiswarm.compute import backend
-    from tiswarm.inspection import ambiguities, doubts, judged_wrong, outcome
+    from tiswarm.errors import NOT_CONVERGED
+    from tiswarm.inspection import (
+        ambiguities,
+        doubts,
+        failed_to_converge,
+        judged_wrong,
+        outcome,
+    )
     from tiswarm.localization import registry
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.records.tables import write_estimate
@@ -45,12 +55,17 @@ def localize(
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
     write_estimate(out, estimate, length_unit=sensed.length_unit)
+    problem = failed_to_converge(sensed, estimate)
+    if problem is not None:
+        typer.echo(f"tiswarm: warning: {problem}", err=True)
     if not quiet:
         for line in doubts(sensed, log, filter(None, [estimate.certainty])):
             typer.echo(line)
         for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
             typer.echo(line)
         typer.echo(f"{outcome(sensed, estimate)} -> {out}")
+    if problem is not None:
+        raise typer.Exit(NOT_CONVERGED)
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")

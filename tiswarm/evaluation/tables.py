@@ -45,6 +45,7 @@ def score(
         ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
         **_coverage(truth, estimate),
+        **_convergence(estimate),
     }
 
 
@@ -106,6 +107,19 @@ def _coverage(truth: Truth, estimate: Estimate) -> dict[str, float]:
     return {
         "coverage_50": _mean(error <= HALF_WITHIN * sd),
         "coverage_90": _mean(error <= MOST_WITHIN * sd),
+    }
+
+
+def _convergence(estimate: Estimate) -> dict[str, float | int]:
+    """What the method tells of its convergence; nothing where it tells none."""
+    found = estimate.convergence
+    if found is None:
+        return {}
+    return {
+        "converged": found.converged,
+        "misfit_sd": found.misfit_sd,
+        "chains": found.chains,
+        "restarted_chains": found.restarted,
     }
 
 

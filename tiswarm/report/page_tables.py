@@ -68,6 +68,7 @@ OF_ITSELF = (
     ("in the 90 % interval", "coverage_90", 2),
     ("contacts judged wrong: precision", "doubted_precision", 2),
     ("recall", "doubted_recall", 2),
+    ("converged", "converged", 2),
 )
 PUBLISHED = (
     ("published [robot radii]", "paper_rmse_radii", 2),
@@ -144,6 +145,7 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
         reasons = [*dict.fromkeys(summary.loc[~done, "reason"].dropna())]
         shown = "; ".join(map(str, reasons[:MOST_REASONS]))
         found.append(f"{(~done).sum()} of {len(summary)} cases failed: {shown}.")
+    found += _unconverged(summary[done])
     ended = summary.loc[done, "reason"].dropna()
     if len(ended):
         shown = "; ".join(map(str, [*dict.fromkeys(ended)][:MOST_REASONS]))
@@ -158,6 +160,23 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
     excuses = {str(picture["reason"]) for picture in renders if picture["reason"]}
     found += [f"Renders are by a simpler renderer: {reason}." for reason in sorted(excuses)]
     return found
+
+
+def _unconverged(done: pd.DataFrame) -> list[str]:
+    """Name the cases whose estimate does not fit what was sensed."""
+    if "converged" not in done:
+        return []
+    lost = done[done["converged"].eq(False)]  # noqa: FBT003 - other methods leave it empty
+    if not len(lost):
+        return []
+    more = ["..."] if len(lost) > MOST_REASONS else []
+    names = ", ".join([*map(str, lost["case"][:MOST_REASONS]), *more])
+    warning = (
+        f"{len(lost)} of {len(done)} cases did not converge ({names}): their best chain misses "
+        f"what was sensed by up to {lost['misfit_sd'].max():.0f} sd more than chance explains. "
+        "Their errors count in all tables; more steps or chains may mend them."
+    )
+    return [warning]
 
 
 def _floppiness(done: pd.DataFrame) -> list[str]:

@@ -44,6 +44,7 @@ AVERAGED = (
     "coverage_90",
     "doubted_precision",
     "doubted_recall",
+    "converged",
     *ACCURACY,
 )
 
@@ -145,9 +146,12 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
     if not row["cases"]:
         return f"{name}: no case was finished"
     interval = f" ± {row['rmse_R_ci95']:.2f}" if row["rmse_R_ci95"] >= 0.0 else ""
+    share = row.get("converged_mean", math.nan)
+    lost = 0 if math.isnan(share) else round(row["cases"] * (1.0 - share))
     return (
         f"{name}: RMSE {row['rmse_R_mean']:.2f}{interval} R, disparity "
         f"{row['procrustes_disparity_mean']:.4f}, {counted(row['cases'], 'structure')}"
+        f"{f', {lost} of them not converged' if lost else ''}"
     )
 
 
