@@ -16,7 +16,7 @@ from tiswarm.records.sensing_log import SensingLog
 SPACING = 2.0
 GAP = 1e-3
 """Docks this much farther apart still touch."""
-TRIES = 200
+TRIES = 400
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)[1:]
 
 
@@ -49,34 +49,35 @@ def structure(rule: Rule, robots: int, seed: int) -> tuple[SensingLog, NDArray[n
     """
     rng = np.random.default_rng(seed)
     body = _body(rule.docks, rule.offset)
-    turn = Rotation.random(robots, rng)
-    center = np.zeros((1, 3))
-    taken = turn[0].apply(body)
+    turns, centers = [Rotation.random(random_state=rng)], [np.zeros(3)]
+    taken = turns[0].apply(body)
     for robot in range(1, robots):
-        arm, near = turn[robot].apply(body), center[0]
-        for _ in range(TRIES):
-            target = _target(rule.kind, rng, taken, rule.docks, center)
-            own = int(rng.integers(rule.docks))
-            pivot = taken[target] + SPACING * _direction(rng)
-            place, about = pivot - arm[own], _direction(rng)
-            if rule.kind in {"loops", "ball"} and rule.docks > 1:
+        for attempt in range(TRIES):
+            # Where there is no room left robots stand anywhere, held by one contact.
+            kind = rule.kind if attempt < TRIES // 4 else "tree"
+            target, own = _target(kind, rng, taken, rule.docks), int(rng.integers(rule.docks))
+            pivot, turn = (
+                taken[target] + SPACING * _direction(rng),
+                Rotation.random(random_state=rng),
+            )
+            if kind in {"loops", "ball"} and rule.docks > 1:
+                about, arm = _direction(rng), turn.apply(body)
                 angle = _first_touch(taken, pivot, arm - arm[own], about)
                 if angle is None:
                     continue
-                spin = Rotation.from_rotvec(angle * about)
-                turn_there, place = spin * turn[robot], pivot - spin.apply(arm[own])
-            else:
-                turn_there = turn[robot]
-            docks = place + turn_there.apply(body)
+                turn = Rotation.from_rotvec(angle * about) * turn
+            center = pivot - turn.apply(body[own])
+            docks = center + turn.apply(body)
             if cKDTree(taken).query(docks)[0].min() > SPACING - 1e-9:
-                near = place
                 break
         else:
-            return structure(rule, robots, seed + 10**6)
-        turn = Rotation.concatenate([turn[:robot], turn_there, turn[robot + 1 :]])
-        center = np.concatenate([center, near[None]])
+            message = f"no room for robot {robot}"
+            raise AssertionError(message)
+        turns.append(turn)
+        centers.append(center)
         taken = np.concatenate([taken, docks])
-    return _log(rule, rng, center, turn, body, taken), center
+    truth = np.array(centers)
+    return _log(rule, rng, truth, Rotation.concatenate(turns), body, taken), truth
 
 
 def _body(docks: int, offset: float) -> NDArray[np.float64]:
@@ -95,18 +96,12 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
     return vector / np.linalg.norm(vector)
 
 
-def _target(
-    kind: str,
-    rng: np.random.Generator,
-    taken: NDArray[np.float64],
-    docks: int,
-    center: NDArray[np.float64],
-) -> int:
+def _target(kind: str, rng: np.random.Generator, taken: NDArray[np.float64], docks: int) -> int:
     if kind == "chain":
         return len(taken) - 1 - int(rng.integers(docks))
     if kind == "ball":
-        away = np.linalg.norm(taken, axis=1) + rng.exponential(1.0, len(taken))
-        return int(away.argmin()) if rng.random() < 0.7 else int(rng.integers(len(taken)))
+        away = np.linalg.norm(taken, axis=1)
+        return int((away + rng.exponential(0.2 * away.max(), len(taken))).argmin())
     return int(rng.integers(len(taken)))
 
 
