@@ -426,7 +426,8 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
         place = sum(w * put[:, i, :2] for i, w in enumerate(likely)) / sum(likely)
         np.testing.assert_allclose(put[:, first, :2], place, atol=1e-12)
         away = [((put[:, i, :2] - place) ** 2).sum(axis=1) for i in range(first)]
-        off = seats.UNTOLD * sum(w * a for w, a in zip(likely, away, strict=True)) / sum(likely)
+        off = [seats.UNTOLD * a + square[:, i] for i, a in enumerate(away)]
+        off = sum(w * o for w, o in zip(likely, off, strict=True)) / sum(likely)
         np.testing.assert_allclose(square[:, first], off, rtol=1e-12)
     np.testing.assert_array_equal(square[:, ~untied], 0.0)
     np.testing.assert_array_equal(square[:, -1], square[:, -4])

@@ -18,10 +18,11 @@ from tiswarm.records.contact_graph import touching
 BRANCH_WEIGHT = 3.0
 """Least mass of a branch, in masses of its own robots: these are held by no less than the branch
 is, and move beside it."""
-MOST_MOBILITY = 1.0
-"""Most that the branches a robot is in may add up to in one over their mass. An overlap of two
-robots pushes them and all branches that hold one of them, so a step does work in proportion to that
-sum; robots alone have 1 each, and steps diverge from 4 on."""
+MOST_MOBILITY = 3.0
+"""Most that the branches a robot is in may add up to in one over their mass, for a robot of mass 1.
+An overlap of two robots pushes them and all branches that hold one of them, so a step does work in
+proportion to that sum, which would grow with the number of robots in a thin arm. Generated trees,
+loops, balls and chains are found alike with 1 and with 3."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,10 +22,9 @@ RELATED_AT = 11.4
 """Power by which deviations below so many tolerances are raised, and greater ones lowered, where
 equations are nothing but noise: noise of a walk's early stances is in many of them at once, which
 chains do not know."""
-UNSETTLED = 3.1
+UNSETTLED = 1.0
 """By how much errors are greater where there are no equations at all, relatively: of what nothing
-says chains see less than there is. Where few are missing, others make up for them: it goes with the
-square of the shortage."""
+says chains see less than there is."""
 SHARED = 4.0
 """Weight of what a robot shares with all others, beside its own. Few contacts, those of the anchor,
 decide where all of a structure is; chains agree on that more often than they are right."""
@@ -55,7 +54,7 @@ def deviation(
     power = RELATED * noise
     related = np.sqrt(square) ** (1.0 - power) * (RELATED_AT * tolerance) ** power
     free = (FREE * (tolerance / WARM) ** FREE_COLD) ** (1.0 - noise)
-    sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage**2)
+    sd: NDArray[np.float64] = related * free * (1.0 + UNSETTLED * known.shortage)
     sd[0] = 0.0  # the anchor's place is known
     return sd
 

@@ -59,7 +59,7 @@ def _estimate(
         trusted = ~verdict.outlier if params.robust else np.ones_like(verdict.outlier)
         position, yaw, sd = refine(known, position, yaw, sd, trusted, _curved(known, annealed))
     # Chains agree where parts are put that nothing ties, but not where these may be.
-    sd = np.maximum(sd, np.sqrt(untold[sound].mean(axis=0)))
+    sd = np.sqrt(sd**2 + untold[sound].mean(axis=0))
     trace = np.concatenate([rejoined(annealed.trace[:-1], known)[0], position[None]])
     width = np.sqrt(known.variance + annealed.tolerance**2)
     last = known.lengths(annealed.last[sound], annealed.last_yaw[sound]) - SPACING

@@ -16,7 +16,7 @@ RECENT = 5.0
 """Robots that join meanwhile make it e times less likely that one joins where another did."""
 FORGOTTEN = 200
 """After so many nothing is left of it, to rounding."""
-UNTOLD = 2.0
+UNTOLD = 3.0
 """Mean square error of what is put there, in variances of where robots joined."""
 
 
@@ -100,14 +100,17 @@ def rejoined(
     put, square = mean.copy(), np.zeros(mean.shape[:2])
     firsts = np.unique(known.part, return_index=True)[1]
     for first in np.sort(firsts[known.untied[firsts]]).tolist():
-        earlier = put[:, max(first - FORGOTTEN, 0) : first]
+        earlier_robots = slice(max(first - FORGOTTEN, 0), first)
+        earlier = put[:, earlier_robots]
         weight = np.exp(np.arange(1 - earlier.shape[1], 1) / RECENT)
         weight /= weight.sum()
         place = weight @ earlier
         away = (earlier - place[:, None]) * known.unobserved[first]
         part = known.part == known.part[first]
         put[:, part] += ((place - put[:, first]) * known.unobserved[first])[:, None]
-        square[:, part] = (UNTOLD * (away**2).sum(axis=2) @ weight)[:, None]
+        # The earlier ones may be put where nothing ties them, too.
+        uncertain = UNTOLD * (away**2).sum(axis=2) + square[:, earlier_robots]
+        square[:, part] = (uncertain @ weight)[:, None]
     return put, square
 
 
