@@ -111,7 +111,7 @@ def _coverage(truth: Truth, estimate: Estimate) -> dict[str, float]:
 
 
 def _convergence(estimate: Estimate) -> dict[str, float | int]:
-    """What the method tells of its convergence; nothing where it tells none."""
+    """Scores of the method's convergence; none where the method does not judge it."""
     found = estimate.convergence
     if found is None:
         return {}

@@ -71,7 +71,7 @@ class Estimate:
     the method takes them as they are."""
 
     convergence: Convergence | None = None
-    """Whether the estimate fits what was sensed; None where the method does not tell."""
+    """Whether the estimate fits what was sensed; None where the method does not judge it."""
 
     doubted: NDArray[np.int64] | None = None
     """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method

@@ -52,11 +52,11 @@ class Verdict:
     """Contacts that no converged chain satisfies, nor any of the best few, shape (C,)."""
 
     convergence: Convergence
-    """What the estimate says of itself."""
+    """Convergence of the estimate."""
 
 
 def failed(known: Equations, annealed: Annealed) -> NDArray[np.bool_]:
-    """Find chains that cannot be right, whatever the measurements' noise, shape (chains,)."""
+    """Find chains that no noise of the measurements explains, shape (chains,)."""
     missed = squares(known, annealed)[0]
     # A wrong contact bounds nothing; most chains give it up.
     given_up = (missed > OUTLIER**2).mean(axis=0) >= MOST_CHAINS
@@ -91,7 +91,7 @@ def squares(
 def judge(
     known: Equations, annealed: Annealed, has_failed: NDArray[np.bool_], restarted: int
 ) -> Verdict:
-    """Choose the chains that count, and tell whether they meet the measurements.
+    """Choose the chains that count, and decide whether they meet the measurements.
 
     Args:
         known: Measurements of the structure.

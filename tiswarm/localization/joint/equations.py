@@ -228,8 +228,8 @@ def equations(log: SensingLog, params: JointParams) -> Equations:
 def _separated(known: Equations, anchor: NDArray[np.float64], sd: float) -> Equations:
     """Hold the first robot of each disconnected part at a place where no other part can be.
 
-    Parts that overlap would push each other, though nothing tells where they are. They stand in a
-    row along x, which only odometry measures; whoever has odometry is not disconnected.
+    Parts that overlap would push each other, though nothing measures where they are. They stand in
+    a row along x, which odometry alone measures; robots with odometry are not disconnected.
     """
     first = np.unique(known.part, return_index=True)[1]
     size = np.zeros(len(first))

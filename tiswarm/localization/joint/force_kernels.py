@@ -34,9 +34,14 @@ COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
 
 
 @ti.func
-def push_inside(square_length, width):
-    """Repulsion of docks nearer than `width`, as a part of their offset; 0 for others."""
-    return ti.max(0.5 - 0.5 * square_length / ti.max(width * width, TINY), 0.0)
+def push_inside(square_length, slope):
+    """Repulsion of docks nearer than D, as a part of their offset; 0 for others.
+
+    Args:
+        square_length: Squared distance of the docks [R^2].
+        slope: 1 / (2 D^2) [R^-2].
+    """
+    return ti.max(0.5 - slope * square_length, 0.0)
 
 
 @ti.func
@@ -48,7 +53,7 @@ def turned(x, y, heading: Ref, r):
 
 @ti.func
 def pull_of_contacts(
-    square, width, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
+    square, slope, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
     partner: Ref, touching: Ref, stretch: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref,
     heading: Ref,
 ):  # fmt: skip
@@ -84,9 +89,9 @@ def pull_of_contacts(
         within = square + variance[slot] + residual * residual * robust
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
-        inside = push_inside(length * length, SPACING)
+        inside = push_inside(length * length, 0.5 / SPACING**2)
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
-        overlap = touching[slot] * push_inside(length * length, width)
+        overlap = touching[slot] * push_inside(length * length, slope)
         force -= with_torque((stiff * pull + overlap) * apart, arm)
         if touching[slot] == 1:
             trust = (square + variance[slot]) * length * inverse
@@ -105,9 +110,9 @@ def pull_of_contacts(
 
 @ti.func
 def push_of_overlaps(
-    grid: Ref, docks: ti.template(), r, width, first, entries, arm: Ref, row: Ref, position: Ref,
+    grid: Ref, docks: ti.template(), r, slope, first, entries, arm: Ref, row: Ref, position: Ref,
 ):  # fmt: skip
-    """Sum of the forces of docks that are nearer than `width`, of their stiffness and inertia.
+    """Sum of the forces of docks that are too near, of their stiffness and inertia.
 
     Whole numbers make the sum independent of the order of a row.
     """
@@ -116,6 +121,7 @@ def push_of_overlaps(
     units = ti.cast(with_torque(0.0 * here, here), ti.i64)
     inertia = ti.i64(0)
     overlaps = 0
+    widest = 0.5 / slope  # D^2
     for e in range(entries):
         other = row[first + e * grid.entry_stride] >> (grid.own_bits + 1)
         between = here - vector_at(position, other)
@@ -125,8 +131,8 @@ def push_of_overlaps(
                 for k in ti.static(range(docks)):
                     apart = off + own[k, :]
                     square_length = apart.norm_sqr()
-                    if square_length < width * width:
-                        push = with_torque(push_inside(square_length, width) * apart, own[k, :])
+                    if square_length < widest:
+                        push = with_torque(push_inside(square_length, slope) * apart, own[k, :])
                         units += ti.cast(push * WHOLE, ti.i64)
                         inertia += ti.cast((own[k, 0] ** 2 + own[k, 1] ** 2) * WHOLE, ti.i64)
                         overlaps += 1
@@ -155,13 +161,14 @@ def pull_robot(
     i = r % non_overlap.shape[0]
     turns = yaw_precision[i] > 0.0
     width = non_overlap[i] * SPACING * growth
+    slope = 0.5 / ti.max(width * width, TINY)
     pull, stiffness, inertia = pull_of_contacts(
-        square, width, robust[i], turning, turns, i, r - i, contact_start, partner,
+        square, slope, robust[i], turning, turns, i, r - i, contact_start, partner,
         touching, stretch, shift, lever, variance, position, heading,
     )  # fmt: skip
     if non_overlap[i] == 1:
         push, hardness, lag = push_of_overlaps(
-            grid, docks, r, width, row_first[r], row_count[r], arm, row, position
+            grid, docks, r, slope, row_first[r], row_count[r], arm, row, position
         )
         pull += push
         stiffness += hardness
@@ -179,8 +186,9 @@ def pull_robot(
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
     before = mass[r]
     mass[r] = mass_for(stiffness / MOST_STIFFNESS, before, inertia_factor)
+    slower = ti.sqrt(before / mass[r])
     for c in ti.static(range(3)):
-        velocity[r, c] *= ti.sqrt(before / mass[r])
+        velocity[r, c] *= slower
     if ti.static(turning) and turns:
         stiff = square * yaw_precision[i]
         torque = pull[3] + with_torque(hold, walked)[3] - stiff * heading[r, YAW]

@@ -1,4 +1,4 @@
-"""How far contacts let robots be from each other, whatever their directions. Lengths in R.
+"""How far contacts let robots be from each other, in any direction. Lengths in R.
 
 With sensed orientations, centers in contact are apart by a fixed vector c and a vector of length D,
 so by |c| + D at most; along a chain of contacts these bounds add up.
