@@ -243,7 +243,7 @@ def _of_itself(table: pd.DataFrame) -> Table:
         note=(
             "Part of the robots that are as near to their estimated place as its standard "
             "deviation promises; of the contacts judged wrong those that are, and of all wrong "
-            "ones those that are found."
+            "ones those that are found; part of the estimates that converged."
         ),
     )
 
