@@ -226,10 +226,9 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
     return force + hold, torque
 
 
-def _slope_inside(length, size, h=1e-4):
-    """Slope of the energy (size^2 - length^2)^2 / (8 size^2), by differences."""
-    above, below = (((size**2 - d**2) ** 2 / (8.0 * size**2)) for d in (length + h, length - h))
-    return (above - below) / (2.0 * h)
+def _slope_inside(length, size, h=1e-30):
+    """Slope of the energy (size^2 - length^2)^2 / (8 size^2), by a complex step."""
+    return np.imag((size**2 - (length + 1j * h) ** 2) ** 2 / (8.0 * size**2)) / h
 
 
 def flip_paths(walk, step, body, k):

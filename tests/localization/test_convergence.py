@@ -43,8 +43,7 @@ def test_no_chain_gains_energy(kind):
 def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     """Docks that are pulled through each other at every step gain nothing: their energy is smooth.
 
-    Two robots of one dock are tied by contacts that contradict each other, and start where they
-    overlap.
+    Each contact's fixed vector is a tenth of what it is, so that docks of a tree lie in each other.
     """
     log, _ = structure(Rule(docks=2), 12, 1)
     tolerance = {"start_tolerance": 0.05, "end_tolerance": 0.05}

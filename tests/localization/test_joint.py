@@ -64,9 +64,9 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, ste
     for k in range(SHORT.chains):
         width = 3.0 if robust else np.inf
         slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, params.stretch, size)
-        np.testing.assert_allclose(forces[k], slow[0], rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(forces[k], slow[0], rtol=1e-9, atol=1e-11)
         if noise is BIASED:
-            np.testing.assert_allclose(torques[k], slow[1], rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
 
 
 def test_robots_are_found_without_noise(towers):

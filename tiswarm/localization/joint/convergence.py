@@ -63,8 +63,8 @@ def failed(known: Equations, annealed: Annealed) -> NDArray[np.bool_]:
     first = np.unique(known.part, return_index=True)[1][known.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > known.reach(annealed.tolerance, ~given_up)).any(axis=1)
-    hot: NDArray[np.bool_] = beyond | (annealed.temperature > RUNAWAY)
-    return hot
+    is_failed: NDArray[np.bool_] = beyond | (annealed.temperature > RUNAWAY)
+    return is_failed
 
 
 def squares(
