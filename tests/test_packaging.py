@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import tiswarm
-from tiswarm.compute import dialect
+from tiswarm.compute import lang
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -93,7 +93,7 @@ def test_every_dependency_is_pinned():
 
 def test_every_import_is_a_dependency():
     """What the package imports is what it or an extra asks for, no more and no less."""
-    modules = _imported() | set(dialect.LIBRARIES)  # these are imported by name
+    modules = _imported() | set(lang.LIBRARIES)  # these are imported by name
     needed = {_normal(IMPORTED_AS.get(module, module)) for module in modules}
     extras = {**PROJECT["optional-dependencies"], "bench": [], "dev": []}.values()
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.compute.dialect import LIBRARY
 from tiswarm.compute.kernels import probe_arithmetic
+from tiswarm.compute.lang import LIBRARY
 from tiswarm.compute.memory import Memory
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
@@ -105,7 +105,7 @@ def test_environment_variables_cannot_change_the_backend_unseen():
     code = (
         "from tiswarm.compute import backend\n"
         "backend.start()\n"
-        "from tiswarm.compute.dialect import ti\n"
+        "from tiswarm.compute.lang import ti\n"
         "print(ti.lang.impl.current_cfg().arch == ti.cpu)"
     )
     done = subprocess.run(

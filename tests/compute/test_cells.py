@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.compute.cells import CellChains, bucket_of, cube_of, link, neighbor_cube, relink
-from tiswarm.compute.dialect import Ints1, Ints2, Reals2, ti
+from tiswarm.compute.lang import Ints1, Ints2, Reals2, ti
 
 
 @ti.kernel

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from tiswarm.compute import random
-from tiswarm.compute.dialect import Reals2, ti
+from tiswarm.compute.lang import Reals2, ti
 from tiswarm.compute.random import mixed
 
 whole = st.integers(0, 2**40)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
-from tiswarm.compute.dialect import Reals2, ti
+from tiswarm.compute.lang import Reals2, ti
 from tiswarm.world.meeting import rise_angles
 
 FULL_TURN = 2.0 * np.pi

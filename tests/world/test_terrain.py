@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests import oracle, oracle_terrain
 from tests.strategies import unit_vectors
-from tiswarm.compute.dialect import Reals2, ti
+from tiswarm.compute.lang import Reals2, ti
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.meeting import ClimbLaw, slab_angles
 from tiswarm.world.params import ClimbParams

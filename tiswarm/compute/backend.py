@@ -21,8 +21,8 @@ import scipy.linalg  # noqa: F401  # brings linear algebra of its own, to be lim
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.choices import ARCHS, Arch, Precision
-from tiswarm.compute.dialect import LIBRARY, ti
 from tiswarm.compute.kernels import probe_arithmetic
+from tiswarm.compute.lang import LIBRARY, ti
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.float32}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.dialect import Ref, ti
+from tiswarm.compute.lang import Ref, ti
 
 STRIDE_Y = 1_640_531_527
 STRIDE_Z = 1_013_904_223

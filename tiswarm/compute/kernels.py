@@ -1,6 +1,6 @@
 """Kernels and functions that more than one room uses."""
 
-from tiswarm.compute.dialect import Reals1, Ref, ti
+from tiswarm.compute.lang import Reals1, Ref, ti
 
 
 @ti.func

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute.backend import Backend
-from tiswarm.compute.dialect import DeviceArray, ti
+from tiswarm.compute.lang import DeviceArray, ti
 
 
 @dataclass(frozen=True)

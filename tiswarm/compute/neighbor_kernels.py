@@ -7,7 +7,7 @@ functions are given as `grid` is what `tiswarm.compute.sort_kernels` has, and
 - entry_stride: from one entry of a row to the next in `row`
 """
 
-from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, Ref, ti
+from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
 from tiswarm.compute.sort_kernels import (
     BLOCK,
     CELL_LENGTH,

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.dialect import DeviceArray
+from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbor_kernels import LONGEST_RUN, fill_rows
 from tiswarm.compute.sort_kernels import BLOCK, CELL_LENGTH, CELL_WIDTH, SCAN_BLOCK, sort_docks

@@ -10,7 +10,7 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.lang import ti
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)

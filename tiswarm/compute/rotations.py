@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.lang import ti
 
 
 def dock_offsets(

@@ -15,7 +15,7 @@ What functions are given as `grid`:
 which `base` is where the current ones start.
 """
 
-from tiswarm.compute.dialect import I32, Float, Ints1, Reals1, Ref, ti
+from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
 
 STRIDE_STRUCTURE = 1_779_033_703
 CELL_LENGTH = 0.25

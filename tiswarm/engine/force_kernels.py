@@ -4,7 +4,7 @@ A force is the step of a robot's center in one iteration [R]. Offsets point from
 own dock to the other one: a positive magnitude pulls toward it.
 """
 
-from tiswarm.compute.dialect import ti
+from tiswarm.compute.lang import ti
 
 TINY = 1e-20
 """Docks nearer than this [R] have no direction to part in, and feel no force."""

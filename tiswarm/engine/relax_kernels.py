@@ -6,7 +6,8 @@ never scattered, so runs repeat bit for bit. Docks are read from the half of `do
 `law` holds the gains, D and the largest step.
 """
 
-from tiswarm.compute.dialect import (  # fmt: skip
+from tiswarm.compute.kernels import vector_at
+from tiswarm.compute.lang import (  # fmt: skip
     GRAIN,
     I32,
     Float,
@@ -17,7 +18,6 @@ from tiswarm.compute.dialect import (  # fmt: skip
     Ref,
     ti,
 )
-from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.neighbor_kernels import list_structure
 from tiswarm.compute.rotations import rotate
 from tiswarm.engine.force_kernels import TINY, capped, pull_of

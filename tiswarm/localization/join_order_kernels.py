@@ -4,8 +4,8 @@ Structures are independent and run in parallel; within one, robots follow each o
 """
 
 from tiswarm.compute.cells import cube_of, link, relink
-from tiswarm.compute.dialect import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.kernels import vector_at
+from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.engine.force_kernels import capped
 from tiswarm.localization.kernels import dock_at, law_of, turn_dock, virtual_force
 

@@ -5,7 +5,8 @@ angles to the line from that dock to the robot's center, until another dock firs
 something. Lengths in R, angles in rad, everything in float64.
 """
 
-from tiswarm.compute.dialect import (
+from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
+from tiswarm.compute.lang import (
     F64,
     GRAIN,
     I32,
@@ -21,7 +22,6 @@ from tiswarm.compute.dialect import (
     kernel_struct,
     ti,
 )
-from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
 from tiswarm.compute.rotations import axis_rotation, quaternion_product, rotate
 from tiswarm.world.meeting import ClimbLaw, feel, gather_near, meeting_angles
 

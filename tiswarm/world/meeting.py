@@ -10,8 +10,8 @@ steps that cannot jump over a contact.
 """
 
 from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
-from tiswarm.compute.dialect import F64, I32, Ref, kernel_struct, ti
 from tiswarm.compute.kernels import vector_in
+from tiswarm.compute.lang import F64, I32, Ref, kernel_struct, ti
 
 SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.dialect import GRAIN, DeviceArray
+from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbors import NeighborList
 from tiswarm.compute.rotations import dock_offsets

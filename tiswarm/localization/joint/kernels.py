@@ -5,7 +5,7 @@ of one structure in one chain are a block. The branches of all structures are T.
 are those of `joint.force_kernels`, motions those of `joint.motion_kernels`. Lengths in R.
 """
 
-from tiswarm.compute.dialect import (
+from tiswarm.compute.lang import (
     GRAIN,
     I32,
     Float,

@@ -1,6 +1,6 @@
 """The one place that imports the kernel language.
 
-Every kernel file says `from tiswarm.compute.dialect import ti`. The language has two
+Every kernel file says `from tiswarm.compute.lang import ti`. The language has two
 implementations: taichi, and its maintained fork quadrants, which also runs where taichi has no
 wheel. The variable TISWARM_BACKEND names one; without it, the first that is installed is taken.
 """
