@@ -13,9 +13,9 @@ from tiswarm.records.certainty import Certainty, by_cue
 from tiswarm.records.contact_graph import contact_count, located
 from tiswarm.records.contradictions import HEADER_LINES, contradictions
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.wording import counted
 
 MOST_SHOWN = 10
 

@@ -15,7 +15,7 @@ from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.evaluation.tables import by_robot, score
 from tiswarm.records.contact_graph import hops
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.truth import Truth
+from tiswarm.records.positions import Truth
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 

@@ -5,7 +5,7 @@ import pytest
 
 from tiswarm.errors import InputError
 from tiswarm.evaluation.scoring import score_files
-from tiswarm.records.tables import write_positions
+from tiswarm.records.positions import write_positions
 
 SHAPE = np.random.default_rng(1).normal(size=(6, 3)) * [1.0, 2.0, 6.0]
 

@@ -8,7 +8,7 @@ from tiswarm.evaluation.tables import score
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN
-from tiswarm.records.truth import Truth
+from tiswarm.records.positions import Truth
 from tiswarm.sensing import SensingParams, observe
 
 

@@ -6,8 +6,8 @@ import pytest
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.importing import Assumptions, import_poses
+from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.tables import read_positions
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tiswarm.errors import InputError
-from tiswarm.records import lines
+from tiswarm.records import io
 from tiswarm.records.sensing_file import read_sensing_log
 
 HEADER = {
@@ -185,7 +185,7 @@ def test_what_is_not_json_is_told_with_its_line(tmp_path, raw, line, problem):
 
 def test_a_line_without_end_is_not_read_whole(tmp_path, monkeypatch):
     """Beyond a limit the line is refused before it fills the memory."""
-    monkeypatch.setattr(lines, "MAX_LINE_BYTES", 1000)
+    monkeypatch.setattr(io, "MAX_LINE_BYTES", 1000)
     path = tmp_path / "log.jsonl"
     path.write_bytes(FIRST + b" " * 1001)
 

@@ -43,8 +43,8 @@ def localize(
         outcome,
     )
     from tiswarm.localization import registry
+    from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
-    from tiswarm.records.tables import write_estimate
     from tiswarm.scenario import localization_params
 
     chosen = [] if seed is None else [f"seed={seed}"]

@@ -107,7 +107,7 @@ def _slurm(text: str) -> "study.Slurm":
     """Read KEY=VALUE,..."""
     from pydantic import TypeAdapter, ValidationError
 
-    from tiswarm.records.wording import explain
+    from tiswarm.records.messages import explain
     from tiswarm.study import Slurm
 
     settings = dict(setting.partition("=")[::2] for setting in text.split(","))

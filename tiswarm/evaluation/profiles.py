@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from tiswarm.records.contact_graph import hops
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.truth import Truth
 
 WHOLE = ("join", "hops_from_anchor", "contacts")
 """What errors are told by that is counted."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
-from tiswarm.records.tables import read_length_unit, read_positions
+from tiswarm.records.positions import read_length_unit, read_positions
 
 
 def score_files(truth: Path, estimate: Path) -> tuple[str, dict[str, float]]:

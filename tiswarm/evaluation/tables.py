@@ -11,9 +11,9 @@ from tiswarm.evaluation.profiles import relative_errors
 from tiswarm.records.contact_graph import contact_count, earlier_contact_count, hops
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.freedom import floppy_modes, weld
+from tiswarm.records.positions import Truth
 from tiswarm.records.rigidity import equations
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.truth import Truth
 from tiswarm.robot import RobotGeometry
 
 

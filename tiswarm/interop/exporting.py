@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.interop.files import Shape, write_gltf, write_ply
-from tiswarm.records.atomic import make_folder, write_bytes
+from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.report.folder import Tell, choose_case, read_cases
 from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import ERROR_COLORS, colors_along

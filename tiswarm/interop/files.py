@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.records.atomic import write_bytes
+from tiswarm.records.io import write_bytes
 
 Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Quaternion xyzw that turns our z into the y that is up in glTF."""

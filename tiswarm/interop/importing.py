@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.poses import Poses, read_poses
-from tiswarm.records.atomic import make_folder
+from tiswarm.records.io import make_folder
+from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog, canonical_contacts
-from tiswarm.records.tables import write_positions
 
 Tell = Callable[[str], None]
 

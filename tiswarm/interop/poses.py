@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.errors import InputError
-from tiswarm.records.lines import numbered_lines, placed
-from tiswarm.records.sensing_columns import FAR_FROM_UNIT
-from tiswarm.records.tables import read_cells, read_number, read_whole
+from tiswarm.records.io import at_line, numbered_lines
+from tiswarm.records.positions import read_cells, read_number, read_whole
+from tiswarm.records.sensing_file import FAR_FROM_UNIT
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 FEWEST_SPHERES = 3
@@ -69,7 +69,7 @@ def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: flo
     """
     lines = numbered_lines(path)
     number, text = next(lines, (1, ""))
-    with placed(path, number):
+    with at_line(path, number):
         header = [cell.strip() for cell in read_cells(text)]
         columns, unit = _columns(header)
     rows = [_row(number, text, header, columns, path) for number, text in lines]
@@ -113,7 +113,7 @@ def _columns(header: Sequence[str]) -> tuple[dict[str, int], str]:
 def _row(
     number: int, text: str, header: Sequence[str], columns: dict[str, int], path: Path
 ) -> _Row:
-    with placed(path, number):
+    with at_line(path, number):
         cells = read_cells(text, len(header))
         whole = {
             name: read_whole(cells[columns[name]], name) if name in columns else 0

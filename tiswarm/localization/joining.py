@@ -13,8 +13,7 @@ from tiswarm.errors import InputError
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force import check_placed, directions, gains
-from tiswarm.records.sensing_columns import SensingColumns
-from tiswarm.records.sensing_line import parse_header, parse_robot
+from tiswarm.records.sensing_file import SensingColumns, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 Line = str | Mapping[str, object]

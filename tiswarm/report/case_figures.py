@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiswarm.records.wording import counted
+from tiswarm.records.messages import counted
 from tiswarm.report.canvas import (
     COLUMN_WIDTH,
     PAGE_WIDTH,

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tiswarm.records.atomic import write_bytes
+from tiswarm.records.io import write_bytes
 from tiswarm.report.canvas import STYLE, pdf, png
 from tiswarm.report.case_figures import (
     by_kind,

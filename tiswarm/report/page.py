@@ -13,8 +13,8 @@ import yaml
 from PIL import Image
 
 from tiswarm.errors import InputError
-from tiswarm.records.atomic import write_text
-from tiswarm.records.wording import counted
+from tiswarm.records.io import write_text
+from tiswarm.records.messages import counted
 from tiswarm.report.folder import Tell, read_cases, read_table
 from tiswarm.report.page_tables import (
     case_table,

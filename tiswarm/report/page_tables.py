@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from tiswarm.records.wording import counted
+from tiswarm.records.messages import counted
 from tiswarm.report.folder import swept_columns
 
 MOST_CASES = 2_000

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.records.atomic import write_bytes
+from tiswarm.records.io import write_bytes
 from tiswarm.report.canvas import (
     MARKERS,
     PAGE_WIDTH,

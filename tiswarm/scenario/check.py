@@ -7,7 +7,7 @@ from typing import NamedTuple
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from tiswarm.records.wording import UNKNOWN_KEY, Part, explain
+from tiswarm.records.messages import UNKNOWN_KEY, Part, explain
 from tiswarm.scenario.model import ADAPTER, Plain, Scenario
 
 CHOICES = {"structure": "kind", "localization": "method"}

@@ -13,8 +13,8 @@ from typing import NoReturn
 import yaml
 
 from tiswarm.errors import InputError
-from tiswarm.records.lines import decode, unreadable
-from tiswarm.records.wording import Part, dotted
+from tiswarm.records.io import decode, unreadable
+from tiswarm.records.messages import Part, dotted
 
 MAX_BYTES = 256 * 2**10
 MAX_DEPTH = 32

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from tiswarm.errors import InputError
 from tiswarm.localization.params import CUES, LocalizationParams
-from tiswarm.records.wording import Part, counted, dotted
+from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.scenario.check import SMALLEST, Mistake, validated
 from tiswarm.scenario.document import Document, parse_document, read_document
 from tiswarm.scenario.model import CONDITION_SECTIONS, Plain, Scenario, plain

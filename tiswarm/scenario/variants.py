@@ -12,7 +12,7 @@ from hashlib import sha256
 from typing import Any, NamedTuple
 
 from tiswarm.errors import InputError
-from tiswarm.records.wording import Part, dotted
+from tiswarm.records.messages import Part, dotted
 from tiswarm.scenario.check import CHOICES, SMALLEST, Mistake, validated
 from tiswarm.scenario.model import Plain, Scenario, plain, swept_keys
 

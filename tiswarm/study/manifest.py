@@ -16,7 +16,7 @@ import psutil
 
 import tiswarm
 from tiswarm.compute.backend import Backend
-from tiswarm.records.atomic import write_text
+from tiswarm.records.io import write_text
 from tiswarm.study.costs import Cost, total
 
 FILE = "manifest.json"

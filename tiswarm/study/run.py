@@ -9,7 +9,7 @@ from pathlib import Path
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
-from tiswarm.records.wording import counted
+from tiswarm.records.messages import counted
 from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.study import manifest, tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard

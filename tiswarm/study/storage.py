@@ -15,12 +15,11 @@ import pandas as pd
 
 import tiswarm
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.records.atomic import make_folder, write_text
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.io import make_folder, write_text
+from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.tables import write_estimate, write_positions
-from tiswarm.records.truth import Truth
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, structure_name
 from tiswarm.study.costs import Cost

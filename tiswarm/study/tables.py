@@ -19,7 +19,7 @@ from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.evaluation.published import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.wording import counted
+from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
 from tiswarm.sensing import SensingParams

@@ -20,7 +20,7 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
-from tiswarm.records.atomic import write_text
+from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe

@@ -17,8 +17,8 @@ from tiswarm.evaluation.doubts import judgement
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.truth import Truth
 from tiswarm.sensing import observe
 from tiswarm.study.cases import Case
 from tiswarm.study.costs import Costs

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.records.atomic import replacing
+from tiswarm.records.io import replacing
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.history import History, Strain, Walk
 from tiswarm.world.kinds import KINDS

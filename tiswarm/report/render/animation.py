@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.records.atomic import write_bytes
+from tiswarm.records.io import write_bytes
 from tiswarm.report.folder import Tell, choose_case, read_cases, subfolder
 from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import JOIN_COLORS, Scale, add_legend

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.atomic import write_bytes
+from tiswarm.records.io import write_bytes
 from tiswarm.report.folder import Tell, choose_case, read_cases, subfolder
 from tiswarm.report.render.legend import add_legend
 from tiswarm.report.render.packages import installation_advice

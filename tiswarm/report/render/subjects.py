@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from tiswarm.compute.rotations import dock_offsets
 from tiswarm.records.contact_graph import hops
-from tiswarm.records.lines import numbered_lines, placed
-from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_line import HeaderLine, parse_header
+from tiswarm.records.io import at_line, numbered_lines
+from tiswarm.records.sensing_file import HeaderLine, parse_header, read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.folder import Case, read_columns
 from tiswarm.report.render.build import Look, Robots, Rods, build_scene
@@ -86,7 +85,7 @@ class Subject:
         """What the log says of all robots."""
         path = self.case.folder / "sensing.jsonl"
         number, text = next(numbered_lines(path), (1, ""))
-        with placed(path, number):
+        with at_line(path, number):
             return parse_header(text)
 
     @property

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiswarm.records.atomic import replacing, write_bytes, write_text
+from tiswarm.records.io import replacing, write_bytes, write_text
 
 
 def test_text_is_written_as_it_is(tmp_path):

@@ -4,19 +4,33 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.errors import InputError
-from tiswarm.records.atomic import write_text
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.lines import numbered_lines, placed
+from tiswarm.records.io import at_line, numbered_lines, write_text
 
 KNOWN = "known"
 YAW = "yaw_deg"
 _ID_LIMIT = 2**63
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """True poses of N robots, in join order."""
+
+    robot_id: NDArray[np.int64]
+    """Name of each robot, shape (N,)."""
+
+    position: NDArray[np.float64]
+    """Centers [R], shape (N, 3)."""
+
+    orientation_wxyz: NDArray[np.float64]
+    """Body to world, unit quaternion, shape (N, 4)."""
 
 
 def write_positions(
@@ -75,7 +89,7 @@ def read_positions(
     lines = numbered_lines(path)
     number, text = next(lines, (1, ""))
     columns = _header(length_unit)
-    with placed(path, number):
+    with at_line(path, number):
         header = read_cells(text)
         if header != [name for name in columns if name in {*columns[:4], *header}]:
             must, may = ",".join(columns[:4]), "".join(f"[,{name}]" for name in columns[4:])
@@ -95,7 +109,7 @@ def read_length_unit(path: Path) -> str:
         InputError: the table cannot be read or names none.
     """
     number, text = next(numbered_lines(path), (1, ""))
-    with placed(path, number):
+    with at_line(path, number):
         place, _, unit = (read_cells(text)[1:2] or [""])[0].partition("_")
         if place != "x" or not unit:
             problem = "the columns name no unit of length; write them like robot,x_R,y_R,z_R"
@@ -129,7 +143,7 @@ def _rows(
 ) -> Iterator[tuple[int, list[float]]]:
     seen: set[int] = set()
     for number, text in lines:
-        with placed(path, number):
+        with at_line(path, number):
             cells = read_cells(text, len(header))
             robot = read_whole(cells[0], "robot")
             if robot in seen:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tiswarm.errors import InputError
-from tiswarm.records.tables import read_positions, write_positions
+from tiswarm.records.positions import read_positions, write_positions
 
 
 @pytest.fixture(scope="module")
