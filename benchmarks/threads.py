@@ -26,7 +26,7 @@ from tiswarm.engine.relax import prepare
 from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
 from tiswarm.localization.registry import METHODS
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
+from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams

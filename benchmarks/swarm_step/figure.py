@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from benchmarks.swarm_step.engines.registry import ENGINES
-from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
+from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

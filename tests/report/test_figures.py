@@ -7,8 +7,8 @@ from PIL import Image
 from tests.report.conftest import ignore, write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.report import figures
-from tiswarm.report.canvas import png
 from tiswarm.report.case_figures import draw_convergence
+from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render.pictures import is_blank

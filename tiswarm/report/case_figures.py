@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiswarm.records.messages import counted
-from tiswarm.report.canvas import (
+from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     PAGE_WIDTH,
     Array,

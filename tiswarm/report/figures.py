@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiswarm.records.io import write_bytes
-from tiswarm.report.canvas import STYLE, pdf, png
 from tiswarm.report.case_figures import (
     by_kind,
     draw_convergence,
     draw_error_against_height,
     draw_error_along_growth,
 )
+from tiswarm.report.figure_style import STYLE, pdf, png
 from tiswarm.report.folder import Series, Tell, has_table, read_cases, subfolder
 from tiswarm.report.law_figures import LAW_FIGURES, LAW_POINTS, read_law_points
 from tiswarm.report.positions_figure import draw_positions

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.report.canvas import COLUMN_WIDTH, PAGE_WIDTH, TRUE_BLUE, Array, add_note, new_figure
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    PAGE_WIDTH,
+    TRUE_BLUE,
+    Array,
+    add_note,
+    new_figure,
+)
 from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:

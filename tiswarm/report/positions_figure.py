@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiswarm.report.canvas import (
+from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     ESTIMATE_ORANGE,
     TRUE_BLUE,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.report.canvas import PAGE_WIDTH, PALETTE, add_note, new_figure
+from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, add_note, new_figure
 from tiswarm.report.folder import read_table
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.records.io import write_bytes
-from tiswarm.report.canvas import (
+from tiswarm.report.figure_style import (
     MARKERS,
     PAGE_WIDTH,
     PALETTE,
