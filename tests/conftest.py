@@ -1,11 +1,13 @@
-"""What every test shares: kernels with bounds checks, and one small structure."""
+"""Fixtures of all tests: kernels with bounds checks, a small structure, a small run."""
 
 import os
+from pathlib import Path
 
 os.environ["TISWARM_DEBUG"] = "1"  # read when the backend starts
 
 import pytest
 
+from tests import runs
 from tiswarm.compute import backend
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.growth import grow
@@ -23,3 +25,20 @@ def _running_backend() -> None:
 def towers() -> list[History]:
     """Three towers of 30 robots."""
     return grow(TowerParams(), robots=30, seeds=[0, 1, 2], robot=RobotGeometry())
+
+
+@pytest.fixture(scope="session")
+def tiswarm() -> runs.Command:
+    """Call `tiswarm` with some arguments, in a process of its own."""
+    return runs.call
+
+
+@pytest.fixture(scope="session")
+def small_run(tiswarm: runs.Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small run of the tower scenario, drawn."""
+    out = tmp_path_factory.mktemp("runs")
+    done = tiswarm(
+        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2", "--out", out
+    )
+    assert done.returncode == 0, done.stderr
+    return next(out.iterdir())

@@ -18,9 +18,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tiswarm.compute import backend
 from tiswarm.compute.choices import Arch, Precision
 from tiswarm.console import ConsoleWatcher
+from tiswarm.errors import InputError
 from tiswarm.inspection import failed_to_converge
 from tiswarm.localization import registry
 from tiswarm.records.estimate import Estimate
@@ -76,6 +79,25 @@ class Run:
         return {path.stem: Figure(path) for path in sorted(drawn)}
 
 
+def _plain(values: Mapping[str, object]) -> dict[str, object]:
+    """Turn values into what a file could hold; arrays and scalars of NumPy into plain numbers."""
+    found: dict[str, object] = {}
+    for key, value in values.items():
+        try:
+            found[key] = json.loads(json.dumps(value, default=_from_numpy))
+        except TypeError as error:
+            problem = f"{error}; give numbers, texts, lists or dictionaries"
+            raise InputError(problem, key=key) from error
+    return found
+
+
+def _from_numpy(value: object) -> object:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    message = f"is of type {type(value).__name__}"
+    raise TypeError(message)
+
+
 def read_log(path: str | PathLike[str]) -> SensingLog:
     """Read a sensing log, `sensing.jsonl`.
 
@@ -113,7 +135,7 @@ def localize(
         InputError: for a bad log, method, cue or setting.
         EnvironmentTroubleError: where the machine lacks the device.
     """
-    params = localization_params(method, cues=cues, values=settings)
+    params = localization_params(method, cues=cues, values=_plain(settings))
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
@@ -155,7 +177,7 @@ def run(
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.drawing import draw_all  # noqa: PLC0415 - likewise
 
-    texts = [f"{key}={json.dumps(value)}" for key, value in (overrides or {}).items()]
+    texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
     plan, watcher = load_scenario(Path(scenario), texts), ConsoleWatcher(quiet=quiet)
     dispatch = study.Dispatch(workers=workers)
     result = study.run(

@@ -1,10 +1,11 @@
 """`tiswarm.run` gives a notebook what the command writes."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import tiswarm as library
-from tests.cli.conftest import assert_same_results
+from tests.runs import assert_same_results
 from tiswarm.errors import InputError
 
 SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
@@ -41,6 +42,33 @@ def test_the_command_writes_the_same(run, tiswarm, tmp_path):
 
     assert done.returncode == 0, done.stderr
     assert_same_results(run.folder, tmp_path / run.folder.name)
+
+
+def test_numbers_of_numpy_are_plain_numbers(run):
+    """A scenario changed by them is the same scenario; a finished run is found."""
+    overrides = {
+        "robots": np.int64(6),
+        "seeds": np.uint8(2),
+        "localization.iterations": np.int32(40),
+    }
+
+    again = library.run("scenarios/tower.yaml", overrides, out=run.folder.parent, quiet=True)
+
+    assert again.folder == run.folder
+
+
+def test_settings_of_numpy_are_plain_numbers(run):
+    """A log is localized by the same settings; anything that is no plain data is refused."""
+    log = run.folder / "cases" / "0-baseline" / "sensing.jsonl"
+
+    found = library.localize(
+        log, "virtual-force", iterations=np.int64(5), height_gain=np.float32(1)
+    )
+
+    expected = library.localize(log, "virtual-force", iterations=5, height_gain=1.0)
+    np.testing.assert_array_equal(found.position, expected.position)
+    with pytest.raises(InputError, match="iterations: is of type object"):
+        library.localize(log, "virtual-force", iterations=object())
 
 
 def test_failed_cases_are_warned_of(tmp_path):

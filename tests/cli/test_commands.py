@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.cli.conftest import REPOSITORY
+from tests.runs import REPOSITORY
 from tests.structures import Rule, structure
 from tiswarm.cli import main
 from tiswarm.records.sensing_file import write_sensing_log

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import trimesh
 
-from tests.cli.conftest import REPOSITORY
+from tests.runs import REPOSITORY
 from tiswarm.interop.exporting import export_case
 from tiswarm.records.sensing_file import read_sensing_log
 

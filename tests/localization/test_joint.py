@@ -366,8 +366,9 @@ def test_a_bias_of_yaw_is_found(towers):
     logs = [observe(history, BIASED) for history in towers]
     params = dataclasses.replace(SHORT, steps=1000)
 
-    solved = localize_many(logs, [params] * 3)
-    taken = localize_many(logs, [dataclasses.replace(params, solve_yaw=False)] * 3)
+    solved = localize_many(logs, [params] * 3, with_certainty=True)
+    fixed = [dataclasses.replace(params, solve_yaw=False)] * 3
+    taken = localize_many(logs, fixed, with_certainty=True)
 
     for log, history, s, t in zip(logs, towers, solved, taken, strict=True):
         bias = true_yaw(log, history)

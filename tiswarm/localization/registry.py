@@ -36,13 +36,14 @@ METHODS = {
 
 def localize(log: SensingLog, params: LocalizationParams) -> Estimate:
     """Work out from what a swarm sensed where every robot is."""
-    return localize_many([log], [params])[0]
+    return localize_many([log], [params], with_certainty=True)[0]
 
 
 def localize_many(
     logs: Sequence[SensingLog],
     params: Sequence[LocalizationParams],
     *,
+    with_certainty: bool = False,
     tell: Callable[[int], None] = lambda _done: None,
 ) -> list[Estimate]:
     """Localize structures side by side, as far as their settings let them share a launch.
@@ -50,6 +51,8 @@ def localize_many(
     Args:
         logs: What each swarm sensed.
         params: Method and settings for each.
+        with_certainty: Whether to analyze what each log determines, which takes as long as some
+            methods do.
         tell: Called with the number of structures that were finished.
 
     Returns:
@@ -63,8 +66,10 @@ def localize_many(
         method = METHODS[params[members[0]].method]
         batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
         for n, estimate in zip(members, batch, strict=True):
-            turning = estimate.yaw is not None
-            known = certainty(logs[n], params[n].cues, estimate.position, turning=turning)
-            estimates[n] = replace(estimate, certainty=known)
+            estimates[n] = estimate
+            if with_certainty:
+                turning = estimate.yaw is not None
+                known = certainty(logs[n], params[n].cues, estimate.position, turning=turning)
+                estimates[n] = replace(estimate, certainty=known)
         tell(len(members))
     return [estimates[n] for n in range(len(logs))]

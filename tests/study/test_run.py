@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.cli.conftest import MEASURED, REPOSITORY
+from tests.runs import MEASURED, REPOSITORY
 from tiswarm import study
 from tiswarm.console import ConsoleWatcher
 from tiswarm.localization import virtual_force

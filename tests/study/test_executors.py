@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.cli.conftest import REPOSITORY, assert_same_results
+from tests.runs import REPOSITORY, assert_same_results
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
 from tiswarm.scenario import load_scenario

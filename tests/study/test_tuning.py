@@ -5,9 +5,10 @@ import re
 
 import pytest
 
-from tests.cli.conftest import REPOSITORY
+from tests.runs import REPOSITORY
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import InputError
+from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario import load_scenario
 from tiswarm.study import tune
@@ -71,6 +72,23 @@ def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, 
         )  # fmt: skip
 
     assert record.read_bytes() == before
+
+
+def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
+    """A trial needs positions; what a log determines does not depend on the gains."""
+
+    def fail(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(registry, "certainty", fail)
+    small = load_scenario(PAPER, ["robots=6", "sweep={}", "conditions={a: {}}"])
+
+    fit = tune(
+        small, tmp_path / "fit.json", trials=1, training_seeds=1, conditions=[],
+        watcher=ConsoleWatcher(quiet=True),
+    )  # fmt: skip
+
+    assert fit["best"]["rmse_R"] > 0.0
 
 
 def test_shipped_gains_are_those_of_the_record_and_never_reported_on():

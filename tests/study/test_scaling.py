@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.conftest import REPOSITORY
+from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.console import ConsoleWatcher
 from tiswarm.report.folder import choose_case, read_cases

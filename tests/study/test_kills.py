@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.conftest import REPOSITORY, assert_same_results
+from tests.runs import REPOSITORY, assert_same_results
 
 pytestmark = pytest.mark.slow  # a hundred kills take a quarter of an hour
 

@@ -1,0 +1,39 @@
+"""The command line as a user calls it, in a process of its own, and comparisons of its results."""
+
+import filecmp
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[1]
+MEASURED = {"manifest.json", "cost.json", "report.html"}
+"""Files of a run that depend on the machine and the clock."""
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
+    """Call `tiswarm` with some arguments; its kernels run without bounds checks."""
+    environment = {k: v for k, v in os.environ.items() if k != "TISWARM_DEBUG"} | env
+    return subprocess.run(
+        [sys.executable, "-m", "tiswarm", *map(str, arguments)],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+
+
+def assert_same_results(a: Path, b: Path) -> None:
+    """Compare every byte that does not depend on the machine, but hidden locks."""
+    found = [
+        {p.relative_to(run) for p in run.rglob("[!.]*") if p.is_file() and p.name not in MEASURED}
+        for run in (a, b)
+    ]
+    assert found[0] == found[1]
+    assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
+    assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
