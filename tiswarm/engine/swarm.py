@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.compute.backend import Backend
+from tiswarm.compute.neighbors import MOST_ITEMS
 from tiswarm.errors import InputError
 from tiswarm.robot import Robot
 
@@ -39,8 +40,8 @@ class Swarm:
         structure: ArrayLike | None,
     ) -> "Swarm":
         """Refuse what has the wrong shape, is not finite, or contradicts itself."""
-        robots = len(np.asarray(position))
-        center = _shaped("position", position, (robots, 3))
+        center = _shaped("position", position, ("N", 3))
+        robots = len(center)
         orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
         norm = np.linalg.norm(orientation, axis=1)
         if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
@@ -77,21 +78,39 @@ def resolved(position: NDArray[np.float64], running: Backend, spacing: float) ->
     return bool(farthest * np.finfo(running.dtype).eps <= FINEST * spacing)
 
 
-def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    array = np.array(values, np.float64)
+def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
+    """Copy an array of this shape; a length that is a letter may be any."""
+    try:
+        array = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        msg = f"{name} is no table of numbers; give an array of shape {_text(shape)}"
+        raise InputError(msg) from error
     if array.size == 0:
-        array = array.reshape(0, *shape[1:])
-    if array.shape != shape:
-        msg = f"{name} has shape {array.shape}; expected {shape}"
+        array = array.reshape(0, *(int(length) for length in shape[1:]))
+    fits = array.ndim == len(shape) and all(
+        isinstance(wanted, str) or length == wanted
+        for length, wanted in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        msg = f"{name} has shape {array.shape}; expected {_text(shape)}"
         raise InputError(msg)
     return array
+
+
+def _text(shape: tuple[int | str, ...]) -> str:
+    return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
 
 
 def _checked_contacts(
     contacts: ArrayLike, docks: int, structure: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Contacts between docks that exist, of different robots of one structure, each once."""
-    rows = np.asarray(contacts, np.int64).reshape(-1, 4)
+    given = _shaped("contacts", contacts, ("C", 4))
+    odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]
+    if odd.size:
+        msg = f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock"
+        raise InputError(msg)
+    rows = given.astype(np.int64)
     first, second = rows[:, [0, 2]].T
     beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
     wrong = beyond.any(axis=1) | (first == second)
