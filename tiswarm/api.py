@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiswarm.compute import backend
-from tiswarm.compute.choices import Arch, Precision
 from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import InputError
 from tiswarm.inspection import failed_to_converge
 from tiswarm.localization import registry
+from tiswarm.params import Arch, Precision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog

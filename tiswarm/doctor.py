@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from tiswarm.compute.choices import ARCHS
+from tiswarm.params import ARCHS
 from tiswarm.report.render.packages import missing_packages
 from tiswarm.report.render.probe import probe_renderers
 from tiswarm.study.manifest import machine

@@ -11,8 +11,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.spatial.transform import Rotation
 
-from tiswarm.compute import random
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.params import STRICT
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.world.history import History
@@ -103,9 +102,9 @@ def _sensed_orientation(
     stance = np.concatenate([np.arange(count) for count in length])
     draw = 3 * stance[:, None] + np.arange(3)
     sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
-    turn = sd * random.normal(history.seed, "orientation", robot[:, None], draw)
+    turn = sd * normal(history.seed, "orientation", robot[:, None], draw)
     bias = np.zeros_like(turn)
-    bias[:, 2] = np.radians(params.yaw_bias_deg) * random.normal(history.seed, "yaw bias", robot, 0)
+    bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(history.seed, "yaw bias", robot, 0)
     sensed = (
         Rotation.from_rotvec(bias)
         * Rotation.from_rotvec(turn)
@@ -127,7 +126,7 @@ def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]
     place = np.concatenate([np.arange(len(part)) for part in parts])
 
     def draw(stream: str, which: int) -> NDArray[np.float64]:
-        return random.uniform(history.seed, stream, robot, 4 * place + which)
+        return uniform(history.seed, stream, robot, 4 * place + which)
 
     docks = len(history.robot.dock_offset_body)
     false = true.copy()
@@ -150,9 +149,7 @@ def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float
     if params.spawn_noise is None:
         return np.full_like(true, np.nan)
     robot = np.arange(history.robot_count)[:, None]
-    return true + params.spawn_noise * random.normal(
-        history.seed, "spawn position", robot, np.arange(3)
-    )
+    return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
 
 
 def _flip_height(

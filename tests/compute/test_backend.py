@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.compute.kernels import probe_arithmetic
+from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.lang import LIBRARY
-from tiswarm.compute.memory import Memory
+from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 
@@ -29,7 +29,7 @@ def test_a_missing_device_is_refused_not_replaced():
 def test_arrays_that_nobody_can_reach_are_freed_before_a_new_start():
     """Those that only garbage holds would later free whatever lies at their address then."""
     backend.start(threads=1)
-    garbage = [Memory(backend.current(), on_host=False).reals(8)]
+    garbage = [Allocator(backend.current(), on_host=False).reals(8)]
     garbage.append(garbage)
     array = weakref.ref(garbage[0])
     gc.disable()

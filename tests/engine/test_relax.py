@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.oracle import swarm_step
 from tiswarm import relax
-from tiswarm.compute import neighbors
+from tiswarm.compute import neighbor_list
 from tiswarm.engine import prepared as engine
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import RobotGeometry
@@ -242,7 +242,7 @@ def test_too_large_a_swarm_is_refused_before_memory_is_taken(monkeypatch):
     with pytest.raises(EnvironmentTroubleError, match="need about"):
         relax(*place, robot=ROBOT, ramp=0.5, steps=1, **GAINS)
     monkeypatch.undo()
-    monkeypatch.setattr(neighbors, "MOST_ITEMS", 2_000)
+    monkeypatch.setattr(neighbor_list, "MOST_ITEMS", 2_000)
     with pytest.raises(InputError, match="more than 2000; split the swarm"):
         relax(*place, robot=ROBOT, ramp=0.5, steps=1, **GAINS)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.importing import Assumptions, import_poses
 from tiswarm.records.positions import read_positions

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.localization.test_joint_equations import true_yaw
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.least_squares.method import improve
 from tiswarm.localization.least_squares.problem import Pairs, Places, Problem

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute import backend
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.records import freedom
 from tiswarm.records.certainty import by_cue, certainty
 from tiswarm.records.freedom import HELD, floppy_modes, loose, weld

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.robot import RobotGeometry
 
 ROBOTS = 12

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from tiswarm.cli.options import OneArch, Overrides, Quiet, Threads, app
-from tiswarm.compute.choices import Precision
 from tiswarm.console import ConsoleWatcher
+from tiswarm.params import Precision
 
 
 @app.command(epilog="Example: tiswarm localize sensing.jsonl --method joint --out estimate.csv")

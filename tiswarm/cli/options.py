@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 import tiswarm
-from tiswarm.compute.choices import Arch
+from tiswarm.params import Arch
 
 app = typer.Typer(
     add_completion=False,

@@ -20,10 +20,10 @@ import numpy as np
 import scipy.linalg  # noqa: F401  # brings linear algebra of its own, to be limited too
 from threadpoolctl import threadpool_limits
 
-from tiswarm.compute.choices import ARCHS, Arch, Precision
-from tiswarm.compute.kernels import probe_arithmetic
 from tiswarm.compute.lang import LIBRARY, ti
+from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.params import ARCHS, Arch, Precision
 
 DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.float32}
 

@@ -8,9 +8,9 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
+from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.backend import Backend, loose_arithmetic
-from tiswarm.compute.memory import Memory
-from tiswarm.compute.neighbors import NeighborList, morton_order
+from tiswarm.compute.neighbor_list import NeighborList, morton_order
 from tiswarm.engine.relax_kernels import (
     STALE,
     STEPS_A_LAUNCH,
@@ -85,7 +85,7 @@ class PreparedSwarm:
         self.start = np.concatenate([[0], size.cumsum()])
         _check_memory(running, robots, docks)
         self.first_position = swarm.position[self.order]
-        self.memory = memory = Memory(running, on_host=self.by_structure)
+        self.memory = memory = Allocator(running, on_host=self.by_structure)
         self.neighbors = NeighborList(
             memory,
             self.first_position,

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.choices import Arch, Precision
 from tiswarm.engine.prepared import PreparedSwarm, RelaxResult
 from tiswarm.engine.swarm import Swarm
+from tiswarm.params import Arch, Precision
 from tiswarm.robot import Robot
 
 __all__ = ["PreparedSwarm", "RelaxResult", "prepare", "relax"]

@@ -6,7 +6,6 @@ never scattered, so runs repeat bit for bit. Docks are read from the half of `do
 `law` holds the gains, D and the largest step.
 """
 
-from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.lang import (  # fmt: skip
     GRAIN,
     I32,
@@ -18,8 +17,8 @@ from tiswarm.compute.lang import (  # fmt: skip
     Ref,
     ti,
 )
+from tiswarm.compute.math_kernels import rotate, vector_at
 from tiswarm.compute.neighbor_kernels import list_structure
-from tiswarm.compute.rotations import rotate
 from tiswarm.engine.force_kernels import TINY, capped, pull_of
 
 TAKEN = 0

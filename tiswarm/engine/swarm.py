@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.compute.backend import Backend
-from tiswarm.compute.neighbors import MOST_ITEMS
+from tiswarm.compute.neighbor_list import MOST_ITEMS
 from tiswarm.errors import InputError
 from tiswarm.robot import Robot
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.poses import Poses, read_poses
 from tiswarm.records.io import make_folder

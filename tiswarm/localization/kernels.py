@@ -3,9 +3,9 @@
 Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 """
 
-from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
-from tiswarm.compute.kernels import vector_at, vector_in
+from tiswarm.compute.cell_kernels import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.lang import Ref, ti
+from tiswarm.compute.math_kernels import vector_at, vector_in
 from tiswarm.engine.force_kernels import dock_pair_force, parting
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.cells import CellChains
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.cell_kernels import CellChains
+from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
 from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tiswarm.compute import random
+from tiswarm.compute.math import normal
 from tiswarm.records.freedom import floppy_modes, loose, weld
 from tiswarm.records.rigidity import Equations, equations
 from tiswarm.records.sensing_log import SensingLog
@@ -77,7 +77,7 @@ def certainty(
     if position is None:
         robot = np.arange(log.robot_count)[:, None]
         spread = 10.0 * log.dock_radius
-        position = spread * random.normal(0, "anywhere", robot, np.arange(3))
+        position = spread * normal(0, "anywhere", robot, np.arange(3))
     bodies = weld(equations(position, log, counting, turning=turning))
     tied = equations(position, log, [cue for cue in counting if cue in TYING])
     return Certainty(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from tiswarm.compute import random
+from tiswarm.compute.math import normal
 from tiswarm.records.rigidity import Equations
 
 UNNOTICED = 1e-5
@@ -127,7 +127,7 @@ def loose(bodies: Bodies) -> NDArray[np.bool_] | None:
     if factors is None:
         return np.zeros(len(bodies.of_robot) - 1, np.bool_)
     coordinate = np.arange(bodies.unknowns)[:, None]
-    motion = random.normal(0, "floppy motion", coordinate, np.arange(PROBES))
+    motion = normal(0, "floppy motion", coordinate, np.arange(PROBES))
     left = -(UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.ways, PROBES)
     moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
     if bodies.ways > SHIFTS:

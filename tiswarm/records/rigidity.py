@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.walks import displacements, owners
 

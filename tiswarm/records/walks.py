@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiswarm.compute import backend
-from tiswarm.compute.choices import Arch
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
+from tiswarm.params import Arch
 from tiswarm.records.messages import counted
 from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.study import manifest, tables

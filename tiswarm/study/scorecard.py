@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.grown import SETTINGS, TOTALS, Grown
 from tiswarm.evaluation.laws import scorecard
 from tiswarm.evaluation.verdicts import IN_BAND, NOT_MEASURED, REPORTED

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 import tiswarm
 from tiswarm.compute import backend
-from tiswarm.compute.choices import Arch
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
+from tiswarm.params import Arch
 from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants

@@ -10,12 +10,12 @@ import numpy as np
 
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.compute.choices import Arch, Precision
 from tiswarm.evaluation import growth
 from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.doubts import judgement
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
+from tiswarm.params import Arch, Precision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog

@@ -1,9 +1,8 @@
 """Joining: how robots that climbed at the same time become part of the structure in turn."""
 
-from tiswarm.compute.cells import bucket_of, cube_of, link, neighbor_cube
-from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
+from tiswarm.compute.cell_kernels import bucket_of, cube_of, link, neighbor_cube
 from tiswarm.compute.lang import GRAIN, Ints1, Ints2, Reals2, Reals3, Ref, ti
-from tiswarm.compute.rotations import rotate
+from tiswarm.compute.math_kernels import quaternion_at, rotate, vector_at, vector_in
 from tiswarm.world.kernels import DOCKS
 from tiswarm.world.meeting import ClimbLaw
 

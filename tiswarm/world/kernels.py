@@ -5,7 +5,6 @@ angles to the line from that dock to the robot's center, until another dock firs
 something. Lengths in R, angles in rad, everything in float64.
 """
 
-from tiswarm.compute.kernels import quaternion_at, vector_at, vector_in
 from tiswarm.compute.lang import (
     F64,
     GRAIN,
@@ -22,7 +21,14 @@ from tiswarm.compute.lang import (
     kernel_struct,
     ti,
 )
-from tiswarm.compute.rotations import axis_rotation, quaternion_product, rotate
+from tiswarm.compute.math_kernels import (
+    axis_rotation,
+    quaternion_at,
+    quaternion_product,
+    rotate,
+    vector_at,
+    vector_in,
+)
 from tiswarm.world.meeting import ClimbLaw, feel, gather_near, meeting_angles
 
 DOCKS = 3

@@ -9,9 +9,9 @@ which has a closed form. At a rounded edge the squared distance to its axis is f
 steps that cannot jump over a contact.
 """
 
-from tiswarm.compute.cells import bucket_of, cube_of, neighbor_cube
-from tiswarm.compute.kernels import vector_in
+from tiswarm.compute.cell_kernels import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.lang import F64, I32, Ref, kernel_struct, ti
+from tiswarm.compute.math_kernels import vector_in
 
 SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""

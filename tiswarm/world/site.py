@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tiswarm.compute import random
+from tiswarm.compute.math import uniform
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world.history import History, Strain, Walk
 from tiswarm.world.kinds import KINDS
@@ -67,7 +67,7 @@ class Site:
         self.spawned += 1
         side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
         for trial in range(MAX_TRIES):
-            draw = random.uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
+            draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
             center = np.array([x, y, self.terrain.ground_z + self.robot.dock_radius])
             if self._is_free(center):

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.history import History
 from tiswarm.world.terrain import Terrain

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.cells import CellChains
+from tiswarm.compute.cell_kernels import CellChains
 from tiswarm.robot import DOCK_COUNT
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute import backend
+from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.lang import GRAIN, DeviceArray
-from tiswarm.compute.memory import Memory
-from tiswarm.compute.neighbors import NeighborList
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
+from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.localization.joint.branches import branches, tables
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TOTAL, YAW
@@ -119,7 +119,7 @@ class Swarm:
         """
         self.inertia_factor = inertia_factor
         running = backend.current()
-        self.memory = memory = Memory(running, on_host=False)
+        self.memory = memory = Allocator(running, on_host=False)
         self.chains = params[0].chains_for(logs[0].robot_count)
         self.steps = params[0].steps_for(logs[0].robot_count)
         self.schedule = params[0]

@@ -13,8 +13,8 @@ its orientations say, its docks and its whole walk, is turned about the vertical
 center.
 """
 
-from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.lang import Ref, ti
+from tiswarm.compute.math_kernels import vector_at
 from tiswarm.localization.kernels import with_torque
 
 SPACING = 2.0

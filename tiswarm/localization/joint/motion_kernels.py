@@ -4,9 +4,8 @@ Whatever moves has a mass, keeps a part of its velocity and is kicked so that it
 temperature s^2. Copies of robots, blocks and branches are as `joint.kernels` has them.
 """
 
-from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.lang import Ref, ti
-from tiswarm.compute.random import mixed
+from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
 from tiswarm.localization.kernels import turn_dock
 

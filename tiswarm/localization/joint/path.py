@@ -7,7 +7,7 @@ in all that was felt there and before.
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.records.walks import displacements, owners
 

@@ -15,7 +15,7 @@ from scipy.sparse import block_array, csc_array, diags_array, hstack
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import Rotation
 
-from tiswarm.compute import random
+from tiswarm.compute.math import normal
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING, TINY
 
@@ -248,7 +248,7 @@ class _Linear:
     def variance(self) -> NDArray[np.float64]:
         """Mean square by which positions may be off, from draws of all errors, shape (N,)."""
         sizes = np.cumsum([*self.noise.shape, len(self.free)])
-        draw = random.normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(PROBES))
+        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(PROBES))
         own, turn, free = np.split(draw, sizes[:-1])
         error = self.noise @ turn + np.sqrt(self.own_variance)[:, None] * own
         _, step = self._solve(error, np.sqrt(self.precision[self.free])[:, None] * free)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.compute import random
+from tiswarm.compute.math import normal
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -32,7 +32,7 @@ def first_guess(log: SensingLog, known: Equations, seed: int, chains: int) -> ND
     """
     robot = np.arange(log.robot_count)
     draw = 3 * np.arange(chains)[:, None, None] + np.arange(3)
-    guess = random.normal(seed, "first guess", robot[:, None], draw)
+    guess = normal(seed, "first guess", robot[:, None], draw)
     across = _across(known)
     toward = np.concatenate([across, -across])
     partner = np.concatenate([known.other, known.robot])

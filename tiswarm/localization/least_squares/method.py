@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import virtual_force
 from tiswarm.localization.least_squares import factor_graph
 from tiswarm.localization.least_squares.factor_graph import Found

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from tiswarm.compute.rotations import dock_offsets
+from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.walks import displacements, owners

@@ -1,7 +1,7 @@
 """The kernel of the `taichi` renderer."""
 
-from tiswarm.compute.kernels import vector_at
 from tiswarm.compute.lang import Ints1, Reals1, Reals2, ti
+from tiswarm.compute.math_kernels import vector_at
 
 FAR = 1e30
 

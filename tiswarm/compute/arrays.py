@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from tiswarm.compute.backend import Backend
 from tiswarm.compute.lang import DeviceArray, ti
 
+_KERNEL_TYPE = {np.float64: ti.f64, np.float32: ti.f32, np.int32: ti.i32}
+
 
 @dataclass(frozen=True)
-class Memory:
+class Allocator:
     """Where arrays are reserved, and in which precision.
 
     A kernel starts sooner with arrays on the device, but these take longer to make: few starts
@@ -24,9 +26,9 @@ class Memory:
     on_host: bool
     """Whether arrays are NumPy's; the device is a CPU then."""
 
-    def for_seldom_used(self) -> "Memory":
+    def for_seldom_used(self) -> "Allocator":
         """Where arrays go that few kernels are started with."""
-        return Memory(self.running, on_host=self.running.arch == "cpu")
+        return Allocator(self.running, on_host=self.running.arch == "cpu")
 
     def reals(self, *shape: int) -> DeviceArray:
         """Reserve an array of real numbers."""
@@ -53,9 +55,10 @@ class Memory:
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Copy an array back to the host."""
-        return array.copy() if self.on_host else array.to_numpy()
+        values: NDArray[Any] = array.copy() if self.on_host else array.to_numpy()
+        return values
 
-    def _reserve(self, dtype: type, shape: tuple[int, ...]) -> DeviceArray:
+    def _reserve(self, dtype: type[np.generic], shape: tuple[int, ...]) -> DeviceArray:
         if self.on_host:
             return np.empty(shape, dtype)
-        return ti.ndarray({np.float64: ti.f64, np.float32: ti.f32, np.int32: ti.i32}[dtype], shape)
+        return ti.ndarray(_KERNEL_TYPE[dtype], shape)

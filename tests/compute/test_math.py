@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from tiswarm.compute import random
 from tiswarm.compute.lang import Reals2, ti
-from tiswarm.compute.random import mixed
+from tiswarm.compute.math import normal, uniform
+from tiswarm.compute.math_kernels import mixed
 
 whole = st.integers(0, 2**40)
 
@@ -15,8 +15,8 @@ whole = st.integers(0, 2**40)
 @given(seed=whole, robot=whole, draw=whole)
 def test_a_number_does_not_depend_on_company(seed, robot, draw):
     """Asked alone or in a table, the same arguments give the same number."""
-    alone = random.uniform(seed, "spawn", robot, draw)
-    table = random.uniform(seed, "spawn", [[robot], [robot + 1]], [draw + 5, draw])
+    alone = uniform(seed, "spawn", robot, draw)
+    table = uniform(seed, "spawn", [[robot], [robot + 1]], [draw + 5, draw])
 
     assert table.shape == (2, 2)
     assert table[0, 1] == alone
@@ -25,7 +25,7 @@ def test_a_number_does_not_depend_on_company(seed, robot, draw):
 def test_every_argument_matters():
     """Neighbouring seeds, streams, robots and draws are different numbers."""
     numbers = [
-        random.uniform(seed, stream, robot, draw).item()
+        uniform(seed, stream, robot, draw).item()
         for seed in (0, 1)
         for stream in ("spawn", "orientation")
         for robot in (0, 1)
@@ -39,12 +39,11 @@ def test_numbers_are_uniform_and_normal():
     """Kolmogorov and Smirnov find nothing odd, along robots and along draws."""
     along = np.arange(20_000)
     for robot, draw in ((along, 0), (0, along)):
-        uniform = random.uniform(3, "spawn", robot, draw)
-        normal = random.normal(3, "spawn", robot, draw)
+        even = uniform(3, "spawn", robot, draw)
 
-        assert stats.kstest(uniform, "uniform").pvalue > 1e-3
-        assert stats.kstest(normal, "norm").pvalue > 1e-3
-        assert abs(np.corrcoef(uniform[1:], uniform[:-1])[0, 1]) < 0.03
+        assert stats.kstest(even, "uniform").pvalue > 1e-3
+        assert stats.kstest(normal(3, "spawn", robot, draw), "norm").pvalue > 1e-3
+        assert abs(np.corrcoef(even[1:], even[:-1])[0, 1]) < 0.03
 
 
 @ti.kernel

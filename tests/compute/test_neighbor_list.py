@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiswarm.compute.neighbor_kernels import LONGEST_RUN
-from tiswarm.compute.neighbors import FEWEST_BUCKETS, hash_strides, morton_order
+from tiswarm.compute.neighbor_list import FEWEST_BUCKETS, hash_strides, morton_order
 
 SIDE = st.floats(0.0, 1e12)
 

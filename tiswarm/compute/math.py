@@ -1,21 +1,38 @@
-"""Random numbers that are a hash of (seed, stream, robot, draw).
+"""Rotations and random numbers of whole arrays.
 
-They depend on nothing else: not on threads, not on the order in which robots are asked, not
-on how many other numbers were drawn. The mixing function is that of SplitMix64 (Steele, Lea
-and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+A random number is a hash of (seed, stream, robot, draw). It depends on nothing else: not on
+threads, not on the order of the robots, not on how many other numbers were drawn. The mixing
+function is that of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number
+generators", OOPSLA 2014).
 """
 
 import zlib
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from tiswarm.compute.lang import ti
+from scipy.spatial.transform import Rotation
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_B = np.uint64(0x94D049BB133111EB)
 _TO_UNIT = 2.0**-53
+
+
+def dock_offsets(
+    orientation_wxyz: NDArray[np.float64], dock_offset_body: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Turn each robot's docks into the world frame.
+
+    Args:
+        orientation_wxyz: Body to world, shape (N, 4).
+        dock_offset_body: Center to dock, body frame, shape (docks, 3).
+
+    Returns:
+        Center to dock, world frame, shape (N, docks, 3).
+    """
+    matrix = Rotation.from_quat(orientation_wxyz, scalar_first=True).as_matrix()
+    offsets: NDArray[np.float64] = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
+    return offsets
 
 
 def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray[np.float64]:
@@ -41,7 +58,9 @@ def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray
     """Draw standard normal numbers (Box and Muller); arguments as for `uniform`."""
     pair = 2 * np.asarray(draw, dtype=np.uint64)
     radius = np.sqrt(-2.0 * np.log1p(-uniform(seed, stream, robot, pair)))
-    return radius * np.cos(2.0 * np.pi * uniform(seed, stream, robot, pair + np.uint64(1)))
+    turn = np.cos(2.0 * np.pi * uniform(seed, stream, robot, pair + np.uint64(1)))
+    numbers: NDArray[np.float64] = radius * turn
+    return numbers
 
 
 def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -50,16 +69,3 @@ def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     mixed = (mixed ^ (mixed >> np.uint64(30))) * _MIX_A
     mixed = (mixed ^ (mixed >> np.uint64(27))) * _MIX_B
     return mixed ^ (mixed >> np.uint64(31))
-
-
-@ti.func
-def mixed(value):
-    """Scatter the 32 low bits of a `ti.u64`, in a kernel.
-
-    The steps are those of Wellons' "lowbias32"; no product overflows 64 bits.
-    """
-    low = ti.u64(0xFFFFFFFF)
-    bits = (value + ti.u64(0x9E3779B9)) & low
-    bits = ((bits ^ (bits >> ti.u64(16))) * ti.u64(0x7FEB352D)) & low
-    bits = ((bits ^ (bits >> ti.u64(15))) * ti.u64(0x846CA68B)) & low
-    return bits ^ (bits >> ti.u64(16))

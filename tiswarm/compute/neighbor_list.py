@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.memory import Memory
 from tiswarm.compute.neighbor_kernels import LONGEST_RUN, fill_rows
 from tiswarm.compute.sort_kernels import BLOCK, CELL_LENGTH, CELL_WIDTH, SCAN_BLOCK, sort_docks
 from tiswarm.errors import InputError
@@ -49,7 +49,8 @@ def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> ND
     scale = (2**20 - 1) / np.where(extent > 0.0, extent, 1.0)
     place = ((point - low[structure]) * scale[structure][:, None]).astype(np.uint64)
     x, y, z = (_spread(place[:, axis]) << np.uint64(axis) for axis in range(3))
-    return np.lexsort((x | y | z, structure))
+    order: NDArray[np.int64] = np.lexsort((x | y | z, structure))
+    return order
 
 
 def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -144,7 +145,7 @@ class NeighborList:
 
     def __init__(
         self,
-        memory: Memory,
+        memory: Allocator,
         position: NDArray[np.float64],
         contacts: NDArray[np.int64],
         *,

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.compute.cells import CellChains, bucket_of, cube_of, link, neighbor_cube, relink
+from tiswarm.compute.cell_kernels import CellChains, bucket_of, cube_of, link, neighbor_cube, relink
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, ti
 
 

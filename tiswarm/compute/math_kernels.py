@@ -1,0 +1,77 @@
+"""Vectors, rotations and hashes in kernels. Rotations are unit quaternions, wxyz."""
+
+from tiswarm.compute.lang import Reals1, Ref, ti
+
+
+@ti.func
+def vector_at(rows: Ref, i):
+    """Read row `i` of a table with three columns."""
+    return ti.Vector([rows[i, 0], rows[i, 1], rows[i, 2]])
+
+
+@ti.func
+def vector_in(array: Ref, i, j):
+    """Read a vector from the last axis of a three-dimensional array."""
+    return ti.Vector([array[i, j, 0], array[i, j, 1], array[i, j, 2]])
+
+
+@ti.func
+def quaternion_at(array: Ref, i, j):
+    """Read a quaternion from the last axis of a three-dimensional array."""
+    return ti.Vector([array[i, j, c] for c in range(4)])
+
+
+@ti.func
+def quaternion_product(p, q):
+    """Compose rotations: first `q`, then `p`."""
+    return ti.Vector(
+        [
+            p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
+            p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
+            p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
+            p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
+        ]
+    )
+
+
+@ti.func
+def rotate(q, v):
+    """Turn the vector `v` by the unit quaternion `q`."""
+    axis = ti.Vector([q[1], q[2], q[3]])
+    half = 2.0 * axis.cross(v)
+    return v + q[0] * half + axis.cross(half)
+
+
+@ti.func
+def axis_rotation(axis, angle):
+    """Rotation by `angle` [rad] about the unit vector `axis`."""
+    s = ti.sin(0.5 * angle)
+    return ti.Vector([ti.cos(0.5 * angle), s * axis[0], s * axis[1], s * axis[2]])
+
+
+@ti.func
+def mixed(value):
+    """Scatter the 32 low bits of a `ti.u64`, in a kernel.
+
+    The steps are those of Wellons' "lowbias32"; no product overflows 64 bits.
+    """
+    low = ti.u64(0xFFFFFFFF)
+    bits = (value + ti.u64(0x9E3779B9)) & low
+    bits = ((bits ^ (bits >> ti.u64(16))) * ti.u64(0x7FEB352D)) & low
+    bits = ((bits ^ (bits >> ti.u64(15))) * ti.u64(0x846CA68B)) & low
+    return bits ^ (bits >> ti.u64(16))
+
+
+@ti.kernel
+def probe_arithmetic(value: Reals1):
+    """Replace each value by sqrt(cos^2 + sin^2) of it times it: the same value, to rounding.
+
+    Shows in which precision a device computes, and whether it knows these functions in it.
+
+    Args:
+        value: Read and written, shape (n,).
+    """
+    for i in range(value.shape[0]):
+        c = ti.cos(value[i])
+        s = ti.sin(value[i])
+        value[i] *= ti.sqrt(c * c + s * s)
