@@ -56,7 +56,7 @@ def test_version_is_told(tiswarm):
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "--shard 3/2: is no part of a whole"),
         (
             ("run", "scenarios/tower.yaml", "--slurm", "jobs=two,cores=1,memory=1GB"),
-            '--slurm jobs: "two" is not a whole number',
+            '--slurm jobs: "two" should be a valid integer',
         ),
         (
             ("run", "scenarios/tower.yaml", "--slurm", "jobs=2,cores=1"),
@@ -88,7 +88,7 @@ def test_version_is_told(tiswarm):
         ),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--set", "start.iterations=x"),
-            '--set start.iterations=x: "x" is not a whole number',
+            '--set start.iterations=x: "x" should be a valid integer',
         ),
         (("report", "scenarios"), "run folder"),
         (("render", "scenarios"), "scenarios"),

@@ -100,7 +100,7 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
         ({"method": "guess"}, "--method: "),
         ({"iterationz": 3}, "iterationz: unknown key; did you mean iterations"),
         ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a choice"),
-        ({"iterations": -1}, "iterations: -1 is too small"),
+        ({"iterations": -1}, "iterations: -1 should be greater"),
     ):
         with pytest.raises(InputError, match=told):
             tiswarm.localize(log, **call)

@@ -81,7 +81,10 @@ def test_keys_of_one_entry_change_together():
     [
         ("{'robots, structure.movers': [[10, 1], [20]]}", "is no row of 2 values"),
         ("{'robots, structure.movers': [10]}", "is no row of 2 values"),
-        ("{'robots, structure.movers': [[10, 1], [20, 0]]}", "must be at least 1"),
+        (
+            "{'robots, structure.movers': [[10, 1], [20, 0]]}",
+            "should be greater than or equal to 1",
+        ),
         ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "robots is swept already"),
         ("{'robots, seeds': [[10, 1]]}", "this cannot be swept"),
     ],
@@ -160,7 +163,9 @@ def test_a_wrong_condition_made_in_python_is_told():
     """Without a file, the error names the key."""
     wrong = scenario(conditions={"a": {"localization.iterations": 0}})
 
-    with pytest.raises(InputError, match=r"^conditions.a.localization.iterations: 0 is too small"):
+    with pytest.raises(
+        InputError, match=r"^conditions.a.localization.iterations: 0 should be greater"
+    ):
         variants(wrong)
 
 
