@@ -7,7 +7,7 @@ SCENARIO = scenarios/tower.yaml
 SYSTEM_LIBRARIES = yes
 
 bin = .venv/bin
-inputs = pyproject.toml constraints.txt tiswarm/__init__.py
+inputs = pyproject.toml constraints.txt tiswarm/version.py
 # Each of these files stands for a step that was done; a step is done again once they are older
 # than its inputs.
 installed = .venv/.installed

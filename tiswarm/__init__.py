@@ -3,12 +3,12 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from tiswarm.version import __version__
+
 if TYPE_CHECKING:
     from tiswarm.api import localize, read_log, run
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.localization.joining import Localizer
-
-__version__ = "0.1.0"
 
 __all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax", "run"]
 

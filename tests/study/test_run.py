@@ -17,10 +17,11 @@ from tiswarm import study
 from tiswarm.console import ConsoleWatcher
 from tiswarm.localization import virtual_force
 from tiswarm.scenario import load_scenario
-from tiswarm.study import tables, work
+from tiswarm.study import storage, tables, work
 from tiswarm.study.cases import chunks, plan
 from tiswarm.study.storage import RunFolder
 from tiswarm.study.work import failure
+from tiswarm.version import code_digest
 from tiswarm.world.growth import grow
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
@@ -234,6 +235,29 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
     assert before == {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
 
 
+def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
+    """A run never mixes results of two states of the code, and says what it does."""
+    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
+    watcher = ConsoleWatcher()
+    monkeypatch.setattr(storage, "CODE", "0123456789ab")
+    old = study.run(small, tmp_path, watcher=watcher)
+    record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
+    [*cases] = plan(small)
+    old_name = storage.structure_name(cases[0])
+    monkeypatch.undo()
+
+    new = study.run(small, tmp_path, watcher=watcher)
+
+    assert (new.found, new.computed) == (0, 6)
+    assert "6 cases were computed by other code; computing them again\n" in capsys.readouterr().err
+    assert record["code"] == "0123456789ab"
+    record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
+    assert record["code"] == code_digest()
+    assert json.loads((new.folder / "manifest.json").read_text())["code"] == code_digest()
+    assert storage.structure_name(cases[0]) != old_name
+    assert study.run(small, tmp_path, watcher=watcher).found == 6
+
+
 def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     """A case half written, changed or emptied is noticed, and comes back to the same bytes."""
     run = tmp_path / small_run.name
@@ -327,6 +351,10 @@ def test_a_damaged_structure_is_grown_again(tmp_path):
     kept.write_bytes(data)
     assert folder.grown(case) is None
     kept.write_bytes(data[:100])
+    assert folder.grown(case) is None
+    kept.write_bytes(b"")
+    assert folder.grown(case) is None
+    np.savez(kept, facts="{}")
     assert folder.grown(case) is None
 
 

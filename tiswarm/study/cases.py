@@ -1,11 +1,9 @@
 """Which cases a scenario asks for, and which of them share a structure."""
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-import tiswarm
 from tiswarm.scenario import Scenario, Variant, variants
 
 ROBOTS_AT_ONCE = 10_000
@@ -47,7 +45,7 @@ def chunks(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Itera
     All conditions of a structure are in the same chunk, so each is grown once. A chunk is closed
     once its structures have `robots_at_once` robots.
     """
-    for _, alike in groupby(structures(cases), key=lambda group: _kind(group[0])[:2]):
+    for _, alike in groupby(structures(cases), key=lambda group: structure_key(group[0])[:2]):
         chunk: list[Case] = []
         robots = 0
         for group in alike:
@@ -88,13 +86,8 @@ def shard(cases: Sequence[Case], number: int, count: int) -> list[Case]:
     return [case for case in cases if case.name in mine]
 
 
-def structure_name(case: Case) -> str:
-    """Name the structure that a case shares with others, by all that it grows from."""
-    grown_by = repr((_kind(case), tiswarm.__version__))
-    return f"seed{case.seed}-{hashlib.sha256(grown_by.encode()).hexdigest()[:12]}"
-
-
-def _kind(case: Case) -> tuple[int, str, int]:
+def structure_key(case: Case) -> tuple[int, str, int]:
+    """Return all that the structure of a case grows from: its size, its settings and its seed."""
     settings = case.settings
     # The small ones first: they are done soon, and memory that large ones took is not theirs.
     return (settings.robots, repr((settings.structure, settings.robot)), case.seed)
@@ -102,4 +95,6 @@ def _kind(case: Case) -> tuple[int, str, int]:
 
 def structures(cases: Sequence[Case]) -> list[list[Case]]:
     """List cases by the structure they share, structures of one kind side by side."""
-    return [list(group) for _, group in groupby(sorted(cases, key=_kind), key=_kind)]
+    return [
+        list(group) for _, group in groupby(sorted(cases, key=structure_key), key=structure_key)
+    ]

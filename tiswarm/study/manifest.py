@@ -14,10 +14,11 @@ from pathlib import Path
 
 import psutil
 
-import tiswarm
 from tiswarm.compute.backend import Backend
 from tiswarm.records.io import write_text
 from tiswarm.study.costs import Cost, total
+from tiswarm.study.storage import CODE
+from tiswarm.version import __version__
 
 FILE = "manifest.json"
 LIBRARIES = (
@@ -30,7 +31,8 @@ def describe(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str,
     """Gather everything a reader needs to judge or repeat a run; costs are by case and stage."""
     stages, peak_memory_mb = total(costs)
     return {
-        "tiswarm": tiswarm.__version__,
+        "tiswarm": __version__,
+        "code": CODE,
         "backend": {key: value for key, value in asdict(backend).items() if key != "cache"},
         "machine": machine(),
         "python": platform.python_version(),

@@ -85,6 +85,10 @@ def run(
         found = len(records)
         if found:
             watcher.say(f"{found} of {len(mine)} cases are already stored")
+        if outdated := sum(folder.is_outdated(case.name) for case in missing):
+            was, them = ("was", "it") if outdated == 1 else ("were", "them")
+            many = counted(outdated, "case")
+            watcher.say(f"{many} {was} computed by other code; computing {them} again")
         used = None
         if missing:
             for name in WHOLE:

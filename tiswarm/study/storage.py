@@ -13,7 +13,6 @@ from typing import Any
 
 import pandas as pd
 
-import tiswarm
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import make_folder, write_text
@@ -21,10 +20,14 @@ from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
-from tiswarm.study.cases import Case, structure_name
+from tiswarm.study.cases import Case, structure_key
 from tiswarm.study.costs import Cost
+from tiswarm.version import __version__, code_digest
 from tiswarm.world.history import History
 from tiswarm.world.history_file import read_history, write_history
+
+CODE = code_digest()
+"""Digest of the code that computes here."""
 
 DONE = "done"
 FAILED = "failed"
@@ -55,8 +58,11 @@ class CaseRecord:
     scores: Mapping[str, float | int | None] = field(default_factory=dict)
     """What evaluation made of it."""
 
-    version: str = tiswarm.__version__
-    """The tiswarm that computed it; another would not give the same bytes."""
+    version: str = __version__
+    """Version of the package that computed it."""
+
+    code: str = field(default_factory=lambda: CODE)
+    """Digest of the code that computed it; other code need not give the same bytes."""
 
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of each of the case's other files, but for its cost."""
@@ -123,16 +129,23 @@ class RunFolder:
                 half.unlink(missing_ok=True)
 
     def stored(self, name: str) -> CaseRecord | None:
-        """Read a finished case; None where it is missing, damaged or of another version."""
+        """Read a finished case; None where it is missing, damaged or computed by other code."""
         record = self.recorded(name)
-        fit = record is not None and (record.status, record.version) == (DONE, tiswarm.__version__)
+        fit = record is not None and (record.status, record.code) == (DONE, CODE)
         return record if fit else None
+
+    def is_outdated(self, name: str) -> bool:
+        """Whether other code computed a finished case."""
+        record = self.recorded(name)
+        return record is not None and record.status == DONE and record.code != CODE
 
     def recorded(self, name: str) -> CaseRecord | None:
         """Read a case, finished or failed; None where its files are not what it says."""
         folder = self.cases / name
         try:
-            record = CaseRecord(**{"version": ""} | json.loads((folder / "case.json").read_text()))
+            record = CaseRecord(
+                **{"version": "", "code": ""} | json.loads((folder / "case.json").read_text())
+            )
             intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
         except (OSError, ValueError, TypeError):
             return None
@@ -213,6 +226,12 @@ class RunFolder:
                 raise
             # A worker that outlived its run has stored the same case a moment ago.
             shutil.rmtree(work, ignore_errors=True)
+
+
+def structure_name(case: Case) -> str:
+    """Name the structure that a case shares with others, by all that it grows from."""
+    grown_by = repr((structure_key(case), CODE))
+    return f"seed{case.seed}-{hashlib.sha256(grown_by.encode()).hexdigest()[:12]}"
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-import tiswarm
 from tiswarm.compute import backend
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
@@ -24,7 +23,9 @@ from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe
+from tiswarm.study.storage import CODE
 from tiswarm.study.work import Watcher
+from tiswarm.version import __version__
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
@@ -102,7 +103,8 @@ def tune(
     start = _start(points)
     ranges = {name: limits for name, limits in (GAINS | OF_ROUNDS).items() if name in start}
     record: dict[str, Any] = {
-        "tiswarm": tiswarm.__version__,
+        "tiswarm": __version__,
+        "code": CODE,
         "scenario": scenario.name,
         "points": [point.label for point in points],
         "robots": [point.settings.robots for point in points],

@@ -45,8 +45,14 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
     try:
         with path.open("rb") as file, np.load(file) as tables:
             arrays: dict[str, NDArray[Any]] = dict(tables)
-    except (OSError, ValueError, zipfile.BadZipFile):
+        return _history(arrays, params, robot)
+    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile):
         return None
+
+
+def _history(
+    arrays: dict[str, NDArray[Any]], params: StructureParams, robot: RobotGeometry
+) -> History:
     parts = {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
     return History(
         **json.loads(str(arrays["facts"])),
