@@ -29,12 +29,12 @@ def test_no_chain_gains_energy(kind):
     """
     log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
     params = JointParams()
-    swarm = anneal.Swarm([log], [params], [equations(log, params)])
+    annealer = anneal.Annealer([log], [params], [equations(log, params)])
     heat = []
 
     for step in (200, 300, 500, 800, 1200, 1800, 2500, 3000):
-        swarm.advance(step)
-        heat.append(swarm.temperatures(step - 1)[:, 0])
+        annealer.advance(step)
+        heat.append(annealer.temperatures(step - 1)[:, 0])
 
     assert np.array(heat).shape == (8, params.chains_for(60))
     assert 0.5 < np.min(heat) <= np.max(heat) < 2.0
@@ -50,13 +50,13 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     params = JointParams(steps=2000, chains=16, non_overlap=False, robust=False, **tolerance)
     known = equations(log, params)
     again = dataclasses.replace(known, shift=known.shift * 0.1)  # nowhere can all of these hold
-    swarm = anneal.Swarm([log], [params], [again])
-    swarm.advance(1500)
+    annealer = anneal.Annealer([log], [params], [again])
+    annealer.advance(1500)
     heat = []
 
     for step in range(1500, 2000, 50):
-        swarm.advance(step)
-        heat.append(swarm.temperatures(step - 1)[:, 0])
+        annealer.advance(step)
+        heat.append(annealer.temperatures(step - 1)[:, 0])
 
     assert np.mean(heat, axis=0).max() < RUNAWAY
 
@@ -175,8 +175,8 @@ def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
         found = localize(log, dataclasses.replace(SHORT, seed=seed))
         known = equations(log, SHORT)
         bound = known.reach() + 5.0
-        swarm = anneal.Swarm([log], [SHORT], [known])
-        start = swarm.by_robot(swarm.position)[0]
+        annealer = anneal.Annealer([log], [SHORT], [known])
+        start = annealer.by_robot(annealer.swarm.position)[0]
         first = np.unique(known.part, return_index=True)[1]
         apart = np.linalg.norm(start[first][:, None] - start[first], axis=2)
         size = np.zeros(len(first))

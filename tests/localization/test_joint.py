@@ -50,16 +50,19 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, ste
     log = observe(towers[0], noise)
     params = dataclasses.replace(SHORT, robust=robust, start_tolerance=0.3, end_tolerance=0.3)
     known = equations(log, params)
-    swarm = anneal.Swarm([log], [params], [known])
-    swarm.advance(steps)
-    before, heading = swarm.by_robot(swarm.position), swarm.by_robot(swarm.heading)
+    annealer = anneal.Annealer([log], [params], [known])
+    annealer.advance(steps)
+    before, heading = (
+        annealer.by_robot(annealer.swarm.position),
+        annealer.by_robot(annealer.swarm.heading),
+    )
     yaw = heading[:, :, force_kernels.YAW]
     size = 2.0 * min(1.0, (steps + 1) / (anneal.GROWING * SHORT.steps))
 
-    swarm.advance(steps + 1)
+    annealer.advance(steps + 1)
 
-    forces = swarm.by_robot(swarm.force)
-    torques = swarm.by_robot(swarm.heading)[:, :, force_kernels.TORQUE]
+    forces = annealer.by_robot(annealer.swarm.force)
+    torques = annealer.by_robot(annealer.swarm.heading)[:, :, force_kernels.TORQUE]
     assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
     for k in range(SHORT.chains):
         width = 3.0 if robust else np.inf
@@ -150,21 +153,29 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
     log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = equations(log, params)
-    swarm = anneal.Swarm([log], [params], [known])
+    annealer = anneal.Annealer([log], [params], [known])
     tree = branches(np.column_stack([known.robot, known.other]), log.robot_count)
     count = len(tree.parent)
-    pull, speed, _ = swarm.branches[4:]
-    swarm.advance(4)
-    before, slow = swarm.by_robot(swarm.position), swarm.by_robot(swarm.velocity)
-    slow *= np.sqrt(swarm.by_robot(swarm.mass))[..., None]
+    pull, speed = annealer.trees.pull, annealer.trees.velocity
+    annealer.advance(4)
+    before, slow = (
+        annealer.by_robot(annealer.swarm.position),
+        annealer.by_robot(annealer.swarm.velocity),
+    )
+    slow *= np.sqrt(annealer.by_robot(annealer.swarm.mass))[..., None]
     heavy_before = speed.to_numpy().reshape(-1, count, 3)
     heavy_before *= np.sqrt(pull.to_numpy().reshape(-1, count, 4)[..., 3:])
 
-    swarm.advance(5)
+    annealer.advance(5)
 
     # Robots and branches that become heavier keep their kinetic energy.
-    force, mass = swarm.by_robot(swarm.force), swarm.by_robot(swarm.mass)[..., None]
-    expected = 0.5 * (slow / np.sqrt(mass) + force / mass + swarm.by_robot(swarm.velocity))
+    force, mass = (
+        annealer.by_robot(annealer.swarm.force),
+        annealer.by_robot(annealer.swarm.mass)[..., None],
+    )
+    expected = 0.5 * (
+        slow / np.sqrt(mass) + force / mass + annealer.by_robot(annealer.swarm.velocity)
+    )
     heavy = speed.to_numpy().reshape(-1, count, 3)
     pulls, weight = np.split(pull.to_numpy().reshape(-1, count, 4), [3], axis=2)
     for k in range(1, count):
@@ -179,7 +190,7 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
         expected[:, robots] += shift[:, None] * known.unplaced
     assert known.unplaced.tolist() == [spawn_noise is None] * 2 + [False]
     np.testing.assert_allclose(
-        (swarm.by_robot(swarm.position) - before)[:, 1:], expected[:, 1:], atol=1e-12
+        (annealer.by_robot(annealer.swarm.position) - before)[:, 1:], expected[:, 1:], atol=1e-12
     )
 
 
@@ -282,11 +293,11 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
     params = [dataclasses.replace(short, end_tolerance=end) for end in (None, 0.1, 0.2)]
     known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
-    swarms = [anneal.Swarm(logs, params, known, by_block=by_block) for by_block in (True, False)]
+    swarms = [anneal.Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)]
     rows = swarms[0].neighbors
     rows.make_room(0)  # what does not fit is given room on the way
 
-    runs = [swarm.run() for swarm in swarms]
+    runs = [annealer.run() for annealer in swarms]
 
     assert rows.capacity > 2
     for a, b in zip(*runs, strict=True):
@@ -299,19 +310,19 @@ def test_steps_are_the_same_however_threads_share_them(towers):
 def test_rows_serve_as_if_made_anew_for_each_step(log):
     """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
     known = [equations(log, SHORT)]
-    kept, anew = (anneal.Swarm([log], [SHORT], known) for _ in range(2))
+    kept, anew = (anneal.Annealer([log], [SHORT], known) for _ in range(2))
     skins, ages = set(), []
 
     for step in range(1, SHORT.steps + 1):
         kept.advance(step)
-        skins |= set(kept.skin.to_numpy().tolist())
-        ages.append(kept.age.to_numpy().max())
-        anew.age.fill(kernels.STALE)
+        skins |= set(kept.blocks.skin.to_numpy().tolist())
+        ages.append(kept.blocks.age.to_numpy().max())
+        anew.blocks.age.fill(kernels.STALE)
         anew.advance(step)
 
     assert skins == {kernels.SKIN, kernels.THIN_SKIN}
     assert max(ages) > 5
-    assert kept.position.to_numpy().tobytes() == anew.position.to_numpy().tobytes()
+    assert kept.swarm.position.to_numpy().tobytes() == anew.swarm.position.to_numpy().tobytes()
 
 
 def test_single_precision_is_precise_enough(towers):

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
+from tiswarm.compute.arrays import Allocator
+from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.equations import Equations
 from tiswarm.records.contact_graph import touching
 
@@ -63,25 +65,34 @@ def branches(pair: NDArray[np.int64], robots: int) -> Branches:
     )
 
 
-def tables(
-    known: Sequence[Equations], trees: Sequence[Branches], chains: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Write down the branches of all structures as kernels read them.
+def subtree_arrays(
+    memory: Allocator, known: Sequence[Equations], trees: Sequence[Branches], chains: int
+) -> Subtrees:
+    """Put the subtrees of all structures on the device, at rest.
 
-    Returns:
-        Branch of each copy of a robot, shape (C N,); of each branch the start and end of its own
-        robots, its parent and the axes along which it moves, shape (T, 6); its weight, shape (T,);
-        first branch of each block, shape (B + 1,).
+    Args:
+        memory: Where arrays are allocated.
+        known: Equations of each structure.
+        trees: Subtrees of each.
+        chains: Chains of each.
     """
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
-    branch = np.add.outer(len(own) * np.arange(chains), np.repeat(np.arange(len(own)), own))
-    rows = [
+    of_robot = np.add.outer(len(own) * np.arange(chains), np.repeat(np.arange(len(own)), own))
+    table = [
         np.column_stack([t.first[:-1], t.first[1:], t.parent, np.tile(e.unplaced, (n, 1))])
         for t, e, n in zip(trees, known, count, strict=True)
     ]
-    weight = np.concatenate([weights(tree) for tree in trees])
-    return branch.ravel(), np.concatenate(rows), weight, np.cumsum([0, *np.tile(count, chains)])
+    copies = chains * len(own)
+    return Subtrees(
+        of_robot=memory.upload(of_robot.ravel()),
+        table=memory.upload(np.concatenate(table)),
+        weight=memory.upload(np.concatenate([weights(tree) for tree in trees])),
+        first=memory.upload(np.cumsum([0, *np.tile(count, chains)])),
+        pull=memory.upload(np.zeros((copies, 4))),
+        velocity=memory.upload(np.zeros((copies, 3))),
+        shift=memory.upload(np.zeros((copies, 3))),
+    )
 
 
 def weights(tree: Branches) -> NDArray[np.float64]:

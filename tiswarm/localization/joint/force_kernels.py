@@ -1,15 +1,13 @@
-"""Forces on a robot in a chain, at a tolerance s: from contacts, overlaps and known places.
+"""Forces on a robot in a chain: of contacts, overlaps and measured positions. Lengths in R.
 
-Stiffness, mass and temperature are those of an equation that may be missed by s: an equation of
-variance v has stiffness s^2 / (s^2 + v) at temperature s^2, so a small v is tempered and a large
-one is as soft as it is. Docks that are nearer than D repel with the energy
-(D^2 - d^2)^2 / (8 D^2), which near D is that of a spring, (D - d)^2 / 2, and smooth at d = 0: its
-curvature is at most 1 in every direction. A spring's force jumps there, and docks that pass through
-each other gain energy at every pass. Copy r of robot i of N, one a chain, is number c N + i. Forces
-are gathered in a fixed order. Lengths in R.
+At the temperature T = sigma^2 a measurement of variance v has the stiffness sigma^2 / (sigma^2 +
+v): a small v is tempered, a large one acts as it is. Docks nearer than D repel with the energy
+(D^2 - d^2)^2 / (8 D^2). Near D that is a spring's, (D - d)^2 / 2; at d = 0 it is smooth, with a
+curvature of at most 1 in every direction. A spring's force jumps there, and docks that pass through
+each other gain energy at every pass. Forces are gathered in a fixed order.
 
-Where a log states a yaw bias, robots turn too: a robot's correction is the angle by which all that
-its orientations say, its docks and its whole walk, is turned about the vertical through its final
+Where a log states a yaw bias, robots turn too: the correction of a robot is the angle by which all
+its orientations, and so its docks and its walk, are turned about the vertical through its final
 center.
 """
 
@@ -53,50 +51,63 @@ def turned(x, y, heading: Ref, r):
 
 @ti.func
 def pull_of_contacts(
-    square, slope, robust, turning: ti.template(), turns, robot, base, contact_start: Ref,
-    partner: Ref, touching: Ref, stretch: Ref, shift: Ref, lever: Ref, variance: Ref, position: Ref,
-    heading: Ref,
-):  # fmt: skip
-    """Sum of the forces of a robot's contacts with its torque, of their stiffness and its inertia.
+    r,
+    i,
+    turning: ti.template(),
+    slope,
+    step: Ref,
+    robots: Ref,
+    contacts: Ref,
+    priors: Ref,
+    swarm: Ref,
+):
+    """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
 
-    With r the residual, w = s^2 + v and c^2 = 1 / `robust`, each has the energy of Cauchy's loss,
-    s^2 c^2 / 2 log(1 + r^2 / (c^2 w)), or s^2 r^2 / (2 w) where `robust` is 0; where docks are
-    nearer than D, its force has the factor by which the push of overlaps is less than a spring's.
-    The logarithm still holds a robot whose contacts are all in doubt. Docks in contact at the end
-    do not repel each other as all others do: this function subtracts the push that
+    With residual e, w = sigma^2 + v and c^2 = 1 / `robust`, each has the energy of Cauchy's loss,
+    sigma^2 c^2 / 2 log(1 + e^2 / (c^2 w)), or sigma^2 e^2 / (2 w) where `robust` is 0. Where docks
+    are nearer than D, the force has the factor by which the push of overlaps is less than a
+    spring's. The logarithm still holds a robot whose contacts are all outliers. Docks in contact at
+    the end do not repel each other as all others do: this function subtracts the push that
     `push_of_overlaps` gives them.
 
-    Robots in contact at the end push each other apart, for they are likelier the farther apart
-    their centers would be if their docks just touched: energy -s^2 `stretch` times that distance,
-    which only the direction between the docks decides. So the push is across it, lest it draw out
-    contacts that little is known of; as far as a contact gives way, so does the push.
+    Robots in contact at the end push each other apart, since robots extend outward: the farther
+    apart their centers would be if their docks just touched, the likelier. This prior has the
+    energy -sigma^2 `extension` times that distance, which only the direction between the docks
+    decides. The push is perpendicular to the contact: along it, it would lengthen uncertain
+    contacts. Where a contact gives way, so does the push.
     """
-    here = vector_at(position, base + robot)
+    square = step.sigma * step.sigma
+    base = r - i
+    turns = priors.yaw_precision[i] > 0.0
+    here = vector_at(swarm.position, r)
     force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
     inertia = stiffness
-    for slot in range(contact_start[robot], contact_start[robot + 1]):
-        between = here - vector_at(position, base + partner[slot])
-        apart = between + vector_at(shift, slot)
+    for slot in range(contacts.start[i], contacts.start[i + 1]):
+        partner = base + contacts.partner[slot]
+        between = here - vector_at(swarm.position, partner)
+        apart = between + vector_at(contacts.shift, slot)
         arm = 0.0 * here
         if ti.static(turning) and turns:
-            arm = turned(lever[slot, 0], lever[slot, 1], heading, base + robot)
-            its = turned(lever[slot, 2], lever[slot, 3], heading, base + partner[slot])
-            apart[0] += arm[0] - its[0] - lever[slot, 0] + lever[slot, 2]
-            apart[1] += arm[1] - its[1] - lever[slot, 1] + lever[slot, 3]
+            x, y = contacts.lever[slot, 0], contacts.lever[slot, 1]
+            its_x, its_y = contacts.lever[slot, 2], contacts.lever[slot, 3]
+            arm = turned(x, y, swarm.heading, r)
+            its = turned(its_x, its_y, swarm.heading, partner)
+            apart[0] += arm[0] - its[0] - x + its_x
+            apart[1] += arm[1] - its[1] - y + its_y
         length = ti.max(apart.norm(), TINY)
         residual = length - SPACING
-        within = square + variance[slot] + residual * residual * robust
+        within = square + contacts.variance[slot] + residual * residual * robots.robust[i]
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
         inside = push_inside(length * length, 0.5 / SPACING**2)
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
-        overlap = touching[slot] * push_inside(length * length, slope)
+        overlap = contacts.is_final[slot] * push_inside(length * length, slope)
         force -= with_torque((stiff * pull + overlap) * apart, arm)
-        if touching[slot] == 1:
-            trust = (square + variance[slot]) * length * inverse
+        if contacts.is_final[slot] == 1:
+            trust = (square + contacts.variance[slot]) * length * inverse
             held = between + (SPACING / length - 1.0) * apart
-            push = trust * square * stretch[slot] / ti.max(held.norm(), 1.0) * held
+            push = trust * square * contacts.extension[slot] / ti.max(held.norm(), 1.0) * held
             across = push - push.dot(apart) / (length * length) * apart
             across *= SPACING / ti.max(length, SPACING)
             # The turn of an arm turns `apart`, and would move `held` were it not for the contact.
@@ -109,25 +120,24 @@ def pull_of_contacts(
 
 
 @ti.func
-def push_of_overlaps(
-    grid: Ref, docks: ti.template(), r, slope, first, entries, arm: Ref, row: Ref, position: Ref,
-):  # fmt: skip
-    """Sum of the forces of docks that are too near, of their stiffness and inertia.
+def push_of_overlaps(r, docks: ti.template(), slope, grid: Ref, rows: Ref, swarm: Ref):
+    """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
 
-    Whole numbers make the sum independent of the order of a row.
+    Integers make the sum independent of the order of a row.
     """
-    here = vector_at(position, r)
-    own = ti.Matrix([[arm[r, k, c] for c in range(3)] for k in range(docks)])
+    here = vector_at(swarm.position, r)
+    own = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
     units = ti.cast(with_torque(0.0 * here, here), ti.i64)
     inertia = ti.i64(0)
     overlaps = 0
     widest = 0.5 / slope  # D^2
-    for e in range(entries):
-        other = row[first + e * grid.entry_stride] >> (grid.own_bits + 1)
-        between = here - vector_at(position, other)
+    for e in range(rows.count[r]):
+        other = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
+        between = here - vector_at(swarm.position, other)
         if between.norm_sqr() < grid.near * grid.near:
             for m in range(docks):
-                off = between - ti.Vector([arm[other, m, 0], arm[other, m, 1], arm[other, m, 2]])
+                its = ti.Vector([swarm.arm[other, m, c] for c in range(3)])
+                off = between - its
                 for k in ti.static(range(docks)):
                     apart = off + own[k, :]
                     square_length = apart.norm_sqr()
@@ -147,53 +157,46 @@ def mass_for(needed, before, factor):
 
 @ti.func
 def pull_robot(
-    grid: Ref, docks: ti.template(), turning: ti.template(), r, tolerance, growth, inertia_factor,
-    non_overlap: Ref, robust: Ref, contact_start: Ref, partner: Ref, touching: Ref, stretch: Ref,
-    shift: Ref, lever: Ref, variance: Ref, place: Ref, precision: Ref, walk: Ref,
-    yaw_precision: Ref, arm: Ref, row: Ref, row_first: Ref, row_count: Ref, position: Ref,
-    velocity: Ref, force: Ref, mass: Ref, heading: Ref,
+    r, docks: ti.template(), turning: ti.template(), step: Ref, robots: Ref, contacts: Ref,
+    priors: Ref, grid: Ref, rows: Ref, swarm: Ref,
 ):  # fmt: skip
-    """Write the force on a robot and the mass that it needs, and both for its turn if it turns.
+    """Write the force on copy r and the mass that it needs, and both for its turn if it turns.
 
     A robot that becomes heavier keeps its kinetic energy, not its velocity.
     """
-    square = tolerance * tolerance
-    i = r % non_overlap.shape[0]
-    turns = yaw_precision[i] > 0.0
-    width = non_overlap[i] * SPACING * growth
+    square = step.sigma * step.sigma
+    i = r % robots.non_overlap.shape[0]
+    width = robots.non_overlap[i] * SPACING * step.growth
     slope = 0.5 / ti.max(width * width, TINY)
     pull, stiffness, inertia = pull_of_contacts(
-        square, slope, robust[i], turning, turns, i, r - i, contact_start, partner,
-        touching, stretch, shift, lever, variance, position, heading,
-    )  # fmt: skip
-    if non_overlap[i] == 1:
-        push, hardness, lag = push_of_overlaps(
-            grid, docks, r, slope, row_first[r], row_count[r], arm, row, position
-        )
+        r, i, turning, slope, step, robots, contacts, priors, swarm
+    )
+    if robots.non_overlap[i] == 1:
+        push, hardness, lag = push_of_overlaps(r, docks, slope, grid, rows, swarm)
         pull += push
         stiffness += hardness
         inertia += lag
-    walked = 0.0 * vector_at(position, r)
+    walked = 0.0 * vector_at(swarm.position, r)
     if ti.static(turning):
-        walked = turned(walk[i, 0], walk[i, 1], heading, r)
-    hold = vector_at(place, i) - walked - vector_at(position, r)
+        walked = turned(priors.walk[i, 0], priors.walk[i, 1], swarm.heading, r)
+    hold = vector_at(priors.place, i) - walked - vector_at(swarm.position, r)
     for c in ti.static(range(3)):
-        known = square * precision[i, c]
+        known = square * priors.precision[i, c]
         stiff = known / (1.0 + known)
         hold[c] *= stiff
-        force[r, c] = pull[c] + hold[c]
+        swarm.force[r, c] = pull[c] + hold[c]
         stiffness += stiff / 3.0
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
-    before = mass[r]
-    mass[r] = mass_for(stiffness / MOST_STIFFNESS, before, inertia_factor)
-    slower = ti.sqrt(before / mass[r])
+    before = swarm.mass[r]
+    swarm.mass[r] = mass_for(stiffness / MOST_STIFFNESS, before, step.inertia_factor)
+    slower = ti.sqrt(before / swarm.mass[r])
     for c in ti.static(range(3)):
-        velocity[r, c] *= slower
-    if ti.static(turning) and turns:
-        stiff = square * yaw_precision[i]
-        torque = pull[3] + with_torque(hold, walked)[3] - stiff * heading[r, YAW]
-        heading[r, TORQUE] = torque
-        before = heading[r, INERTIA]
+        swarm.velocity[r, c] *= slower
+    if ti.static(turning) and priors.yaw_precision[i] > 0.0:
+        stiff = square * priors.yaw_precision[i]
+        torque = pull[3] + with_torque(hold, walked)[3] - stiff * swarm.heading[r, YAW]
+        swarm.heading[r, TORQUE] = torque
+        before = swarm.heading[r, INERTIA]
         needed = (inertia + stiff) / MOST_TURN_STIFFNESS
-        heading[r, INERTIA] = mass_for(needed, before, inertia_factor)
-        heading[r, SPIN] *= ti.sqrt(before / heading[r, INERTIA])
+        swarm.heading[r, INERTIA] = mass_for(needed, before, step.inertia_factor)
+        swarm.heading[r, SPIN] *= ti.sqrt(before / swarm.heading[r, INERTIA])

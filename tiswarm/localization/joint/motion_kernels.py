@@ -1,7 +1,7 @@
-"""Langevin dynamics: how robots and branches of them move, at a tolerance s, and robots turn.
+"""Langevin dynamics of robots, of their turns and of subtrees.
 
-Whatever moves has a mass, keeps a part of its velocity and is kicked so that it comes to the
-temperature s^2. Copies of robots, blocks and branches are as `joint.kernels` has them.
+Each has a mass, keeps a part of its velocity, and is kicked so that it reaches the temperature
+sigma^2.
 """
 
 from tiswarm.compute.lang import Ref, ti
@@ -13,8 +13,8 @@ STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
 MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
-BRANCH_KICKS = 2**30
-"""Where the numbers of branches start among those of robots, for random numbers of their own."""
+SUBTREE_KICKS = 2**30
+"""Number of the first subtree among those of robots, so that subtrees draw other random numbers."""
 
 
 @ti.func
@@ -31,91 +31,92 @@ def kick_of(seed, chain, number, t):
 
 
 @ti.func
-def moved(velocity: Ref, i, axis, force, mass, tolerance, kick):
+def moved(velocity: Ref, i, axis, force, mass, sigma, kick):
     """Change a velocity; return how far it leads."""
-    heat = tolerance * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
+    heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
     speed = velocity[i, axis] + STEP * force / mass
     velocity[i, axis] = MEMORY * speed + heat * kick
     return 0.5 * STEP * (speed + velocity[i, axis])
 
 
 @ti.func
-def turn_robot(seed, t, r, tolerance, averaged, number: Ref, arm: Ref, heading: Ref):
-    """Turn a robot, its docks with it."""
-    kick = kick_of(seed, r // number.shape[0], -1 - number[r % number.shape[0]], t)[0]
-    turn = moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], tolerance, kick)
+def turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
+    """Turn copy r of a robot, its docks with it."""
+    count = robots.number.shape[0]
+    kick = kick_of(step.seed, r // count, -1 - robots.number[r % count], step.number)[0]
+    heading = ti.static(swarm.heading)
+    turn = moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
     heading[r, YAW] += turn
     heading[r, COS] = ti.cos(heading[r, YAW])
     heading[r, SIN] = ti.sin(heading[r, YAW])
-    for k in range(arm.shape[1]):
-        turn_dock(turn, r, k, arm)
-    if averaged:
+    for k in range(swarm.arm.shape[1]):
+        turn_dock(turn, r, k, swarm.arm)
+    if step.is_averaged:
         heading[r, TOTAL] += heading[r, YAW]
 
 
 @ti.func
-def move_branches(
-    seed, t, b, tolerance, tree: Ref, branch_weight: Ref, first_branch: Ref, branch_pull: Ref,
-    branch_velocity: Ref, branch_shift: Ref, start: Ref, force: Ref, mass: Ref,
-):  # fmt: skip
-    """Write how far every branch of a block is shifted, with those that it grows out of.
+def move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
+    """Write the shift of every subtree of block b, with that of the subtrees it grows out of.
 
-    A branch that becomes heavier keeps its kinetic energy.
+    A subtree that becomes heavier keeps its kinetic energy.
     """
-    first, last = first_branch[b], first_branch[b + 1]
-    chain = first // tree.shape[0]
+    first, last = trees.first[b], trees.first[b + 1]
+    count = trees.table.shape[0]
+    chain = first // count
+    start = blocks.start[b]
     for k in range(first, last):
-        n = k - chain * tree.shape[0]
-        pull = 0.0 * vector_at(force, start[b])
+        n = k - chain * count
+        pull = 0.0 * vector_at(swarm.force, start)
         weight = 0.0 * pull[0]
-        for r in range(start[b] + tree[n, 0], start[b] + tree[n, 1]):
-            pull += vector_at(force, r)
-            weight += branch_weight[n] * mass[r]
-        lighter = ti.sqrt(branch_pull[k, 3] / weight)
-        branch_pull[k, 3] = weight
+        for r in range(start + trees.table[n, 0], start + trees.table[n, 1]):
+            pull += vector_at(swarm.force, r)
+            weight += trees.weight[n] * swarm.mass[r]
+        lighter = ti.sqrt(trees.pull[k, 3] / weight)
+        trees.pull[k, 3] = weight
         for c in ti.static(range(3)):
-            branch_pull[k, c] = pull[c]
-            branch_velocity[k, c] *= lighter
-            branch_shift[k, c] = 0.0
+            trees.pull[k, c] = pull[c]
+            trees.velocity[k, c] *= lighter
+            trees.shift[k, c] = 0.0
     for back in range(1, last - first):
         k = last - back
-        parent = first + tree[k - chain * tree.shape[0], 2]
+        parent = first + trees.table[k - chain * count, 2]
         for c in ti.static(range(3)):
-            branch_pull[parent, c] += branch_pull[k, c]
+            trees.pull[parent, c] += trees.pull[k, c]
     for k in range(first + 1, last):
-        n = k - chain * tree.shape[0]
-        kick = kick_of(seed, chain, BRANCH_KICKS + k - first, t)
+        n = k - chain * count
+        kick = kick_of(step.seed, chain, SUBTREE_KICKS + k - first, step.number)
         for c in ti.static(range(3)):
-            branch_shift[k, c] = branch_shift[first + tree[n, 2], c]
-            if tree[n, 3 + c] == 1:
-                branch_shift[k, c] += moved(
-                    branch_velocity, k, c, branch_pull[k, c], branch_pull[k, 3], tolerance, kick[c]
+            trees.shift[k, c] = trees.shift[first + trees.table[n, 2], c]
+            if trees.table[n, 3 + c] == 1:
+                trees.shift[k, c] += moved(
+                    trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
                 )
 
 
 @ti.func
 def move_robot(
-    seed, t, r, tolerance, averaged, turning: ti.template(), number: Ref, yaw_precision: Ref,
-    branch: Ref, branch_shift: Ref, arm: Ref, listed: Ref, position: Ref, velocity: Ref, force: Ref,
-    mass: Ref, heading: Ref, total: Ref, square_total: Ref,
+    r, turning: ti.template(), step: Ref, robots: Ref, priors: Ref, trees: Ref, blocks: Ref,
+    swarm: Ref,
 ):  # fmt: skip
-    """Move a robot by itself and with its branch, and turn it if robots turn; anchors stay.
+    """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
 
     Returns:
-        Its squared distance from its row's place.
+        Its squared distance from where its Verlet row was built.
     """
-    i = r % number.shape[0]
-    strayed = 0.0 * mass[r]
-    kick = kick_of(seed, r // number.shape[0], number[i], t)
+    i = r % robots.number.shape[0]
+    strayed = 0.0 * swarm.mass[r]
+    kick = kick_of(step.seed, r // robots.number.shape[0], robots.number[i], step.number)
     for c in ti.static(range(3)):
-        if number[i] > 0:
-            alone = moved(velocity, r, c, force[r, c], mass[r], tolerance, kick[c])
-            position[r, c] += alone + branch_shift[branch[r], c]
-        strayed += (position[r, c] - listed[4 * r + c]) ** 2
-    if ti.static(turning) and yaw_precision[i] > 0.0:
-        turn_robot(seed, t, r, tolerance, averaged, number, arm, heading)
-    if averaged:
+        if robots.number[i] > 0:
+            mass, force = swarm.mass[r], swarm.force[r, c]
+            alone = moved(swarm.velocity, r, c, force, mass, step.sigma, kick[c])
+            swarm.position[r, c] += alone + trees.shift[trees.of_robot[r], c]
+        strayed += (swarm.position[r, c] - blocks.listed[4 * r + c]) ** 2
+    if ti.static(turning) and priors.yaw_precision[i] > 0.0:
+        turn_robot(r, step, robots, swarm)
+    if step.is_averaged:
         for c in ti.static(range(3)):
-            total[r, c] += position[r, c]
-            square_total[r] += position[r, c] * position[r, c]
+            swarm.total[r, c] += swarm.position[r, c]
+            swarm.square_total[r] += swarm.position[r, c] * swarm.position[r, c]
     return strayed

@@ -1,0 +1,176 @@
+"""Arrays of the annealer's kernels, in bundles that the host allocates and kernels hand on.
+
+The swarm is C copies, one a chain, of N robots: those of all structures, end to end. Copies of one
+structure in one chain are a block; there are B blocks. All structures together have T subtrees.
+Copy r of robot i in chain c is number c N + i. Lengths in R.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.lang import Float, Ints1, Ints2, Reals1, Reals2, Reals3
+
+
+class Step(NamedTuple):
+    """One step of one structure."""
+
+    number: int
+    """Steps taken before it, t."""
+
+    sigma: Float
+    """Square root of the temperature [R]."""
+
+    growth: Float
+    """Size of the docks, as a part of their full size."""
+
+    inertia_factor: Float
+    """Factor of every mass; 4 halves the steps."""
+
+    seed: int
+    """Seed of the random numbers."""
+
+    is_averaged: bool
+    """Whether positions after this step count for the averages."""
+
+
+class Robots(NamedTuple):
+    """Constants of each robot."""
+
+    structure: Ints1
+    """Structure that each robot is of, shape (N,)."""
+
+    number: Ints1
+    """Join number within its structure, shape (N,)."""
+
+    non_overlap: Ints1
+    """Whether docks that do not touch repel, shape (N,)."""
+
+    robust: Reals1
+    """One over the squared width of the robust loss, 0 for none [1], shape (N,)."""
+
+
+class Contacts(NamedTuple):
+    """Measured contacts in CSR form; every contact stands at both its robots, K entries in all."""
+
+    start: Ints1
+    """First entry of each robot, shape (N + 1,)."""
+
+    partner: Ints1
+    """Robot on the other side, shape (K,)."""
+
+    is_final: Ints1
+    """Whether the robots touch at their final stances, shape (K,)."""
+
+    extension: Reals1
+    """Gain in log-likelihood for each R more between the two centers [R^-1], shape (K,)."""
+
+    shift: Reals2
+    """Arm of the robot's dock less that of the partner's, as sensed [R], shape (K, 3)."""
+
+    lever: Reals2
+    """Horizontal arms, the robot's x and y and the partner's [R], shape (K, 4)."""
+
+    variance: Reals1
+    """Variance of the measured distance [R^2], shape (K,)."""
+
+
+class Priors(NamedTuple):
+    """Measured positions and yaw of each robot."""
+
+    place: Reals2
+    """Measured center [R], shape (N, 3)."""
+
+    precision: Reals2
+    """Precision of each coordinate, 0 where nothing measures it [R^-2], shape (N, 3)."""
+
+    walk: Reals2
+    """Part of `place` which turns with the robot, x and y to be subtracted [R], shape (N, 2)."""
+
+    yaw_precision: Reals1
+    """Precision of the sensed yaw, 0 where robots do not turn [rad^-2], shape (N,)."""
+
+
+class Subtrees(NamedTuple):
+    """Subtrees of the contact graph, which move as one."""
+
+    of_robot: Ints1
+    """Subtree that each copy of a robot belongs to, shape (C N,)."""
+
+    table: Ints2
+    """First and last own robot, parent, and whether it moves along x, y and z; robots and parent
+    are counted within the structure, shape (T, 6)."""
+
+    weight: Reals1
+    """Mass of each subtree, in masses of its own robots, shape (T,)."""
+
+    first: Ints1
+    """First subtree of each block, shape (B + 1,)."""
+
+    pull: Reals2
+    """Force on each copy of a subtree, and its mass, shape (C T, 4)."""
+
+    velocity: Reals2
+    """Velocity of each copy, shape (C T, 3)."""
+
+    shift: Reals2
+    """Shift of each copy in this step, its ancestors' included [R], shape (C T, 3)."""
+
+
+class Rows(NamedTuple):
+    """Verlet rows of the neighbor list."""
+
+    entry: Ints1
+    """Neighbors of all robots, row after row."""
+
+    first: Ints1
+    """First entry of each row, shape (C N,)."""
+
+    count: Ints1
+    """Entries of each row, shape (C N,)."""
+
+
+class Swarm(NamedTuple):
+    """State of every copy of a robot."""
+
+    arm: Reals3
+    """Center to dock, world frame [R], shape (C N, docks, 3)."""
+
+    position: Reals2
+    """Centers [R], shape (C N, 3)."""
+
+    velocity: Reals2
+    """Velocities, shape (C N, 3)."""
+
+    force: Reals2
+    """Forces of this step, shape (C N, 3)."""
+
+    mass: Reals1
+    """Masses, shape (C N,)."""
+
+    heading: Reals2
+    """How far robots are turned, and how they turn; columns as `force_kernels` names them, shape
+    (C N, 7)."""
+
+    total: Reals2
+    """Sum of the positions that are averaged [R], shape (C N, 3)."""
+
+    square_total: Reals1
+    """Sum of their squares [R^2], shape (C N,)."""
+
+
+class Blocks(NamedTuple):
+    """Progress of each block, and the age of its Verlet rows."""
+
+    start: Ints1
+    """First robot of each block, shape (B + 1,)."""
+
+    taken: Ints1
+    """Steps taken so far, shape (B,)."""
+
+    age: Ints1
+    """Steps that the rows have served, or STALE, shape (B,)."""
+
+    skin: Reals1
+    """Reach of the rows beyond that of forces, for rows built next [R], shape (B,)."""
+
+    listed: Reals1
+    """Where robots were as rows were built, and last their block [R], rows of four."""
