@@ -2,10 +2,25 @@
 
 Every kernel file says `from tiswarm.compute.lang import ti`. The language has two
 implementations: taichi, and its maintained fork quadrants, which also runs where taichi has no
-wheel. The variable TISWARM_BACKEND names one; without it, the first that is installed is taken.
+wheel. The variable TISWARM_BACKEND names one; without it, the first installed one is used.
+
+Arrays that belong together form a bundle, a `NamedTuple` that documents each of them. The host
+allocates it and spreads it over the arguments of a kernel; the first lines of the kernel bind
+them again, inside `ti.static`, and hand the bundle on:
+
+    class Rows(NamedTuple):
+        entry: Ints1
+        first: Ints1
+
+    @ti.kernel
+    def fill(room: I32, entry: Ints1, first: Ints1):
+        rows = ti.static(Rows(entry, first))
+
+    fill(8, *rows)
 """
 
 import os
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -16,7 +31,6 @@ LIBRARIES = ("taichi", "quadrants")
 
 
 def _library() -> str:
-    """Name the implementation that was asked for, or the first that is there."""
     asked = os.environ.get("TISWARM_BACKEND")
     if asked is not None and asked not in LIBRARIES:
         msg = f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
@@ -59,15 +73,13 @@ else:
     I32 = ti.i32
     Vec3 = ti.types.vector(3, ti.f64)
     Vec4 = ti.types.vector(4, ti.f64)
-    Ref = ti.template()  # an array or struct that a kernel function is lent, not given a copy of
+    Ref = ti.template()  # a kernel function is lent an array, bundle or struct, not given a copy
+
     # Without a dtype an array argument takes what it is given: one source for f32 and f64.
-    Reals1 = ti.types.ndarray(ndim=1)
-    Reals2 = ti.types.ndarray(ndim=2)
-    Reals3 = ti.types.ndarray(ndim=3)
-    Ints1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    Ints2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
-    Ints3 = ti.types.ndarray(dtype=ti.i32, ndim=3)
-    Ints4 = ti.types.ndarray(dtype=ti.i32, ndim=4)
+    Reals1, Reals2, Reals3 = (ti.types.ndarray(ndim=ndim) for ndim in (1, 2, 3))
+    Ints1, Ints2, Ints3, Ints4 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3, 4))
+    if sys.version_info < (3, 11):  # where the fields of a `NamedTuple` must be callable
+        ti.types.ndarray.__call__ = None
 
 DeviceArray = Any
 """Array on the device that a kernel takes; `to_numpy` copies it back."""
