@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiswarm.compute import backend
-from tiswarm.console import ConsoleWatcher
+from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
 from tiswarm.inspection import failed_to_converge
 from tiswarm.localization import registry
@@ -178,12 +178,12 @@ def run(
     from tiswarm.drawing import draw_all  # noqa: PLC0415 - likewise
 
     texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
-    plan, watcher = load_scenario(Path(scenario), texts), ConsoleWatcher(quiet=quiet)
+    plan, progress = load_scenario(Path(scenario), texts), ConsoleProgress(quiet=quiet)
     dispatch = study.Dispatch(workers=workers)
     result = study.run(
-        plan, Path(out), watcher=watcher, arch=arch, threads=threads, dispatch=dispatch
+        plan, Path(out), progress=progress, arch=arch, threads=threads, dispatch=dispatch
     )
-    draw_all(result, watcher.say, pictures=pictures)
+    draw_all(result, progress, pictures=pictures)
     if result.failed:
         warnings.warn(result.what_failed, stacklevel=2)
     return Run(result.folder)

@@ -1,33 +1,35 @@
-"""How a run is shown: progress bars on a terminal, plain lines otherwise, nothing if quiet."""
+"""Progress and errors on standard error; standard output stays for results."""
 
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+import rich.progress
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from tiswarm.progress import Progress
 
 LINE_EVERY_S = 30.0
-"""Time from one line on progress to the next, where there is no terminal to draw a bar on."""
+"""Least time between two progress lines where there is no terminal to draw a bar on."""
 
 
-class ConsoleWatcher:
-    """Tells a person on standard error how work goes on; standard output stays for results."""
+class ConsoleProgress(Progress):
+    """Shows bars on a terminal, and lines elsewhere."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         """Show progress unless `quiet`."""
         self.quiet = quiet
         self.console = Console(stderr=True, highlight=False, soft_wrap=True)
 
-    def say(self, text: str) -> None:
-        """Show one line."""
+    def info(self, text: str) -> None:
+        """Print one line."""
         if not self.quiet:
             self.console.print(text, markup=False)
 
     @contextmanager
-    def stage(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Show a stage while the block runs; its value is told the steps done."""
+    def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Show a task while the block runs; the block calls the result with the steps just done."""
         if self.quiet or total == 0:
             yield lambda _steps: None
         elif self.console.is_terminal:
@@ -37,29 +39,28 @@ class ConsoleWatcher:
         else:
             begun = time.perf_counter()
             yield self._lines(name, total, begun)
-            self.say(f"{name}: {total} in {time.perf_counter() - begun:.1f} s")
+            self.info(f"{name}: {total} in {time.perf_counter() - begun:.1f} s")
 
     def _lines(self, name: str, total: int, begun: float) -> Callable[[int], None]:
-        """Say now and then how much is done, so that the log of a long job shows it."""
-        done, told = 0, begun
+        done, printed = 0, begun
 
         def advance(steps: int) -> None:
-            nonlocal done, told
+            nonlocal done, printed
             done += steps
             now = time.perf_counter()
-            if now - told >= LINE_EVERY_S and done < total:
+            if now - printed >= LINE_EVERY_S and done < total:
                 left = (now - begun) * (total - done) / done
-                self.say(f"{name}: {done} of {total}, about {left:.0f} s left")
-                told = now
+                self.info(f"{name}: {done} of {total}, about {left:.0f} s left")
+                printed = now
 
         return advance
 
-    def _bar(self) -> Progress:
-        return Progress(
-            TextColumn("{task.description:<20}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(elapsed_when_finished=True),
+    def _bar(self) -> rich.progress.Progress:
+        return rich.progress.Progress(
+            rich.progress.TextColumn("{task.description:<20}"),
+            rich.progress.BarColumn(),
+            rich.progress.MofNCompleteColumn(),
+            rich.progress.TimeRemainingColumn(elapsed_when_finished=True),
             console=self.console,
         )
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from tiswarm.progress import Progress
 from tiswarm.report.figures import draw_figures
-from tiswarm.report.folder import Tell
 from tiswarm.report.page import write_page
 from tiswarm.report.render.animation import Movie, animate_run
 from tiswarm.report.render.pictures import render_run
@@ -13,7 +13,7 @@ from tiswarm.study.manifest import write_manifest
 
 def draw_all(
     result: RunResult,
-    tell: Tell,
+    progress: Progress,
     *,
     pictures: bool = True,
     pdf: bool = False,
@@ -24,19 +24,19 @@ def draw_all(
     there = (result.folder / "report.html").exists()
     drawn = pictures and (pdf or result.computed > 0 or not there)
     if drawn:
-        draw_figures(result.folder, tell, vector=pdf)
+        draw_figures(result.folder, progress, vector=pdf)
         if some_done:
-            draw_renders(result.folder, tell)
+            draw_renders(result.folder, progress)
     if movie and some_done:
-        animate_run(result.folder, movie, tell=tell)
+        animate_run(result.folder, movie, progress=progress)
     if drawn or movie:
-        write_page(result.folder, tell)
+        write_page(result.folder, progress)
 
 
 def draw_renders(
-    folder: Path, tell: Tell, *, renderer: str | None = None, case: str | None = None
+    folder: Path, progress: Progress, *, renderer: str | None = None, case: str | None = None
 ) -> None:
     """Draw the 3D pictures of a run, and note in its manifest what drew them."""
-    drawn = render_run(folder, tell=tell, renderer=renderer, case=case)
+    drawn = render_run(folder, progress=progress, renderer=renderer, case=case)
     notes = {p.path.name: {"renderer": p.renderer, "reason": p.reason} for p in drawn}
     write_manifest(folder, {"renders": notes})

@@ -10,7 +10,7 @@ def test_without_a_terminal_lines_tell_now_and_then_what_is_left(capsys, monkeyp
     clock = itertools.count(0.0, 10.0)
     monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))
 
-    with console.ConsoleWatcher().stage("grow", 20) as advance:
+    with console.ConsoleProgress().task("grow", 20) as advance:
         for _ in range(10):
             advance(2)
 

@@ -9,13 +9,10 @@ import trimesh
 
 from tests.runs import REPOSITORY
 from tiswarm.interop.exporting import export_case
+from tiswarm.progress import Progress
 from tiswarm.records.sensing_file import read_sensing_log
 
 EXAMPLE = REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv"
-
-
-def ignore(_line):
-    """Hear nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +20,7 @@ def exported(small_run, tmp_path_factory):
     """Folder with the first case of the small run in every format."""
     out = tmp_path_factory.mktemp("exported")
     for form in ("csv", "gltf", "parquet", "ply"):
-        export_case(small_run, form, out, None, ignore)
+        export_case(small_run, form, out, None, Progress())
     return out
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.recorder import Recorder
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.importing import Assumptions, import_poses
@@ -16,14 +17,14 @@ POSES = "robot,x,y,z,qw,qx,qy,qz"
 SPHERES = "robot,sphere,x,y,z"
 
 
-def bring_in(folder, header, rows, heard=None, **known):
+def bring_in(folder, header, rows, progress=None, **known):
     """Import some rows, in units of R; return the log and the true positions."""
     table = folder / "poses.csv"
     lines = [header, *(",".join(map(str, row)) for row in rows)]
     table.write_text("\n".join(lines) + "\n")
     usual = {"dock_radius": 1.0, "tolerance": 1e-3, "anchor": None, "ground_z": None}
     assumed = Assumptions(**{**usual, "length_unit": "R", **known})
-    import_poses(table, folder / "in", BODY, assumed, ([] if heard is None else heard).append)
+    import_poses(table, folder / "in", BODY, assumed, progress or Recorder())
     _, position = read_positions(folder / "in" / "truth.csv", length_unit=assumed.length_unit)
     return read_sensing_log(folder / "in" / "sensing.jsonl"), position
 
@@ -61,9 +62,9 @@ def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
 
 def test_without_an_order_robots_join_outward_from_the_anchor(towers, tmp_path):
     """Each touches one that came before, by ever more contacts from the anchor; this is said."""
-    heard = []
+    progress = Recorder()
 
-    log, _ = bring_in(tmp_path, POSES, poses_of(towers[0])[::-1], heard, anchor=100)
+    log, _ = bring_in(tmp_path, POSES, poses_of(towers[0])[::-1], progress, anchor=100)
 
     assert log.robot_id[0] == 100
     assert set(range(1, 30)) == {j for _, _, j, _ in log.contacts.tolist()}
@@ -71,7 +72,7 @@ def test_without_an_order_robots_join_outward_from_the_anchor(towers, tmp_path):
         frozenset([(100 + i, a), (100 + j, b)])
         for i, a, j, b in observe(towers[0], SensingParams()).contacts.tolist()
     }
-    assert heard[0] == "no column join: robots join outward from robot 100, by contacts"
+    assert progress.lines[0] == "no column join: robots join outward from robot 100, by contacts"
 
 
 def test_spheres_say_the_same_as_poses(towers, tmp_path):
@@ -96,11 +97,11 @@ def test_gaps_within_the_tolerance_are_contacts_and_overlaps_beyond_it_are_told(
     """Two robots side by side, their nearest docks 2 R apart, give or take."""
     found = {}
     for gap in (0.05, -0.05, 0.2, -0.2):
-        heard = []
+        progress = Recorder()
         apart = 2.0 * BODY[0, 0] + 2.0 + gap
         rows = [[0, 0, 0, 0, 1, 0, 0, 0], [1, apart, 0, 0, 0, 0, 0, 1]]
-        log, _ = bring_in(tmp_path, POSES, rows, heard, tolerance=0.1)
-        found[gap] = (log.contacts.tolist(), "1 pairs of docks overlap" in heard[-1])
+        log, _ = bring_in(tmp_path, POSES, rows, progress, tolerance=0.1)
+        found[gap] = (log.contacts.tolist(), "1 overlap of two docks" in progress.lines[-1])
 
     touching = [[0, 0, 1, 0]]
     assert found == {

@@ -13,10 +13,6 @@ ROBOTS = 12
 POSE = "x_R,y_R,z_R,qw,qx,qy,qz,x_est_R,y_est_R,z_est_R,qw_sensed,qx_sensed,qy_sensed,qz_sensed"
 
 
-def ignore(_line):
-    """Hear nothing."""
-
-
 def write_table(path, header, rows):
     """Write rows below a header of comma-separated names."""
     with path.open("w", newline="") as file:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.report.conftest import ignore
 from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.progress import Progress
 from tiswarm.report.figures import FIGURES, draw_figures
 from tiswarm.report.render.animation import LAST_MS, animate_run
 
@@ -21,7 +21,7 @@ def colored(frame):
 
 def test_robots_appear_one_after_the_other_and_stay(run_folder):
     """Twelve frames of twelve robots, under one camera; the last is shown for longest."""
-    drawn = animate_run(run_folder, "gif", tell=ignore, renderer="taichi")
+    drawn = animate_run(run_folder, "gif", progress=Progress(), renderer="taichi")
 
     with Image.open(drawn.path) as movie:
         seen, shown = [], []
@@ -41,7 +41,7 @@ def test_a_movie_for_slides_holds_the_same(run_folder):
     """MP4 is read back frame by frame by the library that wrote it."""
     iio = pytest.importorskip("imageio.v3")
 
-    drawn = animate_run(run_folder, "mp4", tell=ignore, renderer="taichi", case="0-no-z")
+    drawn = animate_run(run_folder, "mp4", progress=Progress(), renderer="taichi", case="0-no-z")
 
     frames = iio.imread(drawn.path)
     assert drawn.path.name == "growth-0-no-z.mp4"
@@ -54,15 +54,15 @@ def test_a_movie_without_its_library_is_refused(run_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
 
     with pytest.raises(EnvironmentTroubleError, match=r"tiswarm\[video\]"):
-        animate_run(run_folder, "mp4", tell=ignore, renderer="taichi")
+        animate_run(run_folder, "mp4", progress=Progress(), renderer="taichi")
 
 
 def test_vector_figures_hold_the_same_bytes_each_time(run_folder):
     """One PDF beside each PNG, without the time of its making, its text as text."""
-    first = [path.read_bytes() for path in draw_figures(run_folder, ignore, vector=True)]
+    first = [path.read_bytes() for path in draw_figures(run_folder, Progress(), vector=True)]
 
     pdfs = sorted(run_folder.glob("figures/*.pdf"))
     assert [path.stem for path in pdfs] == sorted(FIGURES)
     assert all(path.read_bytes().startswith(b"%PDF") for path in pdfs)
     assert all(b"CreationDate" not in path.read_bytes() for path in pdfs)
-    assert [p.read_bytes() for p in draw_figures(run_folder, ignore, vector=True)] == first
+    assert [p.read_bytes() for p in draw_figures(run_folder, Progress(), vector=True)] == first

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.report.conftest import ignore, write_case, write_table
+from tests.recorder import Recorder
+from tests.report.conftest import write_case, write_table
 from tiswarm.errors import InputError
+from tiswarm.progress import Progress
 from tiswarm.report import figures
 from tiswarm.report.case_figures import draw_convergence
 from tiswarm.report.figure_style import png
@@ -17,7 +19,7 @@ from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painte
 
 def test_every_figure_is_drawn(run_folder):
     """Each figure is a PNG file that shows something."""
-    written = draw_figures(run_folder, ignore)
+    written = draw_figures(run_folder, Progress())
 
     assert {path.stem for path in written} == set(figures.FIGURES)
     for path in written:
@@ -27,9 +29,9 @@ def test_every_figure_is_drawn(run_folder):
 
 def test_the_same_tables_give_the_same_bytes(run_folder):
     """A figure holds neither the time nor the place of its making."""
-    first = [path.read_bytes() for path in draw_figures(run_folder, ignore)]
+    first = [path.read_bytes() for path in draw_figures(run_folder, Progress())]
 
-    assert [path.read_bytes() for path in draw_figures(run_folder, ignore)] == first
+    assert [path.read_bytes() for path in draw_figures(run_folder, Progress())] == first
 
 
 def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
@@ -37,7 +39,7 @@ def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkey
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    draw_figures(run_folder, ignore)
+    draw_figures(run_folder, Progress())
 
     assert len(drawn) == len(figures.FIGURES)
     for figure in drawn:
@@ -47,10 +49,10 @@ def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkey
 def test_a_run_without_results_has_no_figures(tmp_path):
     """Where every case failed, this is said and nothing is written."""
     write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "failed"]])
-    heard = []
+    progress = Recorder()
 
-    assert draw_figures(tmp_path, heard.append) == []
-    assert heard == ["no figures: no case is done"]
+    assert draw_figures(tmp_path, progress) == []
+    assert progress.lines == ["no figures: no case is done"]
 
 
 def test_one_case_of_two_robots_is_enough(tmp_path):
@@ -63,7 +65,7 @@ def test_one_case_of_two_robots_is_enough(tmp_path):
     (folder / "robots.csv").write_text("\n".join([header, robots[0], ",".join(lost)]) + "\n")
     write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
 
-    assert len(draw_figures(tmp_path, ignore)) == len(figures.FIGURES)
+    assert len(draw_figures(tmp_path, Progress())) == len(figures.FIGURES)
 
 
 def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
@@ -109,7 +111,7 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    written = [path.stem for path in draw_figures(tmp_path, ignore)]
+    written = [path.stem for path in draw_figures(tmp_path, Progress())]
 
     assert written == [
         "convergence",
@@ -184,13 +186,13 @@ def test_a_damaged_run_is_refused_by_name(run_folder, damage):
         table.write_text("robot,x_R\n0,1.0\n")
 
     with pytest.raises(InputError, match=r"0-no-z.robots\.csv: cannot be read"):
-        draw_figures(run_folder, ignore)
+        draw_figures(run_folder, Progress())
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message says which folder is meant."""
     with pytest.raises(InputError, match="name a folder that"):
-        draw_figures(tmp_path, ignore)
+        draw_figures(tmp_path, Progress())
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.report.conftest import ignore, write_table
+from tests.report.conftest import write_table
 from tiswarm.errors import InputError
+from tiswarm.progress import Progress
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.law_figures import (
     LAW_FIGURES,
@@ -48,7 +49,7 @@ def test_every_law_figure_is_drawn(run_folder, laws):
     """Each shows something, axes at least, in place of the figures of errors."""
     write_points(run_folder, laws)
 
-    written = draw_figures(run_folder, ignore)
+    written = draw_figures(run_folder, Progress())
 
     assert {path.stem for path in written} == set(LAW_FIGURES)
     for path in written:
@@ -92,4 +93,4 @@ def test_damaged_points_are_refused_by_name(run_folder):
     (run_folder / LAW_POINTS).write_text("law,series\ntower,F\n")
 
     with pytest.raises(InputError, match=r"law-points\.csv: cannot be read"):
-        draw_figures(run_folder, ignore)
+        draw_figures(run_folder, Progress())

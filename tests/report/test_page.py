@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.report.conftest import ignore, write_table
+from tests.report.conftest import write_table
 from tiswarm.errors import InputError
+from tiswarm.progress import Progress
 from tiswarm.report import page_view
 from tiswarm.report.folder import read_cases
 from tiswarm.report.page import write_page
@@ -29,7 +30,7 @@ def odd_run(tmp_path):
 
 def test_a_run_without_results_has_a_page(odd_run):
     """It says why; there is nothing to look at in space, so no library is part of it."""
-    page = write_page(odd_run, ignore).read_text()
+    page = write_page(odd_run, Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
     assert 'id="view"' not in page
@@ -38,7 +39,7 @@ def test_a_run_without_results_has_a_page(odd_run):
 
 def test_texts_stay_texts(odd_run):
     """Descriptions and reasons cannot become part of the page."""
-    page = write_page(odd_run, ignore).read_text()
+    page = write_page(odd_run, Progress()).read_text()
 
     assert "<script>boom" not in page
     assert "no &lt;b&gt;robot&lt;/b&gt; came" in page
@@ -50,7 +51,7 @@ def test_a_damaged_run_is_refused_by_name(odd_run, name):
     (odd_run / name).unlink()
 
     with pytest.raises(InputError, match=f"{name}: cannot be read"):
-        write_page(odd_run, ignore)
+        write_page(odd_run, Progress())
 
 
 def test_the_view_shows_each_series_once(run_folder):

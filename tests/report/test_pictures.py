@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.report.conftest import ignore
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.progress import Progress
 from tiswarm.report.folder import read_cases
 from tiswarm.report.render import packages, pictures
 from tiswarm.report.render.packages import missing_packages
@@ -69,7 +69,7 @@ def test_the_next_renderer_steps_in(run_folder, monkeypatch):
     monkeypatch.setattr(pictures, "CHILD", child_that_does("import os; os.abort()"))
     monkeypatch.setattr(packages, "missing_packages", lambda: ["libodd1"])
 
-    drawn = render_run(run_folder, tell=ignore)
+    drawn = render_run(run_folder, progress=Progress())
 
     assert [picture.path.name for picture in drawn] == [
         "structure.png",
@@ -93,7 +93,7 @@ def test_the_renderer_asked_for_is_not_replaced(run_folder, monkeypatch):
     monkeypatch.setattr(packages, "missing_packages", lambda: ["libodd1"])
 
     with pytest.raises(EnvironmentTroubleError, match=r"libodd\.so\.1; apt-get install libodd1"):
-        render_run(run_folder, tell=ignore, renderer="open3d-raycast")
+        render_run(run_folder, progress=Progress(), renderer="open3d-raycast")
 
     assert not [*run_folder.glob("renders/*")]
 
@@ -108,12 +108,12 @@ def test_the_renderer_asked_for_is_not_replaced(run_folder, monkeypatch):
 def test_an_unknown_choice_is_refused(run_folder, choice, problem):
     """The message lists what there is; a failed case is not among it."""
     with pytest.raises(InputError, match=problem):
-        render_run(run_folder, tell=ignore, **choice)
+        render_run(run_folder, progress=Progress(), **choice)
 
 
 def test_pictures_of_a_chosen_case_carry_its_name(run_folder):
     """They do not replace those of the run."""
-    drawn = render_run(run_folder, tell=ignore, renderer="taichi", case="0-no-z")
+    drawn = render_run(run_folder, progress=Progress(), renderer="taichi", case="0-no-z")
 
     assert all(picture.path.name.endswith("-0-no-z.png") for picture in drawn)
 

@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_results
-from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
+from tiswarm.progress import Progress
 from tiswarm.scenario import load_scenario
 from tiswarm.study import Dispatch, Slurm, run
 from tiswarm.study import work as work_room
@@ -22,12 +22,12 @@ from tiswarm.study import work as work_room
 pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
-QUIET = ConsoleWatcher(quiet=True)
+QUIET = Progress()
 
 
 def _run(out, *overrides, **dispatch):
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [*SMALL, *overrides])
-    return run(scenario, out, watcher=QUIET, dispatch=Dispatch(**dispatch))
+    return run(scenario, out, progress=QUIET, dispatch=Dispatch(**dispatch))
 
 
 @pytest.fixture(scope="module")

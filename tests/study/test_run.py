@@ -12,10 +12,11 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from tests.recorder import Recorder
 from tests.runs import MEASURED, REPOSITORY
 from tiswarm import study
-from tiswarm.console import ConsoleWatcher
 from tiswarm.localization import virtual_force
+from tiswarm.progress import Progress
 from tiswarm.scenario import load_scenario
 from tiswarm.study import storage, tables, work
 from tiswarm.study.cases import chunks, plan
@@ -62,7 +63,7 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
 
-    result = study.run(small, tmp_path, watcher=ConsoleWatcher(quiet=True))
+    result = study.run(small, tmp_path, progress=Progress())
 
     assert (pd.read_csv(result.folder / "summary.csv")["status"] == "done").all()
 
@@ -238,24 +239,24 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
 def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and says what it does."""
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
-    watcher = ConsoleWatcher()
+    progress = Recorder()
     monkeypatch.setattr(storage, "CODE", "0123456789ab")
-    old = study.run(small, tmp_path, watcher=watcher)
+    old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     [*cases] = plan(small)
     old_name = storage.structure_name(cases[0])
     monkeypatch.undo()
 
-    new = study.run(small, tmp_path, watcher=watcher)
+    new = study.run(small, tmp_path, progress=progress)
 
     assert (new.found, new.computed) == (0, 6)
-    assert "6 cases were computed by other code; computing them again\n" in capsys.readouterr().err
+    assert "6 cases were computed by other code; computing them again" in progress.lines
     assert record["code"] == "0123456789ab"
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     assert record["code"] == code_digest()
     assert json.loads((new.folder / "manifest.json").read_text())["code"] == code_digest()
     assert storage.structure_name(cases[0]) != old_name
-    assert study.run(small, tmp_path, watcher=watcher).found == 6
+    assert study.run(small, tmp_path, progress=progress).found == 6
 
 
 def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
@@ -282,12 +283,12 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
 def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
     """Every case was stored, but not all that it cost, nor the manifest."""
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=6", "seeds=1"])
-    watcher = ConsoleWatcher(quiet=True)
+    progress = Progress()
     monkeypatch.setattr(RunFolder, "store_cost", lambda *_: None)
-    folder = study.run(small, tmp_path, watcher=watcher).folder
+    folder = study.run(small, tmp_path, progress=progress).folder
     (folder / "manifest.json").unlink()
 
-    again = study.run(small, tmp_path, watcher=watcher)
+    again = study.run(small, tmp_path, progress=progress)
 
     assert again.computed == 0
     manifest = json.loads((folder / "manifest.json").read_text())
@@ -298,16 +299,16 @@ def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     """A run is stopped while it localizes by the second method; what it had done is kept."""
     sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
-    watcher = ConsoleWatcher(quiet=True)
-    whole = study.run(small, tmp_path / "whole", watcher=watcher)
+    progress = Progress()
+    whole = study.run(small, tmp_path / "whole", progress=progress)
     monkeypatch.setattr(work, "KEPT_FROM_S", 0.0)
 
     with monkeypatch.context() as patched:
         patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
         with pytest.raises(KeyboardInterrupt):
-            study.run(small, tmp_path / "stopped", watcher=watcher)
+            study.run(small, tmp_path / "stopped", progress=progress)
     monkeypatch.setattr(work, "grow", _interrupt)
-    stopped = study.run(small, tmp_path / "stopped", watcher=watcher)
+    stopped = study.run(small, tmp_path / "stopped", progress=progress)
 
     assert (whole.computed, stopped.computed, stopped.found) == (4, 2, 2)
     _assert_same_bytes(whole.folder, stopped.folder)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.console import ConsoleWatcher
+from tiswarm.progress import Progress
 from tiswarm.report.folder import choose_case, read_cases
 from tiswarm.report.scaling_figure import PANELS, draw_scaling
 from tiswarm.scenario import load_scenario
@@ -27,7 +27,7 @@ def scaled(tmp_path_factory):
         [f"sweep={rows}", "seeds=2", "conditions.joint.localization.steps=20"],
     )
     out = tmp_path_factory.mktemp("scaled")
-    return study.run(small, out, watcher=ConsoleWatcher(quiet=True)).folder
+    return study.run(small, out, progress=Progress()).folder
 
 
 def _costs(folder, robots):

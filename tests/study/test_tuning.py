@@ -6,10 +6,10 @@ import re
 import pytest
 
 from tests.runs import REPOSITORY
-from tiswarm.console import ConsoleWatcher
 from tiswarm.errors import InputError
 from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
+from tiswarm.progress import Progress
 from tiswarm.scenario import load_scenario
 from tiswarm.study import tune
 from tiswarm.study.tuning import GAINS
@@ -68,7 +68,7 @@ def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, 
     with pytest.raises(InputError, match=re.escape(told)):
         tune(
             scenario, record, trials=4, training_seeds=2, conditions=conditions,
-            watcher=ConsoleWatcher(quiet=True),
+            progress=Progress(),
         )  # fmt: skip
 
     assert record.read_bytes() == before
@@ -85,7 +85,7 @@ def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
 
     fit = tune(
         small, tmp_path / "fit.json", trials=1, training_seeds=1, conditions=[],
-        watcher=ConsoleWatcher(quiet=True),
+        progress=Progress(),
     )  # fmt: skip
 
     assert fit["best"]["rmse_R"] > 0.0

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from tiswarm.cli.options import Animate, Movie, Pdf, Quiet, RunFolderPath, app
-from tiswarm.console import ConsoleWatcher
+from tiswarm.console import ConsoleProgress
+from tiswarm.progress import Progress
 
 ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 
@@ -18,10 +19,10 @@ def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> Non
     from tiswarm.report.figures import draw_figures
     from tiswarm.report.page import write_page
 
-    watcher = ConsoleWatcher(quiet=quiet)
+    progress = ConsoleProgress(quiet=quiet)
     study.tabulate(run)
-    draw_figures(run, watcher.say, vector=pdf)
-    write_page(run, watcher.say)
+    draw_figures(run, progress, vector=pdf)
+    write_page(run, progress)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -45,11 +46,11 @@ def render(
     from tiswarm.report.page import write_page
     from tiswarm.report.render.animation import animate_run
 
-    watcher = ConsoleWatcher(quiet=quiet)
-    draw_renders(run, watcher.say, renderer=renderer, case=case)
+    progress = ConsoleProgress(quiet=quiet)
+    draw_renders(run, progress, renderer=renderer, case=case)
     if animate:
-        animate_run(run, movie, tell=watcher.say, renderer=renderer, case=case)
-    write_page(run, watcher.say)
+        animate_run(run, movie, progress=progress, renderer=renderer, case=case)
+    write_page(run, progress)
 
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
@@ -64,7 +65,7 @@ def compare(
     from tiswarm.study.comparison import compare as tabulate
 
     tabulate(runs, out)
-    draw_comparison(out, ConsoleWatcher(quiet=True).say)
+    draw_comparison(out, Progress())
     if not quiet:
         typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")
 
@@ -83,5 +84,5 @@ def export(
     """Write structure, contacts and estimate of a case for other programs."""
     from tiswarm.interop.exporting import export_case
 
-    tell = ConsoleWatcher(quiet=quiet).say
-    export_case(run, form, run / "export" if out is None else out, case, tell)
+    progress = ConsoleProgress(quiet=quiet)
+    export_case(run, form, run / "export" if out is None else out, case, progress)

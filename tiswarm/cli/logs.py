@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tiswarm.cli.options import OneArch, Overrides, Quiet, Threads, app
-from tiswarm.console import ConsoleWatcher
+from tiswarm.console import ConsoleProgress
 from tiswarm.params import Precision
 
 
@@ -102,8 +102,8 @@ def import_(
         length_unit=length_unit,
     )
     offset = FIREANT_RHO * dock_radius if dock_offset is None else dock_offset
-    tell = ConsoleWatcher(quiet=quiet).say
-    import_poses(poses, out, docks_in_plane(offset), assumed, tell)
+    progress = ConsoleProgress(quiet=quiet)
+    import_poses(poses, out, docks_in_plane(offset), assumed, progress)
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

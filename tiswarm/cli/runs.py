@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tiswarm.cli.options import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
-from tiswarm.console import ConsoleWatcher
+from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def run(
     from tiswarm import study
     from tiswarm.scenario import load_scenario
 
-    watcher = ConsoleWatcher(quiet=quiet)
+    progress = ConsoleProgress(quiet=quiet)
     plan = load_scenario(scenario, overrides)
     jobs = None if slurm is None else _slurm(slurm)
     if only_plan:
@@ -79,14 +79,14 @@ def run(
         case_limit_s=case_limit,
         fail_fast=fail_fast,
     )
-    result = study.run(plan, out, watcher=watcher, arch=arch, threads=threads, dispatch=dispatch)
+    result = study.run(plan, out, progress=progress, arch=arch, threads=threads, dispatch=dispatch)
     if result.missing:
-        watcher.say(f"part {shard} is done; {result.missing} cases of other parts are missing")
+        progress.info(f"part {shard} is done; {result.missing} cases of other parts are missing")
     else:
         from tiswarm.drawing import draw_all
 
         shown = movie if animate else None
-        draw_all(result, watcher.say, pictures=pictures, pdf=pdf, movie=shown)
+        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=shown)
         if not quiet:
             typer.echo(study.headline(result.folder))
     if result.failed:
@@ -146,7 +146,7 @@ def tune(
     record = study.tune(
         load_scenario(scenario, overrides), out,
         trials=trials, training_seeds=training_seeds, conditions=condition,
-        watcher=ConsoleWatcher(quiet=quiet), arch=arch, threads=threads,
+        progress=ConsoleProgress(quiet=quiet), arch=arch, threads=threads,
     )  # fmt: skip
     if not quiet:
         for name in ("best", "chosen"):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.interop.files import Shape, write_gltf, write_ply
+from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
-from tiswarm.report.folder import Tell, choose_case, read_cases
+from tiswarm.report.folder import choose_case, read_cases
 from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import ERROR_COLORS, colors_along
 from tiswarm.report.render.mesh import mesh_capsules
@@ -25,7 +26,7 @@ SIDES = 10
 EDGE_GRAY = 0.2
 
 
-def export_case(run: Path, form: Format, out: Path, case: str | None, tell: Tell) -> None:
+def export_case(run: Path, form: Format, out: Path, case: str | None, progress: Progress) -> None:
     """Write structure, estimate and contacts of one case of a run.
 
     Raises:
@@ -36,15 +37,15 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, tell: Tell
     make_folder(out)
     if form == "gltf":
         write_gltf(shapes_of(subject), out / "case.glb")
-        tell(str(out / "case.glb"))
+        progress.info(str(out / "case.glb"))
     elif form == "ply":
         for shape in shapes_of(subject):
             write_ply(shape, out / f"{shape.name}.ply")
-            tell(str(out / f"{shape.name}.ply"))
+            progress.info(str(out / f"{shape.name}.ply"))
     else:
         for name, table in tables_of(subject).items():
             write_bytes(out / f"{name}.{form}", _encoded(table, form))
-            tell(str(out / f"{name}.{form}"))
+            progress.info(str(out / f"{name}.{form}"))
 
 
 def shapes_of(subject: Subject) -> list[Shape]:

@@ -1,7 +1,6 @@
 """Makes a sensing log and a truth of poses alone: who touches whom, and in which order."""
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +11,12 @@ from scipy.spatial import cKDTree
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.interop.poses import Poses, read_poses
+from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder
+from tiswarm.records.messages import counted
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog, canonical_contacts
-
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +38,11 @@ class Assumptions:
 
 
 def import_poses(
-    path: Path, out: Path, dock_offset_body: NDArray[np.float64], assumed: Assumptions, tell: Tell
+    path: Path,
+    out: Path,
+    dock_offset_body: NDArray[np.float64],
+    assumed: Assumptions,
+    progress: Progress,
 ) -> None:
     """Turn a table of poses into `sensing.jsonl` and `truth.csv`.
 
@@ -48,7 +51,7 @@ def import_poses(
         out: Folder for the two files; made if need be.
         dock_offset_body: Center to dock, body frame, shape (D, 3); spheres say it themselves.
         assumed: What the table does not say.
-        tell: Hears what was found and what was made up.
+        progress: Receives a line on what was found, and on each assumption.
 
     Raises:
         InputError: the table is malformed or has no such anchor.
@@ -58,14 +61,16 @@ def import_poses(
     unit = poses.length_unit or assumed.length_unit
     docks = poses.position[:, None] + dock_offsets(poses.orientation_wxyz, poses.dock_offset_body)
     contacts, too_close = _contacts(docks, assumed)
-    order = _join_order(poses, contacts, assumed.anchor, path, tell)
+    order = _join_order(poses, contacts, assumed.anchor, path, progress)
     log = _log(poses, contacts, docks, order, assumed, unit)
     make_folder(out)
     write_sensing_log(log, out / "sensing.jsonl")
     write_positions(out / "truth.csv", log.robot_id, poses.position[order], length_unit=unit)
-    tell(f"{log.robot_count} robots, {len(contacts)} contacts -> {out}")
+    size = f"{counted(log.robot_count, 'robot')}, {counted(len(contacts), 'contact')}"
+    progress.info(f"{size} -> {out}")
     if too_close:
-        tell(f"{too_close} pairs of docks overlap by more than {assumed.tolerance:g} {unit}")
+        by = f"by more than {assumed.tolerance:g} {unit}"
+        progress.info(f"{counted(too_close, 'overlap')} of two docks {by}")
 
 
 def _contacts(docks: NDArray[np.float64], assumed: Assumptions) -> tuple[NDArray[np.int32], int]:
@@ -83,7 +88,7 @@ def _contacts(docks: NDArray[np.float64], assumed: Assumptions) -> tuple[NDArray
 
 
 def _join_order(
-    poses: Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, tell: Tell
+    poses: Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, progress: Progress
 ) -> NDArray[np.int64]:
     """Rows of the robots as they joined, or as they might have: outward from the anchor."""
     if poses.join is not None:
@@ -102,10 +107,12 @@ def _join_order(
         new = sorted(set(neighbors[waiting.popleft()]) - found.keys())
         found |= dict.fromkeys(new)
         waiting.extend(new)
-    tell(f"no column join: robots join outward from robot {poses.robot_id[first]}, by contacts")
+    progress.info(
+        f"no column join: robots join outward from robot {poses.robot_id[first]}, by contacts"
+    )
     lost = len(neighbors) - len(found)
     if lost:
-        tell(f"{lost} robots that no contact leads to come last")
+        progress.info(f"{counted(lost, 'disconnected robot')} placed last in join order")
     return np.array(list(found | dict.fromkeys(range(len(neighbors)))), np.int64)
 
 

@@ -44,7 +44,7 @@ def localize_many(
     params: Sequence[LocalizationParams],
     *,
     with_certainty: bool = False,
-    tell: Callable[[int], None] = lambda _done: None,
+    on_progress: Callable[[int], None] = lambda _done: None,
 ) -> list[Estimate]:
     """Localize structures side by side, as far as their settings let them share a launch.
 
@@ -53,7 +53,7 @@ def localize_many(
         params: Method and settings for each.
         with_certainty: Whether to analyze what each log determines, which takes as long as some
             methods do.
-        tell: Called with the number of structures that were finished.
+        on_progress: Called with the number of structures that were finished.
 
     Returns:
         One estimate a log; the same as if each had been localized alone.
@@ -71,5 +71,5 @@ def localize_many(
                 turning = estimate.yaw is not None
                 known = certainty(logs[n], params[n].cues, estimate.position, turning=turning)
                 estimates[n] = replace(estimate, certainty=known)
-        tell(len(members))
+        on_progress(len(members))
     return [estimates[n] for n in range(len(logs))]

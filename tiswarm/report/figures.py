@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.case_figures import (
     by_kind,
@@ -13,7 +14,7 @@ from tiswarm.report.case_figures import (
     draw_error_along_growth,
 )
 from tiswarm.report.figure_style import STYLE, pdf, png
-from tiswarm.report.folder import Series, Tell, has_table, read_cases, subfolder
+from tiswarm.report.folder import Series, has_table, read_cases, subfolder
 from tiswarm.report.law_figures import LAW_FIGURES, LAW_POINTS, read_law_points
 from tiswarm.report.positions_figure import draw_positions
 from tiswarm.report.scaling_figure import draw_scaling, has_scaling
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_figures(folder: Path, tell: Tell, *, vector: bool = False) -> list[Path]:
+def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
 
     Cases that failed are left out, and a note on each figure says how many. A run that is held
@@ -43,7 +44,7 @@ def draw_figures(folder: Path, tell: Tell, *, vector: bool = False) -> list[Path
         if case.done:
             series.setdefault(case.series, []).append(case)
     if not series:
-        tell("no figures: no case is done")
+        progress.info("no figures: no case is done")
         return []
     failed = sum(not case.done for case in cases)
     note = f"{failed} of {len(cases)} cases failed and are left out" if failed else ""
@@ -55,7 +56,7 @@ def draw_figures(folder: Path, tell: Tell, *, vector: bool = False) -> list[Path
             for suffix, encode in (("png", png), ("pdf", pdf))[: 1 + vector]:
                 path = place / f"{name}.{suffix}"
                 write_bytes(path, encode(figure))
-                tell(f"figures/{path.name}")
+                progress.info(f"figures/{path.name}")
                 written.append(path)
     return written
 

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _KIND = re.compile(r"structure(?:\.kind=|=kind-)([a-z]+)")
 
-Tell = Callable[[str], None]
 """Receives one line of progress."""
 
 

@@ -13,9 +13,10 @@ import yaml
 from PIL import Image
 
 from tiswarm.errors import InputError
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.messages import counted
-from tiswarm.report.folder import Tell, read_cases, read_table
+from tiswarm.report.folder import read_cases, read_table
 from tiswarm.report.page_tables import (
     case_table,
     machine_table,
@@ -49,7 +50,7 @@ class Shown:
     """Width on the page."""
 
 
-def write_page(folder: Path, tell: Tell) -> Path:
+def write_page(folder: Path, progress: Progress) -> Path:
     """Write `report.html` into a run's folder.
 
     Raises:
@@ -72,7 +73,7 @@ def write_page(folder: Path, tell: Tell) -> Path:
     page["renders"] = list(_pictures(folder / "renders", room, lossless=False))
     path = folder / "report.html"
     write_text(path, template.render(page=page) + "\n")
-    tell(path.name)
+    progress.info(path.name)
     return path
 
 

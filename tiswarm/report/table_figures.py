@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.figure_style import (
     MARKERS,
@@ -22,7 +23,7 @@ from tiswarm.report.figure_style import (
     png,
     shortened,
 )
-from tiswarm.report.folder import Tell, has_table, read_table, swept_columns
+from tiswarm.report.folder import has_table, read_table, swept_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,14 +100,14 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
     return figure
 
 
-def draw_comparison(folder: Path, tell: Tell) -> Path:
+def draw_comparison(folder: Path, progress: Progress) -> Path:
     """Draw `comparison.png` beside the table that it shows."""
     from matplotlib import style
 
     path = folder / "comparison.png"
     with style.context(["default", STYLE]):
         write_bytes(path, png(comparison_figure(pd.read_csv(folder / "comparison.csv"))))
-    tell(path.name)
+    progress.info(path.name)
     return path
 
 

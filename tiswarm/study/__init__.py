@@ -10,13 +10,11 @@ from tiswarm.study.run import RunResult, run, tabulate
 from tiswarm.study.slurm import Slurm, job_script
 from tiswarm.study.tables import headline
 from tiswarm.study.tuning import tune
-from tiswarm.study.work import Watcher
 
 __all__ = [
     "Dispatch",
     "RunResult",
     "Slurm",
-    "Watcher",
     "forecast",
     "headline",
     "job_script",

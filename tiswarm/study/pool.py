@@ -13,15 +13,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import IO, Any, cast
 
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.progress import Progress
 from tiswarm.study.slurm import Slurm, submitted
-from tiswarm.study.work import Job, Outcome, Watcher, work_off
+from tiswarm.study.work import Job, Outcome, work_off
 
 CONNECT_S = 30
 """How long a scheduler may take to answer [s]."""
@@ -75,19 +76,19 @@ class Pool:
 
 
 @contextmanager
-def opened(dispatch: Dispatch, threads: int | None, watcher: Watcher) -> Iterator[Pool]:
+def opened(dispatch: Dispatch, threads: int | None, progress: Progress) -> Iterator[Pool]:
     """Open a pool; jobs that still run when the block ends early are stopped.
 
     Args:
         dispatch: Where jobs are done.
         threads: CPU threads; all of the machine, or one on a cluster, if None.
-        watcher: Told of jobs that are done here how they go on.
+        progress: Receives the progress of jobs done here.
     """
     limit = dispatch.case_limit_s
     if dispatch.slurm is not None:
         slurm, each = dispatch.slurm, threads or 1
         with submitted(slurm, each) as cluster, _connected(cluster) as client:
-            watcher.say(f"asked SLURM for {slurm.jobs} jobs; cases begin as these do")
+            progress.info(f"asked SLURM for {slurm.jobs} jobs; cases begin as these do")
             width = slurm.jobs * max(1, slurm.cores // each)
             yield Pool(submit=_submit(client, limit), width=width, threads=each)
     elif dispatch.scheduler is not None:
@@ -103,13 +104,13 @@ def opened(dispatch: Dispatch, threads: int | None, watcher: Watcher) -> Iterato
                 threads=max(1, (threads or available_threads()) // width),
             )
     else:
-        yield Pool(submit=lambda job: _at_once(job, watcher), width=1, threads=threads)
+        yield Pool(submit=lambda job: _at_once(job, progress), width=1, threads=threads)
 
 
-def _at_once(job: Job, watcher: Watcher) -> "Future[Outcome]":
+def _at_once(job: Job, progress: Progress) -> "Future[Outcome]":
     done: Future[Outcome] = Future()
     try:
-        done.set_result(work_off(job, watcher))
+        done.set_result(work_off(job, progress))
     except Exception as error:  # noqa: BLE001 - whoever looks at the result is told
         done.set_exception(error)
     return done
@@ -237,17 +238,6 @@ def reason(error: BaseException) -> str:
     return ": ".join(filter(None, (kind, " ".join(str(error).split()))))
 
 
-class _Silent:
-    """Watches without a word."""
-
-    def say(self, text: str) -> None:
-        """Hear one line."""
-
-    def stage(self, _name: str, _total: int) -> nullcontext[Callable[[int], None]]:
-        """Watch a stage."""
-        return nullcontext(lambda _steps: None)
-
-
 def main() -> None:
     """Do the jobs that come in on standard input and write what came of each to standard output.
 
@@ -264,7 +254,7 @@ def main() -> None:
         except EOFError:
             return
         try:
-            found = work_off(job, _Silent())
+            found = work_off(job, Progress())
         except TiswarmError as error:
             found = error
         except Exception as error:  # noqa: BLE001 - the parent decides what comes of it

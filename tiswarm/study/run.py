@@ -9,6 +9,7 @@ from pathlib import Path
 from tiswarm.compute import backend
 from tiswarm.errors import CasesFailedError, InputError, TiswarmError
 from tiswarm.params import Arch
+from tiswarm.progress import Progress
 from tiswarm.records.messages import counted
 from tiswarm.scenario import Scenario, load_scenario
 from tiswarm.study import manifest, tables
@@ -17,7 +18,7 @@ from tiswarm.study.pool import Dispatch, Pool, opened, reason
 from tiswarm.study.scaling import write_scaling
 from tiswarm.study.scorecard import write_scorecard
 from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
-from tiswarm.study.work import Job, Outcome, Watcher, failure
+from tiswarm.study.work import Job, Outcome, failure
 
 PLAIN = Dispatch()
 
@@ -54,7 +55,7 @@ def run(
     scenario: Scenario,
     parent: Path,
     *,
-    watcher: Watcher,
+    progress: Progress,
     arch: Arch = "cpu",
     threads: int | None = None,
     dispatch: Dispatch = PLAIN,
@@ -64,7 +65,7 @@ def run(
     Args:
         scenario: What to compute.
         parent: Folder that holds the run's folder.
-        watcher: Told how it goes on.
+        progress: Receives progress reports.
         arch: Device.
         threads: CPU threads; all if None.
         dispatch: Where cases are computed, and which.
@@ -84,17 +85,17 @@ def run(
         missing = [case for case in mine if case.name not in records]
         found = len(records)
         if found:
-            watcher.say(f"{found} of {len(mine)} cases are already stored")
+            progress.info(f"{found} of {len(mine)} cases are already stored")
         if outdated := sum(folder.is_outdated(case.name) for case in missing):
             was, them = ("was", "it") if outdated == 1 else ("were", "them")
             many = counted(outdated, "case")
-            watcher.say(f"{many} {was} computed by other code; computing {them} again")
+            progress.info(f"{many} {was} computed by other code; computing {them} again")
         used = None
         if missing:
             for name in WHOLE:
                 (folder.path / name).unlink(missing_ok=True)
-            with opened(dispatch, threads, watcher) as pool:
-                for outcome in _compute(missing, folder, pool, arch, dispatch, watcher):
+            with opened(dispatch, threads, progress) as pool:
+                for outcome in _compute(missing, folder, pool, arch, dispatch, progress):
                     records |= {record.case: record for record in outcome.records}
                     used = outcome.backend or used
         failed = tuple(record for record in records.values() if record.status == FAILED)
@@ -155,7 +156,7 @@ def _compute(
     pool: Pool,
     arch: Arch,
     dispatch: Dispatch,
-    watcher: Watcher,
+    progress: Progress,
 ) -> Iterator[Outcome]:
     """Compute cases in chunks; a chunk that cannot be done is split until the culprit is alone."""
     waiting = deque(chunks(missing, _robots_at_once(missing, pool, dispatch)))
@@ -171,7 +172,7 @@ def _compute(
             if outcome is None:
                 waiting.extendleft(reversed(halves(chunk)))
                 continue
-            _tell(outcome.records, watcher)
+            _tell(outcome.records, progress)
             first = next((r for r in outcome.records if r.status == FAILED), None)
             if first is not None and dispatch.fail_fast:
                 msg = f"stopped, for a case failed: {first.case}: {first.reason}"
@@ -206,13 +207,13 @@ def _outcome(future: "Future[Outcome]", chunk: list[Case], folder: RunFolder) ->
     return Outcome(records=[record], backend=None)
 
 
-def _tell(records: Sequence[CaseRecord], watcher: Watcher) -> None:
+def _tell(records: Sequence[CaseRecord], progress: Progress) -> None:
     """Say which cases failed, and which structures ended early."""
     ended = {}
     for record in records:
         if record.status == FAILED:
-            watcher.say(f"case {record.case} failed: {record.reason}")
+            progress.info(f"case {record.case} failed: {record.reason}")
         elif record.reason:
             ended[record.seed] = record.reason
     for seed, why in ended.items():
-        watcher.say(f"seed {seed}: growth ended: {why}")
+        progress.info(f"seed {seed}: growth ended: {why}")

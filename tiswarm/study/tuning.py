@@ -19,12 +19,12 @@ from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
 from tiswarm.params import Arch
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe
 from tiswarm.study.storage import CODE
-from tiswarm.study.work import Watcher
 from tiswarm.version import __version__
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -74,7 +74,7 @@ def tune(
     trials: int,
     training_seeds: int,
     conditions: Sequence[str],
-    watcher: Watcher,
+    progress: Progress,
     arch: Arch = "cpu",
     threads: int | None = None,
 ) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def tune(
         trials: Trials in all.
         training_seeds: Structures of each sweep point, from `FIRST_TRAINING_SEED` on.
         conditions: Which count; all if none is named.
-        watcher: Told how it goes on.
+        progress: Receives progress reports.
         arch: Device.
         threads: CPU threads; all if None.
 
@@ -119,8 +119,8 @@ def tune(
     _replay(study, done, ranges, path)
     backend.start(arch, threads=threads)
     if len(done) < trials:
-        lessons = _lessons(points, seeds, watcher)
-        with watcher.stage("fit", trials - len(done)) as advance:
+        lessons = _lessons(points, seeds, progress)
+        with progress.task("fit", trials - len(done)) as advance:
             for _ in range(trials - len(done)):
                 trial = study.ask()
                 values = _suggested(trial, ranges)
@@ -161,19 +161,19 @@ def _params(point: Variant) -> VirtualForceParams:
     return params
 
 
-def _lessons(points: Sequence[Variant], seeds: list[int], watcher: Watcher) -> list[Lesson]:
+def _lessons(points: Sequence[Variant], seeds: list[int], progress: Progress) -> list[Lesson]:
     """Grow every training structure once, and sense it under each condition."""
     grown: dict[str, list[History]] = {}
     for point in points:
         settings = point.settings
         if _structure(point) not in grown:
-            with watcher.stage("grow", len(seeds) * settings.robots) as advance:
+            with progress.task("grow", len(seeds) * settings.robots) as advance:
                 grown[_structure(point)] = grow(
                     settings.structure,
                     robots=settings.robots,
                     seeds=seeds,
                     robot=settings.robot,
-                    tell=advance,
+                    on_progress=advance,
                 )
     return [
         Lesson(

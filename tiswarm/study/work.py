@@ -1,10 +1,9 @@
 """Works off cases whose structures are of one kind: grow, sense, localize, evaluate, store."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from tiswarm.evaluation.doubts import judgement
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.params import Arch, Precision
+from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
@@ -29,16 +29,6 @@ from tiswarm.world.soundness import unsoundness
 
 KEPT_FROM_S = 10.0
 """Growth that took so long is not lost if a run is stopped before its cases are stored."""
-
-
-class Watcher(Protocol):
-    """Whoever is told how a run goes on."""
-
-    def say(self, text: str) -> None:
-        """Hear one line."""
-
-    def stage(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:
-        """Watch a stage of `total` steps; the block's value is told steps as they are done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +53,10 @@ class Outcome:
     """What ran the kernels, if any ran."""
 
 
-def work_off(job: Job, watcher: Watcher) -> Outcome:
+def work_off(job: Job, progress: Progress) -> Outcome:
     """Compute and store the cases of a job."""
     backend.start(job.arch, threads=job.threads)
-    records = _Bench(job, watcher).work_off()
+    records = _Bench(job, progress).work_off()
     return Outcome(records=records, backend=backend.current())
 
 
@@ -78,9 +68,9 @@ def failure(case: Case, reason: str) -> CaseRecord:
 class _Bench:
     """Where a job is worked off, stage by stage."""
 
-    def __init__(self, job: Job, watcher: Watcher) -> None:
+    def __init__(self, job: Job, progress: Progress) -> None:
         self.job = job
-        self.watcher = watcher
+        self.progress = progress
         self.costs = Costs()
 
     def work_off(self) -> list[CaseRecord]:
@@ -104,7 +94,7 @@ class _Bench:
         """Watch and time a stage, whose cost its cases share."""
         steps = len(cases) if total is None else total
         shared = self.costs.stage(name, [case.name for case in cases])
-        with shared, self.watcher.stage(name, steps) as advance:
+        with shared, self.progress.task(name, steps) as advance:
             yield advance
 
     def _grow(self, chunk: Sequence[Case]) -> dict[int, History]:
@@ -121,7 +111,7 @@ class _Bench:
                 robots=settings.robots,
                 seeds=seeds,
                 robot=settings.robot,
-                tell=advance,
+                on_progress=advance,
             )
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs.of(first[seed].name)["grow"]
@@ -136,7 +126,7 @@ class _Bench:
             if found := self.job.folder.grown(case):
                 histories[seed], share = found
                 self.costs.paid("grow", [c.name for c in chunk if c.seed == seed], share)
-                self.watcher.say(f"seed {seed}: its structure was grown by an earlier run")
+                self.progress.info(f"seed {seed}: its structure was grown by an earlier run")
         return histories
 
     def _sift(
@@ -164,7 +154,7 @@ class _Bench:
             precision = cases[0].settings.precision
             backend.start(self.job.arch, threads=self.job.threads, precision=precision)
             methods = [case.settings.localization for case in cases]
-            return localize_many(logs, methods, with_certainty=True, tell=advance)
+            return localize_many(logs, methods, with_certainty=True, on_progress=advance)
 
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate

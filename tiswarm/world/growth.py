@@ -28,7 +28,7 @@ def grow(
     robots: int,
     seeds: Sequence[int],
     robot: RobotGeometry,
-    tell: Callable[[int], None] = lambda _joined: None,
+    on_progress: Callable[[int], None] = lambda _joined: None,
 ) -> list[History]:
     """Grow one structure for each seed.
 
@@ -37,7 +37,7 @@ def grow(
         robots: Robots in each structure.
         seeds: One seed a structure.
         robot: The robots' shape.
-        tell: Called after each round with the number of robots that joined in it.
+        on_progress: Called after each round with the number of robots that joined in it.
 
     Returns:
         One history a seed, in that order. Where growth ended early its `ended` says why, and
@@ -49,7 +49,7 @@ def grow(
     with ThreadPoolExecutor(running.threads) as threads:
         nursery = _Nursery(params, robots, seeds, robot, threads)
         while nursery.spawn():
-            tell(nursery.round())
+            on_progress(nursery.round())
     return [site.history() for site in nursery.sites]
 
 

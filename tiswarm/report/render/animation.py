@@ -11,8 +11,9 @@ import numpy as np
 from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.report.folder import Tell, choose_case, read_cases, subfolder
+from tiswarm.report.folder import choose_case, read_cases, subfolder
 from tiswarm.report.render.build import Robots, build_scene
 from tiswarm.report.render.legend import JOIN_COLORS, Scale, add_legend
 from tiswarm.report.render.pictures import Rendered, draw_scenes
@@ -34,7 +35,12 @@ COLORS = 192
 
 
 def animate_run(
-    folder: Path, form: Movie, *, tell: Tell, renderer: str | None = None, case: str | None = None
+    folder: Path,
+    form: Movie,
+    *,
+    progress: Progress,
+    renderer: str | None = None,
+    case: str | None = None,
 ) -> Rendered:
     """Draw how the structure of a case grew into `renders/growth.gif` or `renders/growth.mp4`.
 
@@ -57,7 +63,7 @@ def animate_run(
     path = place / f"growth{suffix}.{form}"
     write_bytes(path, _gif(frames) if form == "gif" else _mp4(frames))
     because = f" because {reason}" if reason else ""
-    tell(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")
+    progress.info(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")
     return Rendered(path=path, renderer=used, reason=reason)
 
 

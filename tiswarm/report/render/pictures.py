@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.report.folder import Tell, choose_case, read_cases, subfolder
+from tiswarm.report.folder import choose_case, read_cases, subfolder
 from tiswarm.report.render.legend import add_legend
 from tiswarm.report.render.packages import installation_advice
 from tiswarm.report.render.raycast import draw
@@ -51,7 +52,7 @@ class RendererError(Exception):
 
 
 def render_run(
-    folder: Path, *, tell: Tell, renderer: str | None = None, case: str | None = None
+    folder: Path, *, progress: Progress, renderer: str | None = None, case: str | None = None
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
@@ -69,14 +70,14 @@ def render_run(
     place = subfolder(folder, "renders")
     scenes = [plan.scene for plan in planned.values()]
     pictures, used, reason = draw_scenes(scenes, renderer, place)
-    tell(f"drawn by {used}" + (f" because {reason}" if reason else ""))
+    progress.info(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     drawn = []
     for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()
         add_legend(Image.fromarray(picture), plan.legend).save(stream, format="PNG")
         path = place / f"{name}{suffix}.png"
         write_bytes(path, stream.getvalue())
-        tell(f"renders/{path.name}")
+        progress.info(f"renders/{path.name}")
         drawn.append(Rendered(path=path, renderer=used, reason=reason))
     return drawn
 
