@@ -4,7 +4,7 @@ import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
 estimate = tiswarm.localize(log, "least-squares", cues=["contacts", "height"], rounds=3)
-estimate.position, estimate.certainty.known
+estimate.position, estimate.observability.known
 
 run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
 run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]

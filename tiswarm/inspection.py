@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.errors import InputError
-from tiswarm.records.certainty import Certainty, by_cue
-from tiswarm.records.contact_graph import contact_count, located
-from tiswarm.records.contradictions import HEADER_LINES, contradictions
-from tiswarm.records.estimate import Estimate
+from tiswarm.measurements.consistency import HEADER_LINES, contradictions
+from tiswarm.measurements.contacts import contact_count, located
+from tiswarm.measurements.observability import by_cue
+from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
@@ -36,7 +36,7 @@ def inspect(path: Path) -> Inspection:
     return _inspect_log(path) if path.suffix == ".jsonl" else _inspect_scenario(path)
 
 
-def doubts(log: SensingLog, path: Path, found: Iterable[Certainty]) -> Iterator[str]:
+def doubts(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
     """Say line by line what a log cannot tell."""
     if (lost := np.flatnonzero(~located(log))).size:
         yield f"tied to the anchor by no chain of contacts: {_robots(log, lost)}"
@@ -114,7 +114,7 @@ def outcome(log: SensingLog, estimate: Estimate) -> str:
     return ", ".join(told)
 
 
-def _left_open(known: Certainty) -> str:
+def _left_open(known: Observability) -> str:
     """Count what some cues leave unknown."""
     modes = known.floppy_modes
     untold = "too many robots to count the floppy modes"

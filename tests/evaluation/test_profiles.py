@@ -13,7 +13,7 @@ from tiswarm.evaluation.profiles import (
 )
 from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.evaluation.tables import by_robot, score
-from tiswarm.records.contact_graph import hops
+from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.robot import RobotGeometry

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from tiswarm.localization.joint.branches import branches
-from tiswarm.records.contact_graph import touching
+from tiswarm.measurements.contacts import touching
 
 ROBOTS = 12
 PAIRS = st.lists(

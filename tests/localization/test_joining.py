@@ -94,7 +94,7 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
         log, "least-squares", cues=["contacts", "height"], rounds=1, start={"iterations": 20}
     )
 
-    assert estimate.certainty.cues == ("contacts", "height")
+    assert estimate.observability.cues == ("contacts", "height")
     assert len(estimate.iteration) == 2
     for call, told in (
         ({"method": "guess"}, "--method: "),

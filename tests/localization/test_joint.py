@@ -15,8 +15,8 @@ from tiswarm.localization.joint.branches import branches, weights
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
+from tiswarm.measurements.odometry import felt_contacts
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.walks import felt_contacts
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -377,16 +377,16 @@ def test_a_bias_of_yaw_is_found(towers):
     logs = [observe(history, BIASED) for history in towers]
     params = dataclasses.replace(SHORT, steps=1000)
 
-    solved = localize_many(logs, [params] * 3, with_certainty=True)
+    solved = localize_many(logs, [params] * 3, with_observability=True)
     fixed = [dataclasses.replace(params, solve_yaw=False)] * 3
-    taken = localize_many(logs, fixed, with_certainty=True)
+    taken = localize_many(logs, fixed, with_observability=True)
 
     for log, history, s, t in zip(logs, towers, solved, taken, strict=True):
         bias = true_yaw(log, history)
         assert np.sqrt(np.mean((s.yaw - bias) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
         assert _rmse(s.position, history) < 0.6 * _rmse(t.position, history)
         assert t.yaw is None
-        assert (s.certainty.turning, t.certainty.turning) == (True, False)
+        assert (s.observability.turning, t.observability.turning) == (True, False)
     assert localize(observe(towers[0], NOISY), SHORT).yaw is None
 
 

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint.equations import equations
 from tiswarm.localization.params import JointParams
-from tiswarm.records.certainty import certainty
-from tiswarm.records.walks import felt_contacts
+from tiswarm.measurements.observability import observability
+from tiswarm.measurements.odometry import felt_contacts
 from tiswarm.sensing import SensingParams, observe
 
 ALL = JointParams()
@@ -88,7 +88,7 @@ def test_what_equations_are_too_few_for_is_floppy(towers):
         log = observe(history, SensingParams())
         for off in (("height", "ground", "walk_contacts"), ("walk_contacts",), ()):
             params = JointParams(**dict.fromkeys(off, False))
-            left = certainty(log, params.cues)
+            left = observability(log, params.cues)
             short = equations(log, params).shortage * left.unknowns
 
             assert 0.0 <= short <= left.floppy_modes + 1e-9

@@ -14,7 +14,7 @@ from tiswarm.localization.least_squares.method import improve
 from tiswarm.localization.least_squares.problem import Pairs, Places, Problem
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
 from tiswarm.localization.registry import localize
-from tiswarm.records.certainty import certainty
+from tiswarm.measurements.observability import observability
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = LeastSquaresParams(
@@ -82,7 +82,7 @@ def test_the_truth_is_found_from_nearby(towers, log, cues):
 
     estimate = improve(log, params, start)
 
-    known = np.array([word == "yes" for word in certainty(log, cues).known])
+    known = np.array([word == "yes" for word in observability(log, cues).known])
     assert known.sum() > 20
     # Contacts are felt across a gap of up to 0.02 R.
     np.testing.assert_allclose(estimate.position[known], true[known], atol=0.05)

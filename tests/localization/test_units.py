@@ -14,7 +14,7 @@ from tiswarm.localization.params import (
     VirtualForceParams,
 )
 from tiswarm.localization.registry import localize
-from tiswarm.records.contradictions import contradictions
+from tiswarm.measurements.consistency import contradictions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
@@ -79,8 +79,8 @@ def test_the_unit_of_length_does_not_matter(log, params, power):
     assert same.position.tobytes() == (scale * found.position).tobytes()
     assert same.trace.tobytes() == (scale * found.trace).tobytes()
     assert same.residual.tobytes() == (scale * found.residual).tobytes()
-    assert same.certainty.known == found.certainty.known
-    assert same.certainty.floppy_modes == found.certainty.floppy_modes
+    assert same.observability.known == found.observability.known
+    assert same.observability.floppy_modes == found.observability.floppy_modes
     if found.sd is not None:
         assert same.sd.tobytes() == (scale * found.sd).tobytes()
     lines = [contradiction.line for contradiction in contradictions(log)]

@@ -59,7 +59,7 @@ def localize(
     if problem is not None:
         typer.echo(f"tiswarm: warning: {problem}", err=True)
     if not quiet:
-        for line in doubts(sensed, log, filter(None, [estimate.certainty])):
+        for line in doubts(sensed, log, filter(None, [estimate.observability])):
             typer.echo(line)
         for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
             typer.echo(line)

@@ -5,9 +5,9 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.measurements.odometry import felt_contacts
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.walks import felt_contacts
 from tiswarm.world.history import History
 
 

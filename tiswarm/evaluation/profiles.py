@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tiswarm.records.contact_graph import hops
+from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog

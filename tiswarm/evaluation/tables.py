@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from tiswarm.evaluation import metrics
 from tiswarm.evaluation.profiles import relative_errors
-from tiswarm.records.contact_graph import contact_count, earlier_contact_count, hops
+from tiswarm.measurements.contacts import contact_count, earlier_contact_count, hops
+from tiswarm.measurements.linear import equations
+from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
-from tiswarm.records.freedom import floppy_modes, weld
 from tiswarm.records.positions import Truth
-from tiswarm.records.rigidity import equations
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.robot import RobotGeometry
 

@@ -7,7 +7,7 @@ from tiswarm.localization import virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.least_squares import method as least_squares
 from tiswarm.localization.params import LocalizationParams
-from tiswarm.records.certainty import certainty
+from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -36,14 +36,14 @@ METHODS = {
 
 def localize(log: SensingLog, params: LocalizationParams) -> Estimate:
     """Work out from what a swarm sensed where every robot is."""
-    return localize_many([log], [params], with_certainty=True)[0]
+    return localize_many([log], [params], with_observability=True)[0]
 
 
 def localize_many(
     logs: Sequence[SensingLog],
     params: Sequence[LocalizationParams],
     *,
-    with_certainty: bool = False,
+    with_observability: bool = False,
     on_progress: Callable[[int], None] = lambda _done: None,
 ) -> list[Estimate]:
     """Localize structures side by side, as far as their settings let them share a launch.
@@ -51,7 +51,7 @@ def localize_many(
     Args:
         logs: What each swarm sensed.
         params: Method and settings for each.
-        with_certainty: Whether to analyze what each log determines, which takes as long as some
+        with_observability: Whether to analyze what each log determines, which takes as long as some
             methods do.
         on_progress: Called with the number of structures that were finished.
 
@@ -67,9 +67,9 @@ def localize_many(
         batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
         for n, estimate in zip(members, batch, strict=True):
             estimates[n] = estimate
-            if with_certainty:
+            if with_observability:
                 turning = estimate.yaw is not None
-                known = certainty(logs[n], params[n].cues, estimate.position, turning=turning)
-                estimates[n] = replace(estimate, certainty=known)
+                known = observability(logs[n], params[n].cues, estimate.position, turning=turning)
+                estimates[n] = replace(estimate, observability=known)
         on_progress(len(members))
     return [estimates[n] for n in range(len(logs))]

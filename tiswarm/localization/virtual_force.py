@@ -18,7 +18,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
 from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
-from tiswarm.records.contact_graph import located
+from tiswarm.measurements.contacts import located
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.records.certainty import Certainty
-
 HALF_WITHIN = 0.85
 MOST_WITHIN = 1.6
 """Standard deviations within which half and nine tenths of the robots should be; fitted on training
@@ -50,6 +48,43 @@ class Convergence:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Observability:
+    """What some cues can tell of N robots."""
+
+    cues: tuple[str, ...]
+    turning: bool
+    """Whether each robot's yaw is unknown."""
+
+    unknowns: int
+    """What there is to be known: coordinates of all robots but the anchor, and where yaw is unknown
+    how far each robot is turned, seen from the mean of all."""
+
+    swing: float | None
+    """Where yaw is unknown and nothing but the mean of all compasses holds the swarm as a whole
+    against turning about the anchor, the standard deviation of that [rad]; else None."""
+
+    floppy_modes: int | None
+    """Independent motions of the swarm that nothing sensed would notice, or None where there are
+    too many robots to count them."""
+
+    loose: NDArray[np.bool_] | None
+    """Whether such motions shift each robot, shape (N,), or None likewise."""
+
+    apart: NDArray[np.bool_]
+    """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
+
+    @property
+    def known(self) -> list[str]:
+        """Say of each robot whether its place can be known: "yes", "loose" or "apart".
+
+        Nothing is said where there are too many robots to find out.
+        """
+        tied = "" if self.loose is None else np.where(self.loose, "loose", "yes")
+        words = np.where(self.apart, "apart", tied)
+        return [str(word) for word in words]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Estimated positions of N robots, in join order, and how they were reached."""
 
@@ -82,7 +117,7 @@ class Estimate:
     is the mean over all of their chains, or follows from it. Empty where the method looks for one
     only."""
 
-    certainty: Certainty | None = None
+    observability: Observability | None = None
     """What the cues in use cannot tell; filled in after the method has run."""
 
     iteration: NDArray[np.int64]

@@ -71,8 +71,8 @@ def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") ->
     if estimate.sd is not None:
         sds = estimate.sd.tolist()
         known[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
-    if estimate.certainty is not None:
-        known[KNOWN] = estimate.certainty.known
+    if estimate.observability is not None:
+        known[KNOWN] = estimate.observability.known
     if estimate.yaw is not None:
         known[YAW] = np.degrees(estimate.yaw).tolist()
     write_positions(path, estimate.robot_id, estimate.position, known, length_unit=length_unit)

@@ -154,7 +154,7 @@ class _Bench:
             precision = cases[0].settings.precision
             backend.start(self.job.arch, threads=self.job.threads, precision=precision)
             methods = [case.settings.localization for case in cases]
-            return localize_many(logs, methods, with_certainty=True, on_progress=advance)
+            return localize_many(logs, methods, with_observability=True, on_progress=advance)
 
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.compute.arrays import Allocator
 from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.equations import Equations
-from tiswarm.records.contact_graph import touching
+from tiswarm.measurements.contacts import touching
 
 BRANCH_WEIGHT = 3.0
 """Least mass of a branch, in masses of its own robots: these are held by no less than the branch

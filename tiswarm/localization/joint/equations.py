@@ -17,8 +17,8 @@ from tiswarm.localization.joint.force_kernels import SPACING
 from tiswarm.localization.joint.path import CENTER, Path
 from tiswarm.localization.joint.reach import reach
 from tiswarm.localization.params import JointParams
-from tiswarm.records.contact_graph import touching
-from tiswarm.records.contradictions import ALLOWED_SD, ASSUMED
+from tiswarm.measurements.consistency import ALLOWED_SD, ASSUMED
+from tiswarm.measurements.contacts import touching
 from tiswarm.records.sensing_log import SensingLog, Stances
 
 CLEARANCE = 10.0

@@ -14,7 +14,7 @@ from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.joint.seats import rejoined
 from tiswarm.localization.joint.solutions import distinct
 from tiswarm.localization.params import JointParams
-from tiswarm.records.contact_graph import located
+from tiswarm.measurements.contacts import located
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

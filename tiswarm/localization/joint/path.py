@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.odometry import displacements, owners
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
-from tiswarm.records.walks import displacements, owners
 
 CENTER = -1
 """In place of a dock: the center."""

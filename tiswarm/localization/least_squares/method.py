@@ -23,7 +23,7 @@ from tiswarm.localization.least_squares.problem import (
     touching,
 )
 from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.records.contact_graph import located
+from tiswarm.measurements.contacts import located
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

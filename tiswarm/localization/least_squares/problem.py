@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
+from tiswarm.measurements.odometry import displacements, owners
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.walks import displacements, owners
 
 MARGIN = 1.0
 """Docks this much farther apart than D may come to overlap within a round [dock radius]."""

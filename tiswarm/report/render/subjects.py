@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.contact_graph import hops
+from tiswarm.measurements.contacts import hops
 from tiswarm.records.io import at_line, numbered_lines
 from tiswarm.records.sensing_file import HeaderLine, parse_header, read_sensing_log
 from tiswarm.records.sensing_log import SensingLog

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records import freedom
-from tiswarm.records.certainty import by_cue, certainty
-from tiswarm.records.freedom import HELD, floppy_modes, loose, weld
-from tiswarm.records.rigidity import equations
-from tiswarm.records.walks import displacements
+from tiswarm.measurements import rigidity
+from tiswarm.measurements.linear import equations
+from tiswarm.measurements.observability import by_cue, observability
+from tiswarm.measurements.odometry import displacements
+from tiswarm.measurements.rigidity import HELD, floppy_modes, loose, weld
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("contacts", "ground", "height", "walk_contacts", "odometry")
@@ -122,12 +122,12 @@ def test_floppy_modes_are_the_null_space(towers, logs, cues, turning):
 
 def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, monkeypatch):
     """Contacts alone peel off to the anchor; what does not is owned to be unknown."""
-    exact = certainty(logs[0], ["contacts"])
+    exact = observability(logs[0], ["contacts"])
 
-    monkeypatch.setattr(freedom, "MOST_UNKNOWNS", 0)
-    peeled = certainty(logs[0], ["contacts"])
-    monkeypatch.setattr(freedom, "MOST_UNKNOWNS", -1)
-    unknown = certainty(logs[0], ["contacts"])
+    monkeypatch.setattr(rigidity, "MOST_UNKNOWNS", 0)
+    peeled = observability(logs[0], ["contacts"])
+    monkeypatch.setattr(rigidity, "MOST_UNKNOWNS", -1)
+    unknown = observability(logs[0], ["contacts"])
 
     assert peeled.floppy_modes == exact.floppy_modes
     assert unknown.floppy_modes is None
@@ -165,7 +165,9 @@ def test_robots_are_told_apart_by_what_is_known_of_them(logs):
     """Without contacts all are apart; with an unknown start some are loose; else all are known."""
     robots = logs[0].robot_count
 
-    assert certainty(logs[0], ["height"]).known == ["yes"] + ["apart"] * (robots - 1)
-    assert set(certainty(logs[0], ["contacts", "height"]).known) == {"yes", "loose"}
-    assert certainty(logs[0], CUES).known == ["yes"] * robots
-    assert certainty(logs[0], ["contacts"]).floppy_modes >= 3 * (robots - 1) - len(logs[0].contacts)
+    assert observability(logs[0], ["height"]).known == ["yes"] + ["apart"] * (robots - 1)
+    assert set(observability(logs[0], ["contacts", "height"]).known) == {"yes", "loose"}
+    assert observability(logs[0], CUES).known == ["yes"] * robots
+    assert observability(logs[0], ["contacts"]).floppy_modes >= 3 * (robots - 1) - len(
+        logs[0].contacts
+    )

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.odometry import displacements, owners
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.records.walks import displacements, owners
 
 UP = np.array([[0.0, 0.0, 1.0]])
 EVERY_WAY = np.eye(3)

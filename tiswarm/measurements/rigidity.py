@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from tiswarm.compute.math import normal
-from tiswarm.records.rigidity import Equations
+from tiswarm.measurements.linear import Equations
 
 UNNOTICED = 1e-5
 """A motion is floppy where all that is sensed changes by less than this part of its length."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiswarm.records.contact_graph import contact_count, earlier_contact_count, located
+from tiswarm.measurements.contacts import contact_count, earlier_contact_count, located
 from tiswarm.records.sensing_log import SensingLog
 
 

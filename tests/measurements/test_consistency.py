@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tiswarm.records.contradictions import contradictions
+from tiswarm.measurements.consistency import contradictions
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 

@@ -1,7 +1,6 @@
 """What a log cannot tell, whatever the method: said before and after localizing."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +8,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tiswarm.compute.math import normal
-from tiswarm.records.freedom import floppy_modes, loose, weld
-from tiswarm.records.rigidity import Equations, equations
+from tiswarm.measurements.linear import Equations, equations
+from tiswarm.measurements.rigidity import floppy_modes, loose, weld
+from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
 TYING = ("contacts", "walk_contacts", "odometry")
@@ -20,50 +20,13 @@ LEVEL = ("ground", "height")
 """Cues that tell a height only."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Certainty:
-    """What some cues can tell of N robots."""
-
-    cues: tuple[str, ...]
-    turning: bool
-    """Whether each robot's yaw is unknown."""
-
-    unknowns: int
-    """What there is to be known: coordinates of all robots but the anchor, and where yaw is unknown
-    how far each robot is turned, seen from the mean of all."""
-
-    swing: float | None
-    """Where yaw is unknown and nothing but the mean of all compasses holds the swarm as a whole
-    against turning about the anchor, the standard deviation of that [rad]; else None."""
-
-    floppy_modes: int | None
-    """Independent motions of the swarm that nothing sensed would notice, or None where there are
-    too many robots to count them."""
-
-    loose: NDArray[np.bool_] | None
-    """Whether such motions shift each robot, shape (N,), or None likewise."""
-
-    apart: NDArray[np.bool_]
-    """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
-
-    @property
-    def known(self) -> list[str]:
-        """Say of each robot whether its place can be known: "yes", "loose" or "apart".
-
-        Nothing is said where there are too many robots to find out.
-        """
-        tied = "" if self.loose is None else np.where(self.loose, "loose", "yes")
-        words = np.where(self.apart, "apart", tied)
-        return [str(word) for word in words]
-
-
-def certainty(
+def observability(
     log: SensingLog,
     cues: Collection[str],
     position: NDArray[np.float64] | None = None,
     *,
     turning: bool = False,
-) -> Certainty:
+) -> Observability:
     """Find what some cues leave unknown.
 
     Args:
@@ -80,7 +43,7 @@ def certainty(
         position = spread * normal(0, "anywhere", robot, np.arange(3))
     bodies = weld(equations(position, log, counting, turning=turning))
     tied = equations(position, log, [cue for cue in counting if cue in TYING])
-    return Certainty(
+    return Observability(
         cues=counting,
         turning=turning,
         unknowns=bodies.ways * (log.robot_count - 1),
@@ -91,7 +54,7 @@ def certainty(
     )
 
 
-def by_cue(log: SensingLog) -> Iterator[Certainty]:
+def by_cue(log: SensingLog) -> Iterator[Observability]:
     """Find what is left unknown by a log's contacts, and then with each further cue it has.
 
     Where the log states that yaw is biased it counts as unknown, and at last as known once more.
@@ -107,9 +70,9 @@ def by_cue(log: SensingLog) -> Iterator[Certainty]:
     cues = [cue for cue, there in has.items() if there]
     turning = log.yaw_bias > 0.0
     for count in range(1, len(cues) + 1):
-        yield certainty(log, cues[:count], turning=turning)
+        yield observability(log, cues[:count], turning=turning)
     if turning:
-        yield certainty(log, cues)
+        yield observability(log, cues)
 
 
 def _apart(tied: Equations) -> NDArray[np.bool_]:

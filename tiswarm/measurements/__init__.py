@@ -1,0 +1,1 @@
+"""What a log says: measurements as rows, and what they determine."""
