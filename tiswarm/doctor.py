@@ -1,20 +1,58 @@
 """What works on this machine, and what to install for what does not."""
 
+import ctypes
+import importlib.util
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from tiswarm.params import ARCHS
-from tiswarm.report.render.packages import missing_packages
-from tiswarm.report.render.probe import probe_renderers
+from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
+from tiswarm.report.render.scene import Look, Robots, build_scene
+from tiswarm.robot import RobotGeometry
 from tiswarm.study.manifest import machine
 
 PROBE_SECONDS = 60
+OPEN3D_LIBRARIES = {
+    "libX11.so.6": "libx11-6",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libgomp.so.1": "libgomp1",
+    "libidn2.so.0": "libidn2-0",
+    "libudev.so.1": "libudev1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+}
+"""Shared libraries that `import open3d` loads, and the Debian packages that contain them."""
+
+PRELUDE = "import sys; sys.path = [place for place in sys.path if place]\n"
+"""Keeps a child process from importing modules of the working folder."""
+
+BACKEND = """
+from tiswarm.compute import backend
+from tiswarm.errors import TiswarmError
+try:
+    b = backend.start(sys.argv[1])
+    print(f'{b.library}, {b.threads} threads')
+except TiswarmError as e:
+    sys.exit(str(e))
+"""
+RENDERER = f"""
+from tiswarm.errors import TiswarmError
+from {__name__} import draw_test_picture
+try:
+    print(f'drew a test picture in {{draw_test_picture(sys.argv[1]):.1f}} s')
+except TiswarmError as e:
+    sys.exit(str(e))
+"""
 
 
 class Finding(NamedTuple):
-    """One thing that was looked at, and what was found or what to do."""
+    """One thing that was examined, and the result or what to do."""
 
     subject: str
     works: bool
@@ -22,32 +60,62 @@ class Finding(NamedTuple):
 
 
 def examine() -> Iterator[Finding]:
-    """Look at the machine, the backends and the renderers, one after the other."""
+    """Examine the machine, the backends and the renderers, one after the other."""
     for name, value in machine().items():
         unit = " MB" if name.endswith("_MB") else ""
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
     for arch in ARCHS:
-        yield Finding(f"backend {arch}", *_backend(arch))
-    for status in probe_renderers():
-        yield Finding(f"renderer {status.name}", status.works, status.detail)
+        yield Finding(f"backend {arch}", *_in_child(BACKEND, arch))
+    for renderer in TRACERS:
+        yield Finding(f"renderer {renderer}", *_in_child(RENDERER, renderer))
     if packages := missing_packages():
         detail = f"for open3d: apt-get install {' '.join(packages)}"
         yield Finding("system packages", works=False, detail=detail)
 
 
-def _backend(arch: str) -> tuple[bool, str]:
-    """Start a backend in a process of its own, for a bad driver may take the process along."""
-    code = (
-        "import sys; from tiswarm.compute import backend; from tiswarm.errors import TiswarmError\n"
-        "try: b = backend.start(sys.argv[1]); print(f'{b.library}, {b.threads} threads')\n"
-        "except TiswarmError as e: sys.exit(str(e))"
-    )
+def _in_child(code: str, name: str) -> tuple[bool, str]:
+    """Run code in a process of its own, because a bad driver or library may crash it."""
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and code
-            [sys.executable, "-c", code, arch],
+            [sys.executable, "-c", PRELUDE + code, name],
             capture_output=True, text=True, timeout=PROBE_SECONDS, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return False, f"no answer in {PROBE_SECONDS} s"
     said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
     return done.returncode == 0, said[-1] if said else f"died with status {done.returncode}"
+
+
+def draw_test_picture(renderer: str) -> float:
+    """Draw one robot in a small picture; returns the time it took [s].
+
+    Raises:
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+    begin = time.perf_counter()
+    center = np.array([[0.0, 0.0, 1.0]])
+    dock = center + RobotGeometry().dock_offset_body[None]
+    robots = Robots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
+    scene = build_scene([robots], 0.0)
+    small = replace(scene.camera, width=scene.camera.width // 10, height=scene.camera.height // 10)
+    draw_scenes([replace(scene, camera=small)], renderer)
+    return time.perf_counter() - begin
+
+
+def missing_packages() -> list[str]:
+    """Name the Debian packages without which open3d cannot be imported; none off Linux."""
+    if sys.platform != "linux" or importlib.util.find_spec("open3d") is None:
+        return []
+    try:
+        import_open3d()
+    except (ImportError, OSError):
+        return [package for library, package in OPEN3D_LIBRARIES.items() if not _loads(library)]
+    return []
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True

@@ -13,6 +13,12 @@ ROBOTS = 12
 POSE = "x_R,y_R,z_R,qw,qx,qy,qz,x_est_R,y_est_R,z_est_R,qw_sensed,qx_sensed,qy_sensed,qz_sensed"
 
 
+def is_blank(image):
+    """Whether nearly all pixels of a picture look like the top left one."""
+    pixels = np.asarray(image.convert("RGB")).astype(int)
+    return (np.abs(pixels - pixels[0, 0]).max(axis=2) > 12).mean() < 0.001
+
+
 def write_table(path, header, rows):
     """Write rows below a header of comma-separated names."""
     with path.open("w", newline="") as file:

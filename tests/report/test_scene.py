@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tiswarm.report.folder import read_cases
-from tiswarm.report.render.camera import frame
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.subjects import build_pictures
-from tiswarm.report.render.tiles import tile_tracer
+from tiswarm.report.render.pictures import build_pictures
+from tiswarm.report.render.raycast import taichi_tracer
+from tiswarm.report.render.scene import fit_camera
 
 
 @pytest.fixture
@@ -20,10 +20,10 @@ def scene(run_folder):
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 30), (40, 1, 1), (1, 40, 1), (0, 0, 0)])
 def test_every_ball_is_inside_the_picture(shape):
-    """Whatever the structure looks like, nothing is cut off and it fills the picture."""
+    """Structures of all shapes fill the picture and are not cut off."""
     points = np.random.default_rng(0).normal(size=(50, 3)) * shape
 
-    camera = frame(points, 1.0)
+    camera = fit_camera(points, 1.0)
 
     right, up, depth = camera.project(points).T
     width, height = camera.half_height * camera.width / camera.height, camera.half_height
@@ -55,7 +55,7 @@ def test_first_capsule_along_each_ray_is_found(scene):
     pixels = np.random.default_rng(0).uniform((0, 0), (camera.width, camera.height), (300, 2))
     pixels = pixels.astype(np.float32)
 
-    depth, seen = tile_tracer(scene)(pixels)
+    depth, seen = taichi_tracer(scene)(pixels, camera.directions(pixels))
 
     marched = march(scene, camera.directions(pixels).astype(float))
     assert np.isfinite(marched).any()

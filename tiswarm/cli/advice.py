@@ -49,8 +49,7 @@ def doctor(
     ] = False,
 ) -> None:
     """Say what works on this machine, and what to install for what does not."""
-    from tiswarm.doctor import examine
-    from tiswarm.report.render.packages import missing_packages
+    from tiswarm.doctor import examine, missing_packages
 
     if only_packages:
         typer.echo(" ".join(missing_packages()), nl=True)

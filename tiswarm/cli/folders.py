@@ -31,7 +31,7 @@ def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> Non
 def render(
     run: RunFolderPath,
     renderer: Annotated[
-        str | None, typer.Option(help="open3d, open3d-raycast or taichi; the first that works.")
+        str | None, typer.Option(help="open3d or taichi (default: the first that works).")
     ] = None,
     case: Annotated[
         str | None, typer.Option(help="Case to draw; the first of the largest.")

@@ -13,11 +13,11 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.interop.files import Shape, write_gltf, write_ply
 from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
+from tiswarm.report.figure_style import ERROR_COLORS, colors_along
 from tiswarm.report.folder import choose_case, read_cases
-from tiswarm.report.render.build import Robots, build_scene
-from tiswarm.report.render.legend import ERROR_COLORS, colors_along
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.subjects import POSE, TRUE_SIZE, Subject, read_subject
+from tiswarm.report.render.pictures import POSE, TRUE_SIZE, CaseView, read_case_view
+from tiswarm.report.render.scene import Robots, build_scene
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
 SIDES = 10
@@ -33,30 +33,30 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, progress: 
         InputError: for a damaged run, or a case that is not there.
         EnvironmentTroubleError: where `out` cannot be made or a library is missing.
     """
-    subject = read_subject(choose_case(read_cases(run), case, run))
+    view = read_case_view(choose_case(read_cases(run), case, run))
     make_folder(out)
     if form == "gltf":
-        write_gltf(shapes_of(subject), out / "case.glb")
+        write_gltf(shapes_of(view), out / "case.glb")
         progress.info(str(out / "case.glb"))
     elif form == "ply":
-        for shape in shapes_of(subject):
+        for shape in shapes_of(view):
             write_ply(shape, out / f"{shape.name}.ply")
             progress.info(str(out / f"{shape.name}.ply"))
     else:
-        for name, table in tables_of(subject).items():
+        for name, table in tables_of(view).items():
             write_bytes(out / f"{name}.{form}", _encoded(table, form))
             progress.info(str(out / f"{name}.{form}"))
 
 
-def shapes_of(subject: Subject) -> list[Shape]:
+def shapes_of(view: CaseView) -> list[Shape]:
     """The structure, its estimate colored by error, and its contacts between true centers."""
-    worst = max(np.nanmax(subject.error, initial=0.0), 1e-9)
-    by_error = colors_along(np.nan_to_num(subject.error) / worst, ERROR_COLORS)
-    pairs = subject.log.contacts[:, [0, 2]].astype(np.uint32)
-    center = subject.pose[:, :3].astype(np.float32)
+    worst = max(np.nanmax(view.error, initial=0.0), 1e-9)
+    by_error = colors_along(np.nan_to_num(view.error) / worst, ERROR_COLORS)
+    pairs = view.log.contacts[:, [0, 2]].astype(np.uint32)
+    center = view.pose[:, :3].astype(np.float32)
     return [
-        _solid("structure", subject.robots(subject.pose, subject.by_join, TRUE_SIZE)),
-        _solid("estimate", subject.robots(subject.estimated_pose, by_error, TRUE_SIZE)),
+        _solid("structure", view.robots(view.pose, view.color_by_join, TRUE_SIZE)),
+        _solid("estimate", view.robots(view.estimated_pose, by_error, TRUE_SIZE)),
         Shape(
             name="contacts",
             point=center,
@@ -85,26 +85,26 @@ def _solid(name: str, robots: Robots) -> Shape:
     )
 
 
-def tables_of(subject: Subject) -> dict[str, pd.DataFrame]:
+def tables_of(view: CaseView) -> dict[str, pd.DataFrame]:
     """Poses as `tiswarm import` reads them, and contacts with the place where docks meet."""
-    log = subject.log
+    log = view.log
     i, a, j, b = log.contacts.T
-    offsets = dock_offsets(subject.pose[:, 3:], subject.dock_offset_body)
-    dock = subject.pose[:, None, :3] + offsets
+    offsets = dock_offsets(view.pose[:, 3:], view.dock_offset_body)
+    dock = view.pose[:, None, :3] + offsets
     contacts = pd.DataFrame(
-        {"robot": subject.robot[j], "dock": b, "other_robot": subject.robot[i], "other_dock": a}
+        {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
     contacts[POSE[:3]] = (dock[i, a] + dock[j, b]) / 2.0
     return {
-        "structure": _poses(subject, subject.pose),
-        "estimate": _poses(subject, subject.estimated_pose).assign(error_R=subject.error),
+        "structure": _poses(view, view.pose),
+        "estimate": _poses(view, view.estimated_pose).assign(error_R=view.error),
         "contacts": contacts,
     }
 
 
-def _poses(subject: Subject, pose: NDArray[np.float64]) -> pd.DataFrame:
+def _poses(view: CaseView, pose: NDArray[np.float64]) -> pd.DataFrame:
     """Name, join index and pose of each robot."""
-    table = pd.DataFrame({"robot": subject.robot, "join": np.arange(len(pose))})
+    table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(pose))})
     table[POSE] = pose
     return table
 

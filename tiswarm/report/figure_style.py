@@ -1,7 +1,8 @@
-"""What all figures share: colors, sizes, and how one becomes a file."""
+"""Colors, sizes and file formats that all figures share; renders and the page use these colors."""
 
 import io
 import re
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,22 +16,34 @@ Array = NDArray[np.float64]
 
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
+JOIN_COLORS = (
+    "#482475", "#414487", "#355F8D", "#2A788E", "#21918D", "#22A884", "#44BF70", "#7AD151",
+    "#BDDF26", "#FDE725",
+)  # fmt: skip
+"""The viridis scale without its darkest end, from the first robot to the last."""
+
+FORCE_COLORS = ("#A6B8CC", "#E8CC9E", "#F29454", "#D64233", "#870826")
+"""From no force to the greatest: pale gray-blue over orange to dark red."""
+
+ERROR_COLORS = ("#FCF0C3", "#F9B64C", "#E4572E", "#8C0D2F")
+"""From no error to the greatest: cream over orange to dark red."""
+
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
-"""Colors that stay apart for color-blind readers (Okabe and Ito)."""
+"""Colors that color-blind readers can distinguish (Okabe and Ito)."""
 
 LINE_STYLES = ("-", "--", ":")
 MARKERS = "osD^vPX"
 COLUMN_WIDTH = 3.5
-"""Width of a paper's column [inch]."""
+"""Width of a column of a paper [inch]."""
 
 PAGE_WIDTH = 7.0
-"""Width of a paper's page [inch]."""
+"""Width of a page of a paper [inch]."""
 
 NOTE_HEIGHT = 0.1
-"""Room for a note below a figure [inch]."""
+"""Height of a note below a figure [inch]."""
 
 DPI = 300
-"""Dots per inch."""
+"""Resolution [dots per inch]."""
 
 STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.6,
@@ -46,8 +59,20 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def rgb(color: str) -> Array:
+    """Split a color such as #0072B2 into red, green and blue, 0 to 1, shape (3,)."""
+    return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+
+
+def colors_along(share: NDArray[np.floating], colors: Sequence[str]) -> Array:
+    """Interpolate colors at places from 0 to 1 along a range, shape (n, 3)."""
+    stops = np.linspace(0.0, 1.0, len(colors))
+    channels = np.array([rgb(color) for color in colors]).T
+    return np.column_stack([np.interp(share, stops, channel) for channel in channels])
+
+
 def new_figure(width: float, height: float) -> "Figure":
-    """Make an empty figure of a size [inch] that lays itself out."""
+    """Make an empty figure of a size [inch] with a constrained layout."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
@@ -56,7 +81,7 @@ def new_figure(width: float, height: float) -> "Figure":
 def panel_grid(
     figure: "Figure", count: int, columns: int, *, sharex: bool = False, sharey: bool = False
 ) -> "list[Axes]":
-    """Make so many panels in rows of so many columns."""
+    """Divide a figure into `count` panels, `columns` in a row."""
     rows = -(-count // columns)
     grid = figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel()
     for unused in grid[count:]:
@@ -65,23 +90,23 @@ def panel_grid(
 
 
 def line_style(place: int) -> dict[str, Any]:
-    """Color and dashes of the line at a place among others."""
+    """Choose color and dashes of the line at a place among others."""
     dashes = LINE_STYLES[place // len(PALETTE) % len(LINE_STYLES)]
     return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes}
 
 
 def dot_area(count: int) -> float:
-    """Shrink dots as they get many, so that a cloud stays a cloud [pt^2]."""
+    """Choose the area of a dot [pt^2]: the more dots, the smaller."""
     return float(np.clip(9000.0 / max(count, 1), 1.0, 12.0))
 
 
 def shortened(name: str) -> str:
-    """Name of a point of a sweep without the sections of its keys, as `tower, settle=true`."""
+    """Shorten the name of a sweep point to `tower, settle=true`: drop the sections of keys."""
     return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name.replace("structure.kind=", ""))
 
 
 def add_note(figure: "Figure", note: str) -> None:
-    """Write a small line into the lower right corner, below everything else."""
+    """Write a small line below the figure, at the right."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     if not note:
@@ -94,7 +119,7 @@ def add_note(figure: "Figure", note: str) -> None:
 
 
 def png(figure: "Figure") -> bytes:
-    """Encode a figure in bytes that depend on nothing but what it shows."""
+    """Encode a figure as PNG; equal figures give equal bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     stream = io.BytesIO()
@@ -104,7 +129,7 @@ def png(figure: "Figure") -> bytes:
 
 
 def pdf(figure: "Figure") -> bytes:
-    """Encode a figure as vectors, in bytes that depend on nothing but what it shows."""
+    """Encode a figure as vectors (PDF); equal figures give equal bytes."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
     stream = io.BytesIO()

@@ -1,4 +1,4 @@
-"""How a structure grew, join by join, as a GIF or an MP4."""
+"""Animates the growth of a structure, join by join, as GIF or MP4."""
 
 import io
 import tempfile
@@ -13,25 +13,33 @@ from PIL import Image
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
+from tiswarm.report.figure_style import JOIN_COLORS
 from tiswarm.report.folder import choose_case, read_cases, subfolder
-from tiswarm.report.render.build import Robots, build_scene
-from tiswarm.report.render.legend import JOIN_COLORS, Scale, add_legend
-from tiswarm.report.render.pictures import Rendered, draw_scenes
-from tiswarm.report.render.scene import Scene
-from tiswarm.report.render.subjects import TRUE_SIZE, Subject, read_subject
+from tiswarm.report.render.pictures import (
+    TRUE_SIZE,
+    CaseView,
+    Rendered,
+    Scale,
+    add_legend,
+    read_case_view,
+)
+from tiswarm.report.render.raycast import draw_scenes
+from tiswarm.report.render.scene import Robots, Scene, build_scene
 
 Movie = Literal["gif", "mp4"]
 
 MOST_FRAMES = 60
 SHRINK = 2
-"""Frames are so many times smaller than pictures."""
+"""Size of a picture over that of a frame."""
 
 FRAME_MS = 90
+"""Duration of a frame [ms]."""
+
 LAST_MS = 2_500
-"""How long the whole structure is shown before the GIF starts again [ms]."""
+"""Duration of the last frame, which shows the whole structure [ms]."""
 
 COLORS = 192
-"""Colors of a GIF, chosen from its last frame."""
+"""Colors of a GIF; its last frame determines them."""
 
 
 def animate_run(
@@ -42,42 +50,47 @@ def animate_run(
     renderer: str | None = None,
     case: str | None = None,
 ) -> Rendered:
-    """Draw how the structure of a case grew into `renders/growth.gif` or `renders/growth.mp4`.
+    """Animate the growth of a case into `renders/growth.gif` or `renders/growth.mp4`.
 
-    Camera and ground are those of the whole structure in every frame. Case and renderer are
-    chosen as `render_run` does.
+    Every frame has the camera and the ground of the whole structure.
+
+    Args:
+        folder: Folder of the run.
+        form: File format.
+        progress: Receives progress.
+        renderer: Name of the renderer; the best that works if None.
+        case: Name of the case, which the file name then contains; the first of the largest if None.
 
     Raises:
-        InputError: for an unknown case, or a damaged run.
-        EnvironmentTroubleError: where a renderer or the library for MP4 is missing.
+        InputError: the renderer or the case is unknown, or the run is damaged.
+        EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
     """
-    subject = read_subject(choose_case(read_cases(folder), case, folder))
-    joined = _joins(len(subject.pose))
-    place = subfolder(folder, "renders")
-    pictures, used, reason = draw_scenes(_scenes(subject, joined), renderer, place)
+    view = read_case_view(choose_case(read_cases(folder), case, folder))
+    joined = _joins(len(view.pose))
+    pictures, used, reason = draw_scenes(_scenes(view, joined), renderer)
     frames = [
-        _with_legend(Image.fromarray(picture), count, len(subject.pose))
+        _with_legend(Image.fromarray(picture), count, len(view.pose))
         for picture, count in zip(pictures, joined, strict=True)
     ]
     suffix = "" if case is None else f"-{case}"
-    path = place / f"growth{suffix}.{form}"
+    path = subfolder(folder, "renders") / f"growth{suffix}.{form}"
     write_bytes(path, _gif(frames) if form == "gif" else _mp4(frames))
-    because = f" because {reason}" if reason else ""
+    because = f" ({reason})" if reason else ""
     progress.info(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")
     return Rendered(path=path, renderer=used, reason=reason)
 
 
 def _joins(robots: int) -> list[int]:
-    """How many robots are there in each frame, ascending to all of them."""
+    """Choose the number of robots in each frame, ascending to all of them."""
     counts: list[int] = (
         np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
     )
     return counts
 
 
-def _scenes(subject: Subject, joined: Sequence[int]) -> list[Scene]:
-    """Build a scene for each number of robots, as small as frames are."""
-    whole = subject.robots(subject.pose, subject.by_join, TRUE_SIZE)
+def _scenes(view: CaseView, joined: Sequence[int]) -> list[Scene]:
+    """Build a scene of the size of a frame for each number of robots."""
+    whole = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
     around = whole.dock.reshape(-1, 3)
     scenes = []
     for count in joined:
@@ -87,7 +100,7 @@ def _scenes(subject: Subject, joined: Sequence[int]) -> list[Scene]:
             color=whole.color[:count],
             look=whole.look,
         )
-        scene = build_scene([robots], subject.ground_z, around=around)
+        scene = build_scene([robots], view.ground_z, around=around)
         camera = scene.camera
         small = replace(camera, width=camera.width // SHRINK, height=camera.height // SHRINK)
         scenes.append(replace(scene, camera=small))
@@ -95,8 +108,8 @@ def _scenes(subject: Subject, joined: Sequence[int]) -> list[Scene]:
 
 
 def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
-    """Put a legend above a frame, in even numbers of pixels, as MP4 wants them."""
-    legend = Scale(JOIN_COLORS, "joined first", f"last, {count} of {robots} robots")
+    """Add a legend to a frame, and make its size even, as MP4 requires."""
+    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}, {count} of {robots} robots")
     band = add_legend(Image.new("RGB", (SHRINK * picture.width, 0)), legend)
     band = band.resize((picture.width, band.height // SHRINK), Image.Resampling.LANCZOS)
     height = picture.height + band.height
@@ -107,7 +120,7 @@ def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
 
 
 def _gif(frames: Sequence[Image.Image]) -> bytes:
-    """Encode frames in one palette, so that no color flickers."""
+    """Encode frames in one palette, to avoid flicker."""
     palette = frames[-1].quantize(COLORS)
     first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     stream = io.BytesIO()
@@ -123,12 +136,12 @@ def _gif(frames: Sequence[Image.Image]) -> bytes:
 
 
 def _mp4(frames: Sequence[Image.Image]) -> bytes:
-    """Encode frames as H.264, which browsers and slides play."""
+    """Encode frames as H.264."""
     try:
         import imageio.v3 as iio  # noqa: PLC0415 - an extra
         import imageio_ffmpeg  # noqa: F401, PLC0415 - what imageio calls
     except ImportError as error:
-        msg = "MP4 needs more libraries; pip install 'tiswarm[video]', or leave --movie out for GIF"
+        msg = "MP4 needs imageio and imageio-ffmpeg; pip install 'tiswarm[video]', or use GIF"
         raise EnvironmentTroubleError(msg) from error
     with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
         path = Path(place, "growth.mp4")

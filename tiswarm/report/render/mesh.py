@@ -1,12 +1,11 @@
-"""Turns capsules into triangles, for the renderers that know nothing else."""
+"""Turns capsules into triangles."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.report.render.camera import Array32
-from tiswarm.report.render.scene import Scene
+from tiswarm.report.render.scene import Array32, Scene
 
 SIDES = (6, 48)
 """Least and most sides of a sphere's equator."""
@@ -20,7 +19,7 @@ class Mesh:
     """V points and T triangles of every capsule of a scene."""
 
     point: Array32
-    """Places [R], shape (V, 3)."""
+    """Positions [R], shape (V, 3)."""
 
     triangle: NDArray[np.int32]
     """Points of each triangle, counterclockwise from outside, shape (T, 3)."""
@@ -33,7 +32,12 @@ class Mesh:
 
 
 def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
-    """Mesh capsules as bent grids, of so many sides, or finer the larger they are seen."""
+    """Mesh the capsules of a scene.
+
+    Args:
+        scene: The scene.
+        sides: Sides of a sphere's equator; if None, more for spheres that look larger.
+    """
     depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
     points, triangles, order, counts = [], [], [], []
     first = 0
@@ -57,7 +61,7 @@ def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
 
 
 def _side_count(pixels: float) -> int:
-    """Choose an even number of sides for a sphere whose radius is seen as so many pixels."""
+    """Choose an even number of sides for a sphere of this radius in the picture."""
     return int(np.clip(3.2 * pixels**0.58, *SIDES)) // 2 * 2
 
 

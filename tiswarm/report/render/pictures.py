@@ -1,54 +1,246 @@
-"""Draws the pictures of a run with the first renderer that works on this machine."""
+"""The 3D pictures of a case: what they show, their legends, and their files."""
 
 import io
-import pickle
-import signal
-import subprocess
-import sys
-import tempfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
-from tiswarm.records.io import write_bytes
-from tiswarm.report.folder import choose_case, read_cases, subfolder
-from tiswarm.report.render.legend import add_legend
-from tiswarm.report.render.packages import installation_advice
-from tiswarm.report.render.raycast import draw
-from tiswarm.report.render.scene import Scene
-from tiswarm.report.render.tiles import tile_tracer
+from tiswarm.records.io import at_line, numbered_lines, write_bytes
+from tiswarm.records.sensing_file import HeaderLine, parse_header, read_sensing_log
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.report.figure_style import (
+    ERROR_COLORS,
+    ESTIMATE_ORANGE,
+    FORCE_COLORS,
+    JOIN_COLORS,
+    TRUE_BLUE,
+    colors_along,
+    rgb,
+)
+from tiswarm.report.folder import Case, choose_case, read_cases, read_columns, subfolder
+from tiswarm.report.render.raycast import draw_scenes
+from tiswarm.report.render.scene import Array, Look, Robots, Rods, Scene, build_scene
 
-RENDERERS = ("open3d", "open3d-raycast", "taichi")
-"""Best first; the last needs nothing but the engine itself."""
+POSITION = ["x_R", "y_R", "z_R"]
+POSE = [*POSITION, "qw", "qx", "qy", "qz"]
+ESTIMATED_POSE = [
+    *(name.replace("_R", "_est_R") for name in POSITION),
+    *(f"{name}_sensed" for name in POSE[3:]),
+]
+RELATED = ["error_R", "sensed_force", "robot"]
 
-CHILD = (sys.executable, "-m", "tiswarm.report.render.child")
-TIME_LIMIT = 60.0
-"""Time that a child may take to start and to draw small scenes [s]."""
+TRUE_SIZE = Look(0.45, 0.3, 1.0)
+TRUTH_LOOK = Look(0.3, 0.18, 0.72)
+ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)
+"""Beside TRUTH_LOOK: where both coincide, blue docks on orange arms are seen."""
 
-CAPSULES_PER_SECOND = 2_000.0
-"""Slowest drawing that a child is granted more time for."""
+NODE = Look(0.3, 0.3, 0.6)
+"""A robot as a node of a graph: one ball."""
 
-BLANK_SHARE = 0.001
-"""Share of pixels that must differ from the corner in a picture that shows something."""
+EDGE_RADIUS = 0.16
+EDGE_GRAY = (0.45, 0.45, 0.47)
+
+# --- legend [pixels] ---
+
+LEGEND_MARGIN = 18
+LEGEND_HEIGHT = 62
+FONT = 26
+INK = (40, 40, 40)
+BAR_LENGTH = 200
+
+
+@dataclass(frozen=True)
+class Keys:
+    """A legend of single colors (hex) and their meanings."""
+
+    entries: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A legend of a range of colors (hex) and the meanings of its ends."""
+
+    colors: tuple[str, ...]
+    low: str
+    high: str
+
+
+Legend = Keys | Scale
+
+
+class Picture(NamedTuple):
+    """A scene and the meaning of its colors."""
+
+    scene: Scene
+    legend: Legend
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseView:
+    """N robots of a case: true and estimated poses, errors and forces."""
+
+    case: Case
+    pose: Array
+    """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
+
+    estimated_pose: Array
+    """Estimated center [R] and sensed quaternion wxyz, NaN where unknown, shape (N, 7)."""
+
+    error: Array
+    """Distance between true and estimated center [R], shape (N,)."""
+
+    force: Array
+    """Force that each robot senses in its links [weight of a dock], shape (N,)."""
+
+    robot: NDArray[np.int64]
+    """Id of each robot, shape (N,)."""
+
+    @cached_property
+    def log(self) -> SensingLog:
+        """The sensing log; slow to read for many robots."""
+        return read_sensing_log(self.case.folder / "sensing.jsonl")
+
+    @cached_property
+    def header(self) -> HeaderLine:
+        """The first line of the sensing log."""
+        path = self.case.folder / "sensing.jsonl"
+        number, text = next(numbered_lines(path), (1, ""))
+        with at_line(path, number):
+            return parse_header(text)
+
+    @property
+    def dock_offset_body(self) -> Array:
+        """Vectors from center to dock, body frame [R], shape (docks, 3)."""
+        return np.array(self.header.dock_offsets) / self.header.dock_radius
+
+    @property
+    def ground_z(self) -> float | None:
+        """Height of the ground [R]; None where there is none."""
+        height = self.header.ground_z
+        return None if height is None else height / self.header.dock_radius
+
+    @property
+    def color_by_join(self) -> Array:
+        """Color of each robot by its join index, shape (N, 3)."""
+        return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)
+
+    def robots(self, pose: Array, color: Array, look: Look) -> Robots:
+        """Place the docks of the robots whose pose is known, and leave out the others.
+
+        Args:
+            pose: Center [R] and quaternion wxyz, shape (N, 7).
+            color: Red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
+            look: Radii of the robots' parts.
+        """
+        known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+        center = pose[known, :3]
+        dock = center[:, None] + dock_offsets(pose[known, 3:], self.dock_offset_body)
+        color = np.broadcast_to(color, (len(pose), 3))[known]
+        return Robots(center=center, dock=dock, color=color, look=look)
+
+
+def read_case_view(case: Case) -> CaseView:
+    """Read the poses, errors and forces of a case.
+
+    Raises:
+        InputError: a file of the case is missing or damaged.
+    """
+    table = read_columns(case.folder / "robots.csv", [*POSE, *ESTIMATED_POSE, *RELATED])
+    return CaseView(
+        case=case,
+        pose=table[:, :7],
+        estimated_pose=table[:, 7:14],
+        error=table[:, 14],
+        force=table[:, 15],
+        robot=table[:, 16].astype(np.int64),
+    )
+
+
+def build_pictures(case: Case) -> dict[str, Picture]:
+    """Build every picture of a case, by name.
+
+    Raises:
+        InputError: a file of the case is missing or damaged.
+    """
+    view = read_case_view(case)
+    structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+    truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUTH_LOOK)
+    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), ESTIMATE_LOOK)
+    return {
+        "structure": Picture(
+            build_scene([structure], view.ground_z),
+            Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}"),
+        ),
+        "sensed-force": _scaled(view, view.force, FORCE_COLORS, "sensed force [dock weights]"),
+        "truth-and-estimate": Picture(
+            build_scene([truth, estimate], view.ground_z),
+            Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))),
+        ),
+        "error": _scaled(view, view.error, ERROR_COLORS, "error [R]"),
+        "contact-graph": _contact_graph(view),
+    }
+
+
+def _scaled(view: CaseView, value: Array, colors: tuple[str, ...], title: str) -> Picture:
+    """Color the structure by a value of each robot, from zero to the greatest."""
+    greatest = max(np.nanmax(value, initial=0.0), 1e-9)
+    color = colors_along(np.nan_to_num(value) / greatest, colors)
+    robots = view.robots(view.pose, color, TRUE_SIZE)
+    legend = Scale(colors, f"{title}  0", f"{greatest:.3g}")
+    return Picture(build_scene([robots], view.ground_z), legend)
+
+
+def _contact_graph(view: CaseView) -> Picture:
+    """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
+    away = hops(view.log, np.zeros(1, np.int64))[0]
+    farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
+    color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
+    center = view.pose[:, :3]
+    nodes = Robots(center=center, dock=center[:, None], color=color, look=NODE)
+    ends = center[view.log.contacts[:, [0, 2]]]
+    rods = Rods(start=ends[:, 0], end=ends[:, 1], radius=EDGE_RADIUS, color=EDGE_GRAY)
+    legend = Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}")
+    return Picture(build_scene([nodes], None, rods=rods), legend)
+
+
+def add_legend(picture: Image.Image, legend: Legend) -> Image.Image:
+    """Add a white band with a legend above a picture."""
+    whole = Image.new("RGB", (picture.width, picture.height + LEGEND_HEIGHT), "white")
+    whole.paste(picture, (0, LEGEND_HEIGHT))
+    pen = ImageDraw.Draw(whole)
+    font = ImageFont.load_default(FONT)
+    left = float(LEGEND_MARGIN)
+    if isinstance(legend, Scale):
+        pen.text((left, LEGEND_MARGIN), legend.low, INK, font)
+        left += pen.textlength(f"{legend.low} ", font)
+        bar = colors_along(np.linspace(0.0, 1.0, BAR_LENGTH), legend.colors)
+        for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
+            pen.line((left + x, LEGEND_MARGIN + 6, left + x, LEGEND_MARGIN + 26), tuple(color))
+        pen.text((left + BAR_LENGTH, LEGEND_MARGIN), f" {legend.high}", INK, font)
+        return whole
+    for color, text in legend.entries:
+        pen.ellipse((left, LEGEND_MARGIN, left + 24, LEGEND_MARGIN + 24), fill=color)
+        pen.text((left + 34, LEGEND_MARGIN + 12), text, INK, font, anchor="lm")
+        left += 70 + pen.textlength(text, font)
+    return whole
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendered:
-    """A picture that was drawn."""
+    """A picture file."""
 
     path: Path
     renderer: str
     reason: str
-    """Why better renderers did not, or nothing."""
-
-
-class RendererError(Exception):
-    """A renderer gave no picture; the text says why."""
+    """Why a better renderer failed; empty if none did."""
 
 
 def render_run(
@@ -56,21 +248,21 @@ def render_run(
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
-    Of the first case with most robots, unless `case` names one, then part of the file names too;
-    by the best renderer that works, unless `renderer` names one.
+    Args:
+        folder: Folder of the run.
+        progress: Receives progress.
+        renderer: Name of the renderer; the best that works if None.
+        case: Name of the case, which file names then contain; the first of the largest if None.
 
     Raises:
-        InputError: for an unknown renderer or case, or a damaged run.
-        EnvironmentTroubleError: where the renderer asked for does not work here.
+        InputError: the renderer or the case is unknown, or the run is damaged.
+        EnvironmentTroubleError: the renderer does not work on this machine.
     """
-    from tiswarm.report.render.subjects import build_pictures  # noqa: PLC0415 - slow to import
-
     planned = build_pictures(choose_case(read_cases(folder), case, folder))
     suffix = "" if case is None else f"-{case}"
+    pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
+    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
     place = subfolder(folder, "renders")
-    scenes = [plan.scene for plan in planned.values()]
-    pictures, used, reason = draw_scenes(scenes, renderer, place)
-    progress.info(f"drawn by {used}" + (f" because {reason}" if reason else ""))
     drawn = []
     for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()
@@ -80,100 +272,3 @@ def render_run(
         progress.info(f"renders/{path.name}")
         drawn.append(Rendered(path=path, renderer=used, reason=reason))
     return drawn
-
-
-def draw_scenes(
-    scenes: list[Scene], only: str | None, place: Path | None = None
-) -> tuple[list[NDArray[np.uint8]], str, str]:
-    """Try the renderers in turn, or the only one that is wanted.
-
-    Args:
-        scenes: What to draw.
-        only: The only renderer to use, if any.
-        place: Folder for files on the way; the system's if None.
-
-    Returns:
-        The pictures, who drew them, and why no better renderer did.
-
-    Raises:
-        InputError: for an unknown renderer.
-        EnvironmentTroubleError: where the renderer asked for does not work here.
-    """
-    if only is not None and only not in RENDERERS:
-        msg = f"unknown renderer {only!r}; choose one of {', '.join(RENDERERS)}"
-        raise InputError(msg, key="--renderer")
-    failures: list[str] = []
-    for name in RENDERERS if only is None else (only,):
-        try:
-            if name == "taichi":  # safe enough for this process, where it may be compiled already
-                pictures = [draw(scene, tile_tracer(scene)) for scene in scenes]
-            else:
-                pictures = draw_in_child(scenes, name, place)
-        except RendererError as error:
-            failures.append(f"{name}: {error}")
-        else:
-            advice = installation_advice() if failures else []
-            return pictures, name, "; ".join([*failures, *advice])
-    remedies = ", or ".join([*installation_advice(), "leave the choice of the renderer open"])
-    msg = f"cannot draw with {failures[0]}; {remedies}"
-    raise EnvironmentTroubleError(msg)
-
-
-def draw_in_child(
-    scenes: list[Scene], renderer: str, folder: Path | None = None
-) -> list[NDArray[np.uint8]]:
-    """Draw scenes in a process of their own, and trust nothing it says.
-
-    Raises:
-        RendererError: if it dies, takes too long, or its pictures are missing or blank.
-    """
-    capsules = sum(len(scene.radius) for scene in scenes)
-    time_limit = TIME_LIMIT + capsules / CAPSULES_PER_SECOND
-    with tempfile.TemporaryDirectory(prefix=".", suffix=".tmp", dir=folder) as place:
-        files = []
-        for index, scene in enumerate(scenes):
-            files += [str(Path(place, f"{index}{suffix}")) for suffix in ("", ".png")]
-            Path(place, str(index)).write_bytes(pickle.dumps(scene))
-        command = [*CHILD, *files, "--renderer", renderer]
-        try:
-            done = subprocess.run(  # noqa: S603 - our own module
-                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=time_limit,
-                check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired as error:
-            msg = f"no picture within {time_limit:.0f} s"
-            raise RendererError(msg) from error
-        if done.returncode:
-            raise RendererError(_last_words(done))
-        return [_read(Path(file), scene) for file, scene in zip(files[1::2], scenes, strict=True)]
-
-
-def _last_words(done: subprocess.CompletedProcess[bytes]) -> str:
-    """Tell how a child ended."""
-    if done.returncode < 0:
-        return f"killed by {signal.Signals(-done.returncode).name}"
-    lines = done.stderr.decode(errors="replace").strip().splitlines()
-    return lines[-1].strip() if lines else f"exit status {done.returncode}"
-
-
-def _read(path: Path, scene: Scene) -> NDArray[np.uint8]:
-    """Read a child's picture and check that it shows something."""
-    try:
-        with Image.open(path) as image:
-            picture = np.asarray(image.convert("RGB"))
-    except OSError as error:
-        msg = "it wrote no picture"
-        raise RendererError(msg) from error
-    if picture.shape[:2] != (scene.camera.height, scene.camera.width):
-        msg = f"its picture has the wrong size, {picture.shape[1]} x {picture.shape[0]}"
-        raise RendererError(msg)
-    if is_blank(picture):
-        msg = "its picture is blank"
-        raise RendererError(msg)
-    return picture
-
-
-def is_blank(picture: NDArray[np.uint8]) -> bool:
-    """Tell whether nearly all pixels look like the top left one."""
-    difference = np.abs(picture.astype(np.int16) - picture[0, 0]).max(axis=2)
-    return bool((difference > 12).mean() < BLANK_SHARE)  # noqa: PLR2004 - visible at all

@@ -1,61 +1,106 @@
-"""Draws a scene by asking, for each pixel, which capsule is seen there.
+"""Draws scenes by casting a ray through each pixel.
 
-Who answers is the renderer's choice; everything else (rays, ground, color, soft edges) is
-shared. Pixels on an edge are asked for several more times and averaged.
+A renderer finds the first capsule along each ray: `open3d` with Embree on a mesh, `taichi` with a
+kernel of our own on exact capsules. Rays, ground, color and soft edges are shared. Pixels on an
+edge are averaged over several rays.
 """
 
+import contextlib
+import ctypes
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.report.render.camera import Array32
-from tiswarm.report.render.light import color_of_capsules, color_of_ground
-from tiswarm.report.render.scene import Scene
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.report.render.mesh import mesh_capsules
+from tiswarm.report.render.scene import (
+    Array,
+    Array32,
+    Scene,
+    color_of_capsules,
+    color_of_ground,
+)
 
-Trace = Callable[[Array32], tuple[Array32, NDArray[np.int64]]]
-"""From pixels (column, row), shape (n, 2), to the depth of what is seen there, infinite for
-nothing, and which capsule it is, or -1; each of shape (n,)."""
+Picture = NDArray[np.uint8]
+Trace = Callable[[Array32, Array32], tuple[Array32, NDArray[np.int64]]]
+"""From pixels (column, row), shape (n, 2), and the directions of their rays, shape (n, 3), to the
+depth of the first capsule, infinite if there is none, and its index or -1, each of shape (n,)."""
 
 SUBPIXELS = np.array(
     [[x + 0.5, (5 * x + 2) % 8 + 0.5] for x in range(8)], dtype=np.float32
 ) / 8.0  # fmt: skip
-"""Where in an edge pixel to look: eight places, no two in one row or column."""
+"""Eight places in an edge pixel, no two of them in one row or column."""
 
-CROWDED = 0.3
-"""Share of edge pixels above which half of these places must do."""
+MANY_EDGES = 0.3
+"""Share of edge pixels above which four rays are cast in each instead of eight."""
 
 GROUND, NOTHING = -1, -2
 CHUNK = 400_000
-"""Rays at a time, to bound memory."""
+"""Rays cast at a time, to bound memory."""
+
+TILE = 12
+"""Edge of a tile in which the `taichi` renderer sorts capsules [pixels]."""
 
 
-def draw(scene: Scene, trace: Trace) -> NDArray[np.uint8]:
+def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[Picture], str, str]:
+    """Draw scenes with one renderer, or with the first that works.
+
+    Args:
+        scenes: Scenes to draw.
+        renderer: Name of the renderer; the first of `TRACERS` that works if None.
+
+    Returns:
+        The pictures, of shape (height, width, 3), the name of their renderer, and why a better
+        renderer failed, if one did.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+    if renderer is not None and renderer not in TRACERS:
+        gone = "open3d casts rays now; " if renderer == "open3d-raycast" else ""
+        problem = f"unknown renderer: {renderer}; {gone}use one of {', '.join(TRACERS)}"
+        raise InputError(problem, key="--renderer")
+    reason = ""
+    for name in TRACERS if renderer is None else (renderer,):
+        try:
+            pictures = [draw(scene, TRACERS[name](scene)) for scene in scenes]
+        except (ImportError, OSError, RuntimeError) as error:
+            reason = f"{name}: {error}; `tiswarm doctor` names what to install"
+        else:
+            return pictures, name, reason
+    problem = f"cannot draw with {reason}"
+    raise EnvironmentTroubleError(problem)
+
+
+def draw(scene: Scene, trace: Trace) -> Picture:
     """Draw a scene, shape (height, width, 3)."""
     width, height = scene.camera.width, scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
-    color, seen = _look(scene, trace, corner + np.float32(0.5))
+    color, seen = _cast(scene, trace, corner + np.float32(0.5))
     edge = np.flatnonzero(_edges(seen.reshape(height, width)))
-    places = SUBPIXELS if len(edge) < CROWDED * len(seen) else SUBPIXELS[::2]
-    finer = [_look(scene, trace, corner[edge] + place)[0] for place in places]
+    places = SUBPIXELS if len(edge) < MANY_EDGES * len(seen) else SUBPIXELS[::2]
+    finer = [_cast(scene, trace, corner[edge] + place)[0] for place in places]
     color[edge] = np.mean(finer, axis=0)
     return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
 
 
-def _look(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
-    """Find color and object (capsule, ground or nothing) at pixels."""
+def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
+    """Find color and object (a capsule, GROUND or NOTHING) at pixels."""
     parts = [
-        _look_at_once(scene, trace, pixels[first : first + CHUNK])
+        _cast_chunk(scene, trace, pixels[first : first + CHUNK])
         for first in range(0, max(len(pixels), 1), CHUNK)
     ]
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
-def _look_at_once(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
-    depth, capsule = trace(pixels)
+def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
     eye = scene.camera.eye.astype(np.float32)
     direction = scene.camera.directions(pixels)
+    depth, capsule = trace(pixels, direction)
     color = np.ones((len(pixels), 3), np.float32)
     seen = np.where(capsule >= 0, capsule, NOTHING)
     if scene.ground is not None:  # a backdrop: it never hides a robot
@@ -72,7 +117,7 @@ def _look_at_once(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32,
 
 
 def _edges(seen: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mark pixels that see something else than the pixel beside or below, and those pixels."""
+    """Mark pairs of neighboring pixels that show different objects."""
     edge = np.zeros(seen.shape, dtype=bool)
     beside, below = seen[:, 1:] != seen[:, :-1], seen[1:] != seen[:-1]
     edge[:, 1:] |= beside
@@ -80,3 +125,109 @@ def _edges(seen: NDArray[np.int64]) -> NDArray[np.bool_]:
     edge[1:] |= below
     edge[:-1] |= below
     return edge
+
+
+# --- open3d ---
+
+
+def open3d_tracer(scene: Scene) -> Trace:
+    """Prepare Embree to cast rays at a mesh of the scene."""
+    o3d = import_open3d()
+    mesh = mesh_capsules(scene)
+    caster = o3d.t.geometry.RaycastingScene()
+    caster.add_triangles(
+        o3d.core.Tensor(mesh.point), o3d.core.Tensor(mesh.triangle.astype(np.uint32))
+    )
+    eye = scene.camera.eye.astype(np.float32)
+
+    def trace(_pixels: Array32, direction: Array32) -> tuple[Array32, NDArray[np.int64]]:
+        rays = np.column_stack([np.broadcast_to(eye, direction.shape), direction])
+        answer = caster.cast_rays(o3d.core.Tensor(rays))
+        triangle = answer["primitive_ids"].numpy().astype(np.int64)
+        missed = triangle == o3d.t.geometry.RaycastingScene.INVALID_ID
+        triangle[missed] = 0
+        return answer["t_hit"].numpy(), np.where(missed, -1, mesh.triangle_capsule[triangle])
+
+    return trace
+
+
+def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
+    """Import open3d, after the library that `libusb_package` brings, where it is installed."""
+    with contextlib.suppress(ImportError, OSError):
+        import libusb_package  # noqa: PLC0415 - optional
+
+        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
+    import open3d
+
+    return open3d
+
+
+# --- taichi ---
+
+
+def taichi_tracer(scene: Scene) -> Trace:
+    """Prepare a kernel that intersects each ray with the capsules of its tile."""
+    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+    from tiswarm.report.render.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
+
+    backend.current()
+    camera = scene.camera
+    start = camera.project(scene.start.astype(np.float64))
+    end = camera.project(scene.end.astype(np.float64))
+    nearest: Array = np.minimum(start[:, 2], end[:, 2]) - scene.radius
+    tile_start, tile_item = _sort_into_tiles(scene, start, end, nearest)
+    lens = np.array(
+        [
+            [camera.pixels_per_slope, camera.width / 2.0, camera.height / 2.0],
+            [TILE, -(-camera.width // TILE), 0.0],
+        ],
+        dtype=np.float32,
+    )
+    capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
+
+    def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, NDArray[np.int64]]:
+        depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
+        trace_capsules(
+            np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen
+        )
+        return np.where(depth < FAR / 2.0, depth, np.float32(np.inf)), seen.astype(np.int64)
+
+    return trace
+
+
+def _sort_into_tiles(
+    scene: Scene, start: Array, end: Array, nearest: Array
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """List, for each tile, the capsules whose outline may reach it, nearest first.
+
+    Returns:
+        First item of each tile, shape (tiles + 1,), and the capsules, shape (items,).
+    """
+    camera = scene.camera
+    columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
+    order = np.argsort(nearest, kind="stable")
+    reach = scene.radius[:, None].astype(np.float64)
+    slopes = [
+        (point[:, :2] + side * reach) / (point[:, 2:] + away * reach)
+        for point in (start, end)
+        for side in (-1.0, 1.0)
+        for away in (-1.0, 1.0)
+    ]
+    middle = np.array([camera.width, camera.height]) / 2.0
+    flip = np.array([1.0, -1.0])
+    places = [middle + flip * camera.pixels_per_slope * slope for slope in slopes]
+    limit = np.array([columns - 1, rows - 1])
+    first = np.clip(np.min(places, axis=0) // TILE, 0, limit).astype(np.int64)[order]
+    last = np.clip(np.max(places, axis=0) // TILE, 0, limit).astype(np.int64)[order]
+    wide, tall = (last - first + 1).T
+    count = wide * tall
+    item = np.repeat(np.arange(len(order)), count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    tile = (first[item, 1] + within // wide[item]) * columns + first[item, 0] + within % wide[item]
+    by_tile = np.argsort(tile, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=columns * rows))])
+    return starts.astype(np.int32), order[item[by_tile]].astype(np.int32)
+
+
+TRACERS: dict[str, Callable[[Scene], Trace]] = {"open3d": open3d_tracer, "taichi": taichi_tracer}
+"""The renderers by name, best first; `taichi` needs no library beyond the engine's."""
