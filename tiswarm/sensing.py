@@ -1,8 +1,6 @@
-"""What robots feel while the world grows, with noise.
+"""Turns the true history of a structure into the noisy log that localizers read."""
 
-From the true history to the log that is the localizers' whole world.
-"""
-
+from dataclasses import asdict
 from typing import Annotated
 
 import numpy as np
@@ -13,59 +11,72 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.params import STRICT
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
+from tiswarm.records.sensing_log import Fraction, SensingLog, SensingNoise, Stances
 from tiswarm.world.history import History
-
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingParams:
     """Noise of the robots' senses; none by default, as in the paper.
 
-    Fractions count the contacts of every stance, each drawn for itself.
+    Each contact of each stance has its own random draw.
     """
 
     tilt_noise_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
-    """Standard deviation of the sensed orientation about each horizontal axis, drawn anew for
+    """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
     each stance [deg]."""
 
     yaw_noise_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
-    """Standard deviation of the sensed orientation about the vertical, drawn anew for each
+    """Standard deviation of the sensed orientation about the vertical, with a new draw at each
     stance [deg]."""
 
     yaw_bias_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
-    """Standard deviation of a further turn about the vertical, drawn once for each robot [deg]."""
+    """Standard deviation of a further turn about the vertical, with one draw a robot [deg]."""
 
     spawn_noise: Annotated[float, Field(ge=0.0)] | None = None
-    """Standard deviation of each coordinate of the place where a robot thinks that it started
-    [R]; where null, robots do not know it."""
+    """Standard deviation of each coordinate of the sensed spawn position [R]; if null, robots do
+    not sense where they spawn."""
 
     missed_contacts: Fraction = 0.0
-    """Fraction of contacts that are not felt [1]."""
+    """Fraction of contacts that are not sensed [1]."""
 
     wrong_docks: Fraction = 0.0
-    """Fraction of contacts felt at another dock of the same neighbor [1]."""
+    """Fraction of contacts sensed at the wrong dock of the right neighbor [1]."""
 
     false_contacts: Fraction = 0.0
-    """Contacts felt with any dock of any earlier robot, per contact that there is [1]."""
+    """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
+    contact [1]."""
+
+    @property
+    def noise(self) -> SensingNoise:
+        """Noise as the header of a log states it."""
+        return SensingNoise(**{key.replace("_noise", ""): sd for key, sd in asdict(self).items()})
 
 
 def observe(history: History, params: SensingParams) -> SensingLog:
-    """Let every robot of a structure sense its whole walk.
+    """Sense the whole walk of every robot in a structure.
+
+    A random draw depends on the seed of the history, the robot, and the stance or contact only.
 
     Args:
-        history: What truly happened.
-        params: Noise of the senses. Draws depend on the history's seed, the robot and the
-            stance or contact alone.
+        history: True stances and contacts of the robots.
+        params: Noise of the senses.
 
     Returns:
-        The log; it holds no true position but the anchor's and, if asked for, the spawns'.
+        The log. Its only positions are the anchor's and, with `spawn_noise`, the spawns'.
+
+    >>> from tiswarm.robot import RobotGeometry
+    >>> from tiswarm.world.growth import grow
+    >>> from tiswarm.world.params import TowerParams
+    >>> [history] = grow(TowerParams(), robots=3, seeds=[0], robot=RobotGeometry())
+    >>> log = observe(history, SensingParams(tilt_noise_deg=1.0))
+    >>> log.robot_count, log.noise.tilt_deg
+    (3, 1.0)
     """
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = _sensed_orientation(history, length, params)
-    contacts = _felt_contacts(history, params)
+    contacts = _sensed_contacts(history, params)
     at_rest = contacts[:, 1] == length[contacts[:, 0]] - 1
     return SensingLog(
         robot_id=np.arange(history.robot_count),
@@ -79,22 +90,14 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         flip_height=_flip_height(history, sensed, end),
         spawn_position=_spawn_position(history, params),
         stances=_stances(history, sensed, length, contacts[~at_rest]),
-        noise=SensingNoise(
-            tilt_deg=params.tilt_noise_deg,
-            yaw_deg=params.yaw_noise_deg,
-            yaw_bias_deg=params.yaw_bias_deg,
-            spawn=params.spawn_noise,
-            missed_contacts=params.missed_contacts,
-            wrong_docks=params.wrong_docks,
-            false_contacts=params.false_contacts,
-        ),
+        noise=params.noise,
     )
 
 
 def _sensed_orientation(
     history: History, length: NDArray[np.int64], params: SensingParams
 ) -> NDArray[np.float64]:
-    """Orientation that each robot senses at each of its stances, shape (all stances, 4)."""
+    """Return the orientation sensed at each stance of each robot, shape (all stances, 4)."""
     true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
     if params.tilt_noise_deg == params.yaw_noise_deg == params.yaw_bias_deg == 0.0:
         return true
@@ -113,10 +116,10 @@ def _sensed_orientation(
     return sensed.as_quat(canonical=True, scalar_first=True)
 
 
-def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:
-    """Contacts felt at any stance, rows of (robot, stance, own dock, other robot, other dock).
+def _sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:
+    """Return the contacts sensed at all stances, sorted and unique, shape (K, 5).
 
-    Sorted and unique, shape (K, 5).
+    A row is (robot, stance, own dock, other robot, other dock).
     """
     parts = [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
     true: NDArray[np.int32] = np.concatenate(parts)
@@ -136,15 +139,15 @@ def _felt_contacts(history: History, params: SensingParams) -> NDArray[np.int32]
     false = false[draw("false contact", 0) < params.false_contacts]
     is_wrong = draw("wrong dock", 0) < params.wrong_docks
     turned = 1 + (draw("wrong dock", 1) * (docks - 1)).astype(np.int32)
-    felt = true.copy()
-    felt[:, 4] = np.where(is_wrong, (felt[:, 4] + turned) % docks, felt[:, 4])
-    felt = felt[draw("missed contact", 0) >= params.missed_contacts]
-    rows: NDArray[np.int32] = np.unique(np.concatenate([felt, false]), axis=0)
+    sensed = true.copy()
+    sensed[:, 4] = np.where(is_wrong, (sensed[:, 4] + turned) % docks, sensed[:, 4])
+    sensed = sensed[draw("missed contact", 0) >= params.missed_contacts]
+    rows: NDArray[np.int32] = np.unique(np.concatenate([sensed, false]), axis=0)
     return rows
 
 
 def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float64]:
-    """Where each robot thinks that it started [R], NaN where it does not know, shape (N, 3)."""
+    """Return each robot's sensed spawn position [R], shape (N, 3); NaN without `spawn_noise`."""
     true = np.array([walk.center[0] for walk in history.walks])
     if params.spawn_noise is None:
         return np.full_like(true, np.nan)
@@ -155,10 +158,10 @@ def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float
 def _flip_height(
     history: History, sensed: NDArray[np.float64], end: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Height of each robot's center as it follows from its own flips, shape (N,).
+    """Return the height of each robot's center that its own flips imply, shape (N,).
 
     A robot starts flat on the ground. A flip about the dock at b moves its center by
-    (R - R') b, with R and R' the orientations it senses before and after.
+    (R - R') b, where R and R' are the orientations sensed before and after.
     """
     dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]
     start_height = history.ground_z + history.robot.dock_radius
@@ -176,13 +179,13 @@ def _stances(
     length: NDArray[np.int64],
     contacts: NDArray[np.int32],
 ) -> Stances:
-    """Every stance but each robot's last, robot after robot.
+    """Gather every stance except each robot's last.
 
     Args:
-        history: What truly happened.
+        history: True stances of the robots.
         sensed: Orientation sensed at every stance, shape (all stances, 4).
-        length: Stances of each robot, shape (N,).
-        contacts: Contacts felt at all stances but the last, as `_felt_contacts` gives them.
+        length: Number of stances of each robot, shape (N,).
+        contacts: Rows of `_sensed_contacts` at these stances.
     """
     start = np.concatenate([[0], np.cumsum(length - 1)])
     is_last = np.zeros(len(sensed), np.bool_)
@@ -201,6 +204,6 @@ def _stances(
 
 
 def _numbered(rows: NDArray[np.int32], start: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Count stances through the whole log in rows of (robot, stance, ...)."""
+    """Replace (robot, stance) at the start of each row by the stance's index in the log."""
     stance = (start[rows[:, 0]] + rows[:, 1]).astype(np.int32)
     return np.column_stack([stance, rows[:, 2:]])

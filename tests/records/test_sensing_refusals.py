@@ -55,7 +55,7 @@ REFUSED = [
     (header(dock_radius=0), 1, "dock_radius", "0 should be greater than 0"),
     (header(dock_radius="1"), 1, "dock_radius", '"1" should be a valid number'),
     (header(dock_radius=...), 1, "dock_radius", "is missing; add it"),
-    (header(dock_radius=10**400), 1, "dock_radius", "should be a valid number"),
+    (header(dock_radius=10**400), 1, "dock_radius", "should be a finite number"),
     (header(dock_offsets=[]), 1, "dock_offsets", "should have at least 1 item, not 0"),
     (
         header(dock_offsets=[[1, 2]]),
@@ -65,7 +65,7 @@ REFUSED = [
     ),
     (header(dock_offsets=[[1, NAN, 0]]), 1, "dock_offsets[0][1]", "NaN should be a finite number"),
     (header(anchor_position=[0, 0, 0, 0]), 1, "anchor_position", "at most 3 items, not 4"),
-    (header(anchor_position={}), 1, "anchor_position", "{} should be a valid list"),
+    (header(anchor_position={}), 1, "anchor_position", "{} should be a valid array"),
     (header(ground_z="flat"), 1, "ground_z", '"flat" should be a valid number'),
     (header(ground_z=...), 1, "ground_z", "is missing; add it"),
     (header(length_unit=""), 1, "length_unit", "String should have at least 1 character"),

@@ -13,8 +13,8 @@ from tiswarm.errors import InputError
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force import check_placed, directions, gains
-from tiswarm.records.sensing_file import SensingColumns, parse_header, parse_robot
-from tiswarm.records.sensing_log import SensingLog, SensingNoise
+from tiswarm.records.sensing_file import SensingLogBuilder, parse_header, parse_robot
+from tiswarm.records.sensing_log import SensingLog
 
 Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as what its JSON says."""
@@ -53,8 +53,8 @@ class Localizer:
         head = parse_header(_text(header))
         self._params = chosen
         self._unit = head.dock_radius
-        self._columns = SensingColumns(head)
-        self._noise = None if head.noise is None else SensingNoise(**head.noise.model_dump())
+        self._builder = SensingLogBuilder(head)
+        self._noise = head.noise
         self._dock_body = np.array(head.dock_offsets, np.float64) / self._unit
         docks, dtype = len(self._dock_body), backend.current().dtype
         self._chains = CellChains.allocate(1, capacity * docks)
@@ -70,7 +70,7 @@ class Localizer:
     @property
     def log(self) -> SensingLog:
         """What the robots have sensed so far."""
-        return self._columns.log()
+        return self._builder.log()
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -93,12 +93,12 @@ class Localizer:
             msg = f"there is room for {self._count} robots; make the Localizer with more capacity"
             raise InputError(msg)
         line = parse_robot(_text(robot))
-        felt = self._columns.add(line)
-        n, orientation = self._count, np.array([felt.orientation_wxyz])
+        stance = self._builder.add(line)
+        n, orientation = self._count, np.array([stance.orientation_wxyz])
         self._dock_offset[n] = dock_offsets(orientation, self._dock_body)[0]
         self._direction[n] = directions(orientation, self._params)[0]
         self._height[n] = np.nan if line.flip_height is None else line.flip_height / self._unit
-        self._place(np.array(felt.contacts, np.int32).reshape(-1, 3))
+        self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         position: NDArray[np.float64] = self._position[n].astype(np.float64) * self._unit
         return position

@@ -1,46 +1,54 @@
-"""What the swarm sensed while it grew: the localizer's whole world."""
+"""The sensing log: what a swarm sensed while it grew, and all that a localizer reads."""
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
+
+from tiswarm.params import STRICT
+
+Spread = Annotated[float, Field(ge=0.0)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-@dataclass(frozen=True, kw_only=True)
+@pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingNoise:
-    """How wrong the senses are, as the log states it; None where it does not.
+    """Noise of the senses as the log states it; None where the log does not state it.
 
-    Orientations are off by a standard deviation at each stance anew, but for the bias.
+    The orientation noise of each stance is drawn anew, except for the bias.
     """
 
-    tilt_deg: float
+    tilt_deg: Spread
     """Standard deviation about a horizontal axis [deg]."""
 
-    yaw_deg: float
+    yaw_deg: Spread
     """Standard deviation about the vertical [deg]."""
 
-    yaw_bias_deg: float | None = None
+    yaw_bias_deg: Spread | None = None
     """Standard deviation about the vertical that a robot keeps at all its stances [deg]."""
 
-    spawn: float | None = None
+    spawn: Spread | None = None
     """Standard deviation of each coordinate of a spawn position [log unit]."""
 
-    missed_contacts: float | None = None
-    """Fraction of contacts that are not felt [1]."""
+    missed_contacts: Fraction | None = None
+    """Fraction of contacts that are not sensed [1]."""
 
-    wrong_docks: float | None = None
+    wrong_docks: Fraction | None = None
     """Fraction of contacts that name the wrong dock of the other robot [1]."""
 
-    false_contacts: float | None = None
-    """Contacts that are none, per contact [1]."""
+    false_contacts: Fraction | None = None
+    """Sensed contacts that do not exist, per true contact [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stances:
-    """Every stance of every robot before its final one, robot after robot, in time order.
+    """The M stances of all robots before their final ones, by robot and then by time.
 
-    M stances in all; those of robot i are rows `start[i]` to `start[i + 1]`.
+    The stances of robot i are rows `start[i]` to `start[i + 1]`.
     """
 
     start: NDArray[np.int64]
@@ -53,7 +61,7 @@ class Stances:
     """Dock that stays put while the robot flips out of the stance, shape (M,)."""
 
     contacts: NDArray[np.int32]
-    """Contacts felt, rows of (stance, own dock, other robot, other dock), shape (K, 4)."""
+    """Sensed contacts, rows of (stance, own dock, other robot, other dock), shape (K, 4)."""
 
     ground_docks: NDArray[np.int32]
     """Docks on flat ground, rows of (stance, own dock), shape (G, 2)."""
@@ -63,14 +71,13 @@ class Stances:
 class SensingLog:
     """Everything a swarm of N robots sensed.
 
-    Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. A log holds no true
-    position but the anchor's, so no localizer can peek at the answer. Rows of `contacts`,
-    `ground_docks` and their counterparts in `stances` are sorted and unique, so that two logs
-    that say the same thing are equal.
+    Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
+    position except the anchor's. Rows of `contacts` and `ground_docks`, here and in `stances`, are
+    sorted and unique, so two logs with equal content have equal arrays.
     """
 
     robot_id: NDArray[np.int64]
-    """Name of each robot in the file it came from: distinct integers, shape (N,)."""
+    """Name of each robot in its file: distinct integers, shape (N,)."""
 
     dock_radius: float
     """Radius of a dock sphere, in the log's own unit (R when it is 1)."""
@@ -87,11 +94,11 @@ class SensingLog:
     contacts: NDArray[np.int32]
     """Docked pairs, rows of (robot i, dock of i, robot j, dock of j), i < j, shape (C, 4).
 
-    Sorted by (j, dock of j, i, dock of i): the joiner j felt them as it joined.
+    Sorted by (j, dock of j, i, dock of i): the later robot j sensed them when it joined.
     """
 
     ground_z: float | None = None
-    """Height of the flat ground, or None where there is none."""
+    """Height of the flat ground; None without flat ground."""
 
     ground_docks: NDArray[np.int32]
     """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
@@ -100,13 +107,13 @@ class SensingLog:
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
     spawn_position: NDArray[np.float64]
-    """Where a robot knows that it started; a row of NaN where it does not, shape (N, 3)."""
+    """Sensed center at the first stance; NaN where missing, shape (N, 3)."""
 
     stances: Stances | None = None
-    """Flip history, or None where the log has none."""
+    """Flip history; None where the log has none."""
 
     noise: SensingNoise | None = None
-    """Orientation noise as the log states it, or None where it does not."""
+    """Noise of the senses as the log states it; None where it states none."""
 
     length_unit: str = "R"
     """Name of the log's unit of length."""
@@ -128,6 +135,6 @@ class SensingLog:
 
 
 def canonical_contacts(contacts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Put rows of `SensingLog.contacts` into their order and drop repeated ones, shape (C, 4)."""
+    """Sort rows of `SensingLog.contacts` and drop repeated ones, shape (C, 4)."""
     joiner_first = np.unique(contacts.reshape(-1, 4)[:, [2, 3, 0, 1]], axis=0)
     return np.ascontiguousarray(joiner_first[:, [2, 3, 0, 1]])
