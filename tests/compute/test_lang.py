@@ -6,12 +6,9 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 MOST_PARAMETERS = 10
 NOT_YET_BUNDLED = {
-    "compute/neighbor_kernels.py",
     "engine/relax_kernels.py",
     "localization/join_order_kernels.py",
     "localization/kernels.py",
-    "localization/joint/force_kernels.py",
-    "localization/joint/motion_kernels.py",
     "world/join_kernels.py",
     "world/kernels.py",
     "world/meeting.py",

@@ -1,92 +1,220 @@
-"""Kernels of the neighbor list: a Verlet row for each robot, from docks sorted into cells.
+"""Kernels of the neighbor list: docks are sorted into cells, then a Verlet row is written a robot.
 
-An entry of a row is one integer: other dock, whether the two are connected, own dock. What
-functions are given as `grid` is what `tiswarm.compute.sort_kernels` has, and
+Functions work for one dock, bucket or robot at a time. A swarm-wide loop over threads and one
+thread that lists a whole small structure therefore run the same lines.
 
+An entry of a row is one integer: other dock, whether the two are connected, own dock. `dock` holds
+places of docks and, last, the number of their structure: rows of four numbers, the current ones
+from `base` on. `grid` is a struct:
+
+- docks: docks of a robot
 - own_bits: bits of an entry that number the robot's own dock
-- entry_stride: from one entry of a row to the next in `row`
+- entry_stride: from one entry of a row to the next
+- cutoff: docks nearer than this are neighbors
+- stride_y, stride_z: from a bucket to that of the next cell along y and z; 1 along x
+- buckets: size of the hash table, a power of two
+- table, slot: where the structure starts in `Cells.begin`, and in `Cells.dock`
 """
 
-from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
-from tiswarm.compute.sort_kernels import (
-    BLOCK,
-    CELL_LENGTH,
-    CELL_WIDTH,
-    bucket_of_cell,
-    cell,
-    dock_at,
-    sort_structure,
-)
+from typing import NamedTuple
 
+from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
+
+STRIDE_STRUCTURE = 1_779_033_703
+CELL_LENGTH = 0.25
+"""Edge of a cell along x, in cutoffs: short, since runs of cells along x are cheap."""
+CELL_WIDTH = 2.0
+"""Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
+BLOCK = 16
+"""Sorted docks that are compared at a time."""
+SCAN_BLOCK = 512
+"""Buckets that one thread sums up at a time."""
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
 REACH_MARGIN = 1e-3
-"""What a reach is taken longer by [cutoff], so that rounding cannot shorten it."""
+"""Lengthening of a reach, so that rounding cannot shorten it [cutoff]."""
+
+
+class Cells(NamedTuple):
+    """M docks in the order of the buckets of their cells, one table after the other."""
+
+    begin: Ints1
+    """First slot of each bucket, then M and a spare, shape (buckets + 2,) a table."""
+
+    dock: Ints1
+    """Dock in each slot; docks of a bucket in ascending order, shape (M,)."""
+
+    place: Reals1
+    """x of the docks slot by slot, then all y, all z, all structures, each followed by room for
+    BLOCK more, shape (4 (M + BLOCK),)."""
+
+
+class Connections(NamedTuple):
+    """Connected docks, as entries of the rows of both robots."""
+
+    start: Ints1
+    """First entry of each robot, shape (N + 1,)."""
+
+    entry: Ints1
+    """Entries robot by robot, shape (2 C,)."""
+
+
+class Rows(NamedTuple):
+    """Verlet rows: the neighbors of each robot, connected docks first."""
+
+    entry: Ints1
+    """Entries of all rows."""
+
+    first: Ints1
+    """Where each robot's row starts, shape (N,)."""
+
+    count: Ints1
+    """Entries of each row, those that did not fit included, shape (N,)."""
+
+
+@ti.func
+def dock_at(dock: Ref, base, m):
+    """Read the place of dock `m` and, last, the number of its structure."""
+    at = base + 4 * m
+    return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
+
+
+@ti.func
+def cell(value, per_length):
+    """Find the index of a cell along one axis."""
+    return ti.cast(ti.floor(value * per_length), ti.i64)
+
+
+@ti.func
+def bucket_of_cell(grid: Ref, x, y, z, structure):
+    """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
+    key = (
+        x
+        + grid.stride_y * y
+        + grid.stride_z * z
+        + STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
+    )  # fmt: skip
+    return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
+
+
+@ti.func
+def own_bucket(grid: Ref, at):
+    """Find the bucket of the cell that holds a dock."""
+    per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
+    per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
+    return bucket_of_cell(
+        grid, cell(at[0], per_length), cell(at[1], per_width), cell(at[2], per_width), at[3]
+    )
+
+
+@ti.func
+def count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+    """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
+    ti.atomic_add(cells.begin[grid.table + own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
+
+
+@ti.func
+def scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+    """Put a dock into the next free slot of its bucket."""
+    bucket = own_bucket(grid, dock_at(dock, base, m))
+    slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
+    cells.dock[slot] = m
+
+
+@ti.func
+def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
+    """Order the docks of a bucket by number, since threads have scattered them in any order."""
+    first = grid.slot + cells.begin[grid.table + bucket]
+    last = grid.slot + cells.begin[grid.table + bucket + 1]
+    for slot in range(first + 1, last):
+        m = cells.dock[slot]
+        to = slot
+        while to > first and cells.dock[ti.max(to - 1, 0)] > m:
+            cells.dock[to] = cells.dock[to - 1]
+            to -= 1
+        cells.dock[to] = m
+    for slot in range(first, last):
+        at = dock_at(dock, base, cells.dock[slot])
+        for c in ti.static(range(4)):
+            cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
+
+
+@ti.func
+def scan_block(grid: Ref, block, cells: Ref):
+    """Replace the counts of a block of buckets by their running sums; return the last one."""
+    total = 0
+    for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
+        total += cells.begin[grid.table + k + 2]
+        cells.begin[grid.table + k + 2] = total
+    return total
+
+
+@ti.func
+def sort_structure(grid: Ref, base, first, last, dock: Ref, cells: Ref):
+    """Sort the docks `first` to `last` of one small structure, on one thread."""
+    for k in range(grid.buckets + 2):
+        cells.begin[grid.table + k] = 0
+    for m in range(first, last):
+        count_dock(grid, base, m, dock, cells)
+    for k in range(1, grid.buckets):
+        cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
+    for m in range(first, last):
+        scatter_dock(grid, base, m, dock, cells)
+    for bucket in range(grid.buckets):
+        sort_bucket(grid, base, bucket, dock, cells)
 
 
 @ti.func
 def nearer_side(value, index, per_width):
-    """Which cell beside its own a place is nearer to (-1 or 1), and how near, in cutoffs."""
+    """Find the cell beside its own that a place is nearer to (-1 or 1), and how near [cutoff]."""
     within = value * per_width - index
     side = ti.select(within < 1.0 - within, -1, 1)
     return side, CELL_WIDTH * ti.min(within, 1.0 - within)
 
 
 @ti.func
-def near_slots(here, square_cutoff, first, sorted_at: Ref):
-    """Which of the BLOCK sorted docks from `first` on are near, a bit each.
+def near_slots(here, square_cutoff, first, cells: Ref):
+    """Set a bit for each of the BLOCK sorted docks from `first` on that is near.
 
-    Nothing is written and all are looked at, wanted or not, so that compilers compare many
-    docks at a time.
+    The loop writes nothing and leaves none out, so that compilers compare many docks at a time.
     """
     near = 0
-    docks = sorted_at.shape[0] // 4
+    docks = cells.place.shape[0] // 4
     for k in range(BLOCK):
-        to_x = sorted_at[first + k] - here[0]
-        to_y = sorted_at[first + k + docks] - here[1]
-        to_z = sorted_at[first + k + 2 * docks] - here[2]
+        to_x = cells.place[first + k] - here[0]
+        to_y = cells.place[first + k + docks] - here[1]
+        to_z = cells.place[first + k + 2 * docks] - here[2]
         square = to_x * to_x + to_y * to_y + to_z * to_z
         near |= ti.cast(square < square_cutoff, ti.i32) << k
     return near
 
 
 @ti.func
-def structure_at(slot, sorted_at: Ref):
-    """Structure of a sorted dock."""
-    return sorted_at[slot + sorted_at.shape[0] // 4 * 3]
-
-
-@ti.func
-def add_run(
-    grid: Ref, here, own, own_first, first, last, sorted_dock: Ref, sorted_at: Ref, row: Ref, place,
-    room, count,
-):  # fmt: skip
-    """Add those of the sorted docks `first` to `last` to a row that are near an own dock."""
+def add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place, room, count):
+    """Add to a row those of the sorted docks in a range of slots that are near an own dock."""
     square_cutoff = grid.cutoff * grid.cutoff
-    at = first
-    while at < last:
-        wanted = (1 << ti.min(last - at, BLOCK)) - 1
-        near = wanted & near_slots(here, square_cutoff, at, sorted_at)
+    structures = cells.place.shape[0] // 4 * 3
+    at = slots[0]
+    while at < slots[1]:
+        wanted = (1 << ti.min(slots[1] - at, BLOCK)) - 1
+        near = wanted & near_slots(here, square_cutoff, at, cells)
         while near != 0:
             slot = at + ti.math.popcnt((near & -near) - 1)
             near &= near - 1
-            other = sorted_dock[slot]
-            # Written always and kept if a neighbor: which it is cannot be predicted.
-            row[place + ti.min(count, room) * grid.entry_stride] = (
+            other = cells.dock[slot]
+            # Always write, and count neighbors only: a branch could not be predicted.
+            rows.entry[place + ti.min(count, room) * grid.entry_stride] = (
                 other << (grid.own_bits + 1)
             ) | own
             count += ti.cast(
                 (other < own_first) | (other >= own_first + grid.docks), ti.i32
-            ) & ti.cast(structure_at(slot, sorted_at) == here[3], ti.i32)
+            ) & ti.cast(cells.place[slot + structures] == here[3], ti.i32)
         at += BLOCK
     return count
 
 
 @ti.func
-def add_dock(
-    grid: Ref, here, own, own_first, begin: Ref, sorted_dock: Ref, sorted_at: Ref, row: Ref, place,
-    room, count,
-):  # fmt: skip
+def add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, room, count):
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
@@ -94,130 +222,158 @@ def add_dock(
     z = cell(here[2], per_width)
     side_y, gap_y = nearer_side(here[1], y, per_width)
     side_z, gap_z = nearer_side(here[2], z, per_width)
-    end = begin[grid.table + grid.buckets]
+    end = cells.begin[grid.table + grid.buckets]
     for column in range(4):
-        # Of a column of cells, only the run that the ball around the dock can reach.
+        # In a column of cells, visit only the run that the ball around the dock can reach.
         one_y = column & 1
         one_z = column >> 1
         square = 1.0 - one_y * gap_y * gap_y - one_z * gap_z * gap_z
         if square > -REACH_MARGIN:
             reach = (ti.sqrt(ti.max(square, 0.0)) + REACH_MARGIN) * grid.cutoff
             left = cell(here[0] - reach, per_length)
-            cells = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
+            length = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
             bucket = bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
-            past = bucket + ti.cast(cells, ti.i32)
-            first = begin[grid.table + bucket]
-            last = begin[grid.table + ti.min(past, grid.buckets)]
+            past = bucket + ti.cast(length, ti.i32)
+            first = cells.begin[grid.table + bucket]
+            last = cells.begin[grid.table + ti.min(past, grid.buckets)]
             if past > grid.buckets:  # the run goes round the end of the table
-                last += begin[grid.table + past - grid.buckets]
-            count = add_run(
-                grid, here, own, own_first, grid.slot + first, grid.slot + ti.min(last, end),
-                sorted_dock, sorted_at, row, place, room, count,
-            )  # fmt: skip
+                last += cells.begin[grid.table + past - grid.buckets]
+            slots = grid.slot + ti.Vector([first, ti.min(last, end)])
+            count = add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
             if last > end:
-                count = add_run(
-                    grid, here, own, own_first, grid.slot, grid.slot + last - end,
-                    sorted_dock, sorted_at, row, place, room, count,
-                )  # fmt: skip
+                slots = grid.slot + ti.Vector([0, last - end])
+                count = add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
     return count
 
 
 @ti.func
-def without_contacts(grid: Ref, contacts, row: Ref, place, count):
-    """Take those docks off a row that stand at its head as contacts."""
+def without_connected(grid: Ref, connected, rows: Ref, place, count):
+    """Remove from a row the docks that its first entries list as connected."""
     flag = 1 << grid.own_bits
-    for c in range(contacts):
-        same = row[place + c * grid.entry_stride] ^ flag
+    for c in range(connected):
+        same = rows.entry[place + c * grid.entry_stride] ^ flag
         found = -1
-        for e in range(contacts, count):
-            found = ti.max(found, ti.select(row[place + e * grid.entry_stride] == same, e, -1))
+        for e in range(connected, count):
+            entry = rows.entry[place + e * grid.entry_stride]
+            found = ti.max(found, ti.select(entry == same, e, -1))
         if found >= 0:
             count -= 1
-            row[place + found * grid.entry_stride] = row[place + count * grid.entry_stride]
+            last = rows.entry[place + count * grid.entry_stride]
+            rows.entry[place + found * grid.entry_stride] = last
     return count
 
 
 @ti.func
 def fill_row(
-    grid: Ref, base, robot, dock: Ref, begin: Ref, sorted_dock: Ref, sorted_at: Ref,
-    contact_start: Ref, contact: Ref, row: Ref, place, room,
-):  # fmt: skip
-    """List a robot's contacts, then all other docks near its own; return how many there are.
+    grid: Ref, base, robot, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
+):
+    """List the docks connected to a robot, then all others near its own; return how many.
 
-    The row starts at `place`, where there is room for `room` entries and one that holds nothing.
-    What does not fit is counted, not written.
+    The row starts at `place`, where `room` entries fit and a spare one. Entries that do not fit
+    are counted, not written.
     """
     own_first = robot * grid.docks
-    contacts = contact_start[robot + 1] - contact_start[robot]
-    for c in range(ti.min(contacts, room)):
-        row[place + c * grid.entry_stride] = contact[contact_start[robot] + c]
-    count = contacts
+    connected = connections.start[robot + 1] - connections.start[robot]
+    for c in range(ti.min(connected, room)):
+        entry = connections.entry[connections.start[robot] + c]
+        rows.entry[place + c * grid.entry_stride] = entry
+    count = connected
     for own in range(grid.docks):
         here = dock_at(dock, base, own_first + own)
-        count = add_dock(
-            grid, here, own, own_first, begin, sorted_dock, sorted_at, row, place, room, count
-        )
+        count = add_dock(grid, here, own, own_first, cells, rows, place, room, count)
     if count <= room:
-        count = without_contacts(grid, contacts, row, place, count)
+        count = without_connected(grid, connected, rows, place, count)
     return count
 
 
 @ti.func
 def fill_rows_of(
-    grid: Ref, base, first_robot, last_robot, dock: Ref, begin: Ref, sorted_dock: Ref,
-    sorted_at: Ref, contact_start: Ref, contact: Ref, row: Ref, row_first: Ref, row_count: Ref,
-    place, room,
-):  # fmt: skip
-    """Write rows of successive robots, one behind the other; return how many entries they have."""
+    grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
+):
+    """Write the rows of robots `first` to `last` in succession; return how many entries."""
     used = 0
-    for robot in range(first_robot, last_robot):
+    for robot in range(first, last):
         free = ti.min(used, room)
-        row_first[robot] = place + free
-        row_count[robot] = fill_row(
-            grid, base, robot, dock, begin, sorted_dock, sorted_at, contact_start, contact,
-            row, place + free, room - free,
-        )  # fmt: skip
-        used += row_count[robot]
+        rows.first[robot] = place + free
+        rows.count[robot] = fill_row(
+            grid, base, robot, dock, cells, connections, rows, place + free, room - free
+        )
+        used += rows.count[robot]
     return used
 
 
 @ti.func
 def list_structure(
-    grid: Ref, base, first_robot, last_robot, dock: Ref, begin: Ref, sorted_dock: Ref,
-    sorted_at: Ref, contact_start: Ref, contact: Ref, row: Ref, row_first: Ref, row_count: Ref,
-    place, room,
+    grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
+):
+    """Write the rows of one small structure, robots `first` to `last`, on one thread.
+
+    Returns:
+        Entries of all its rows; more than `room` if they did not fit.
+    """
+    sort_structure(grid, base, first * grid.docks, last * grid.docks, dock, cells)
+    return fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
+
+
+@ti.kernel
+def sort_docks(
+    docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
+    block_total: Ints1,
+    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells, written
 ):  # fmt: skip
-    """Write the rows of one small structure, on one thread; return how many entries they have."""
-    sort_structure(
-        grid, base, first_robot * grid.docks, last_robot * grid.docks, dock, begin, sorted_dock,
-        sorted_at,
+    """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
+
+    Numbers are those of `grid`, with one table for all docks.
+
+    Args:
+        base: Where the current docks start in `dock`.
+        dock: Places, last the structure, rows of four.
+        block_total: Scratch, shape (ceil(buckets / SCAN_BLOCK),).
+    """
+    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
+    grid = ti.Struct(
+        docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
+        buckets=begin.shape[0] - 2, table=0, slot=0,
     )  # fmt: skip
-    return fill_rows_of(
-        grid, base, first_robot, last_robot, dock, begin, sorted_dock, sorted_at, contact_start,
-        contact, row, row_first, row_count, place, room,
-    )  # fmt: skip
+    for k in range(begin.shape[0]):
+        begin[k] = 0
+    for m in range(sorted_dock.shape[0]):
+        count_dock(grid, base, m, dock, cells)
+    for block in range(block_total.shape[0]):
+        block_total[block] = scan_block(grid, block, cells)
+    ti.loop_config(serialize=True)
+    for block in range(1, block_total.shape[0]):
+        block_total[block] += block_total[block - 1]
+    for k in range(SCAN_BLOCK, begin.shape[0] - 2):
+        begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
+    for m in range(sorted_dock.shape[0]):
+        scatter_dock(grid, base, m, dock, cells)
+    for bucket in range(begin.shape[0] - 2):
+        sort_bucket(grid, base, bucket, dock, cells)
 
 
 @ti.kernel
 def fill_rows(
     docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32, entry_stride: I32,
-    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1, begin: Ints1, sorted_dock: Ints1,
-    sorted_at: Reals1, contact_start: Ints1, contact: Ints1, row: Ints1, row_first: Ints1,
-    row_count: Ints1, longest: Ints1,
+    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1,
+    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
+    start: Ints1, connection: Ints1,  # Connections
+    entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows, written
+    longest: Ints1,
 ):  # fmt: skip
-    """Write every robot's row; arguments as above and as `sort_docks` has them.
+    """Write every robot's row. Numbers are those of `grid`, with one table for all docks.
 
     Args:
-        run: Robots whose rows one thread writes one behind the other.
-        run_stride: From where one run's rows start to where those of the next do.
-        room: Entries that a run's rows may have in all.
-        contact_start: First contact of each robot, shape (N + 1,).
-        contact: Contacts as row entries, connected, shape (C,).
-        row: Written.
-        row_first: Written: where each robot's row starts, shape (N,).
-        row_count: Written: entries of each row, those that did not fit included, shape (N,).
+        run: Robots whose rows one thread writes in succession.
+        run_stride: From the start of one run's rows to that of the next.
+        room: Entries that fit for a run's rows.
+        base: Where the current docks start in `dock`.
+        dock: Places, last the structure, rows of four.
         longest: Written: most entries of a run, shape (1,).
     """
+    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
+    connections = ti.static(Connections(start, connection))
+    rows = ti.static(Rows(entry, row_first, row_count))
     grid = ti.Struct(
         docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
         buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
@@ -226,9 +382,9 @@ def fill_rows(
     robots = row_count.shape[0]
     for first in range(robots):
         if first % run == 0:
+            last = ti.min(first + run, robots)
             used = fill_rows_of(
-                grid, base, first, ti.min(first + run, robots), dock, begin, sorted_dock,
-                sorted_at, contact_start, contact, row, row_first, row_count,
+                grid, base, first, last, dock, cells, connections, rows,
                 first // run * run_stride, room,
             )  # fmt: skip
             ti.atomic_max(most, used)

@@ -1,9 +1,8 @@
 """The neighbor list: for each robot, the docks of others near its own.
 
-Docks are sorted into cells by a counting sort, with a linear hash for a table, so that no box
-has to be small; each robot's neighbors then stand in a row (a Verlet list), which holds until a
-robot has moved by half the skin. Rows for which there is too little room are counted, given more
-and written again: no neighbor is ever dropped.
+A counting sort puts docks into cells, by a linear hash, so that boxes of any size do. Each robot's
+neighbors then stand in a row (a Verlet list), which is valid until a robot has moved by half the
+skin. Rows that do not fit are counted, given more room and written again: no neighbor is dropped.
 """
 
 from itertools import pairwise
@@ -13,8 +12,18 @@ from numpy.typing import NDArray
 
 from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.neighbor_kernels import LONGEST_RUN, fill_rows
-from tiswarm.compute.sort_kernels import BLOCK, CELL_LENGTH, CELL_WIDTH, SCAN_BLOCK, sort_docks
+from tiswarm.compute.neighbor_kernels import (
+    BLOCK,
+    CELL_LENGTH,
+    CELL_WIDTH,
+    LONGEST_RUN,
+    SCAN_BLOCK,
+    Cells,
+    Connections,
+    Rows,
+    fill_rows,
+    sort_docks,
+)
 from tiswarm.errors import InputError
 
 MOST_ITEMS = 2**31 - 1
@@ -25,9 +34,9 @@ BUCKETS_PER_DOCK = 1
 FIRST_CAPACITY = 8
 """Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
 RUN = 512
-"""Robots whose rows a core writes one behind the other, so that they lie close in memory."""
+"""Robots whose rows a core writes in succession, so that they lie close in memory."""
 ROOM = 1.25
-"""How much more room is made than was needed."""
+"""Factor of the room that was needed, when more is made."""
 
 
 def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -81,7 +90,7 @@ def hash_strides(extent: NDArray[np.float64], cutoff: float, buckets: int) -> tu
         Buckets from one cell to the next along y, and along z.
     """
     edge = cutoff * np.array([CELL_LENGTH, CELL_WIDTH, CELL_WIDTH])
-    # What a run, or a neighbor on either side, sticks out of the box.
+    # A run, or a neighbor on either side, extends beyond the box.
     padding = np.array([LONGEST_RUN + 1, 3, 3])
     cells = np.ceil(extent / edge) + padding
     while (excess := cells.prod() / buckets) > 1.0 and (cells > padding).any():
@@ -99,7 +108,7 @@ def _layout(
     reach: float,
     cutoff: float,
 ) -> NDArray[np.int64]:
-    """Where each table starts, its buckets and its strides, shape (S, 4)."""
+    """Lay out the tables: where each starts, its buckets and its strides, shape (S, 4)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
         wanted = BUCKETS_PER_DOCK * docks * int(last - first)
@@ -140,7 +149,8 @@ def pack_contacts(
 class NeighborList:
     """Rows of neighbors on the device, for one swarm or for many small structures.
 
-    Robots of one structure stand together; those of different ones are never neighbors.
+    Robots of one structure stand together; those of different ones are never neighbors. Sorted
+    docks, connected docks and rows are the bundles of `tiswarm.compute.neighbor_kernels`.
     """
 
     def __init__(
@@ -171,34 +181,41 @@ class NeighborList:
         """
         self.memory = memory
         self.robots, self.docks = len(position), docks
-        self.own_bits = own_bits_for(self.docks)
+        self.own_bits = own_bits_for(docks)
         self.cutoff = cutoff
         on_cpu = memory.running.arch == "cpu"
         self.run = RUN if on_cpu else 1
         # A row of its own has to hold more than what rows need on average.
-        self.capacity = FIRST_CAPACITY * self.docks * (1 if on_cpu else 2)
+        self.capacity = FIRST_CAPACITY * docks * (1 if on_cpu else 2)
         bounds = np.array([0, self.robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
         self._check_size()
         self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
-        first, entry = pack_contacts(contacts, robots=self.robots, docks=self.docks)
+        first, entry = pack_contacts(contacts, robots=self.robots, docks=docks)
         seldom = memory.for_seldom_used()
         self.table = seldom.upload(tables)
-        self.contact_start = seldom.upload(first)
-        self.contact = seldom.upload(entry if len(entry) else np.zeros(1, np.int32))
-        self.begin = seldom.ints(self.table_size)
+        self.connections = Connections(
+            start=seldom.upload(first),
+            entry=seldom.upload(entry if len(entry) else np.zeros(1, np.int32)),
+        )
+        self.cells = Cells(
+            begin=seldom.ints(self.table_size),
+            dock=seldom.ints(self.robots * docks),
+            place=seldom.reals(4 * (self.robots * docks + BLOCK)),
+        )
         self.block_total = seldom.ints(-(-self.table_size // SCAN_BLOCK))
-        self.sorted_dock = seldom.ints(self.robots * self.docks)
-        self.sorted_at = seldom.reals(4 * (self.robots * self.docks + BLOCK))
         self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
-        self.row_first, self.row_count = memory.ints(self.robots), memory.ints(self.robots)
-        self.row = memory.ints(self._row_size())
+        self.rows = Rows(
+            first=memory.ints(self.robots),
+            count=memory.ints(self.robots),
+            entry=memory.ints(self._row_size()),
+        )
         self.builds = 0
 
     @property
     def entry_stride(self) -> int:
-        """From one entry of a row to the next.
+        """Distance from one entry of a row to the next.
 
         A core reads along a row, a graphics card reads the same entry of many rows at once.
         """
@@ -212,17 +229,16 @@ class NeighborList:
             base: Where in `dock` the current ones start.
         """
         sort_docks(
-            self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock,
-            self.begin, self.block_total, self.sorted_dock, self.sorted_at,
+            self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, self.block_total,
+            *self.cells,
         )  # fmt: skip
         while True:
             room = self.run * self.capacity
             run_stride = room + 1 if self.run > 1 else 1
             fill_rows(
                 self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
-                self.entry_stride, self.run, run_stride, room, base, dock, self.begin,
-                self.sorted_dock, self.sorted_at, self.contact_start, self.contact, self.row,
-                self.row_first, self.row_count, self.longest,
+                self.entry_stride, self.run, run_stride, room, base, dock,
+                *self.cells, *self.connections, *self.rows, self.longest,
             )  # fmt: skip
             used = int(self.longest[0])
             if used <= room:
@@ -231,7 +247,7 @@ class NeighborList:
         self.builds += 1
 
     def fullest(self) -> float:
-        """Entries a robot that rows need, of the structure that needs most."""
+        """Count the entries a robot that rows need, in the structure that needs most."""
         return float((self.longest / self.size).max())
 
     def make_room(self, entries: float) -> None:
@@ -242,15 +258,15 @@ class NeighborList:
         """
         self.capacity = int(ROOM * entries) + 1
         self._check_size()
-        self.row = self.memory.ints(self._row_size())
+        self.rows = self.rows._replace(entry=self.memory.ints(self._row_size()))
 
     def _row_size(self) -> int:
-        """Numbers that rows need, run by run or structure by structure."""
+        """Count the numbers that rows need, run by run or structure by structure."""
         runs = -(-self.robots // self.run)
         return max(runs * (self.run * self.capacity + 1), self.robots * (self.capacity + 1))
 
     def _check_size(self) -> None:
-        """Refuse what the kernels' integers cannot count."""
+        """Refuse swarms that the kernels' integers cannot number."""
         largest = max(
             self.robots * self.docks << (self.own_bits + 1),
             self._row_size(),

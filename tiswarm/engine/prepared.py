@@ -159,8 +159,8 @@ class PreparedSwarm:
                     for t in range(taken, taken + LAUNCHES * STEPS_A_LAUNCH, STEPS_A_LAUNCH):
                         take_steps(
                             rows.docks, rows.own_bits, rows.entry_stride, *law,
-                            0.5 * SKIN * law.spacing, t, self.ramp, self.dock, rows.row,
-                            rows.row_first, rows.row_count, self.arm, self.height,
+                            0.5 * SKIN * law.spacing, t, self.ramp, self.dock, *rows.rows,
+                            self.arm, self.height,
                             self.reference, self.position, control, self.moves,
                         )  # fmt: skip
             taken = int(control[TAKEN])
@@ -177,9 +177,8 @@ class PreparedSwarm:
             with loose_arithmetic():
                 relax_structures(
                     rows.docks, rows.own_bits, rows.cutoff, rows.capacity, *law, start,
-                    ramps, self.dock, rows.table, rows.begin, rows.sorted_dock,
-                    rows.sorted_at, rows.contact_start, rows.contact, rows.row, rows.row_first,
-                    rows.row_count, self.arm, self.height, self.reference, self.position, builds,
+                    ramps, self.dock, rows.table, *rows.cells, *rows.connections, *rows.rows,
+                    self.arm, self.height, self.reference, self.position, builds,
                     rows.longest, moves,
                 )  # fmt: skip
             if (entries := rows.fullest()) <= rows.capacity:

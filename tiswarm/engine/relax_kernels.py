@@ -18,7 +18,7 @@ from tiswarm.compute.lang import (  # fmt: skip
     ti,
 )
 from tiswarm.compute.math_kernels import rotate, vector_at
-from tiswarm.compute.neighbor_kernels import list_structure
+from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 from tiswarm.engine.force_kernels import TINY, capped, pull_of
 
 TAKEN = 0
@@ -195,6 +195,9 @@ def relax_structures(
         attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
         spacing=spacing, max_step=max_step,
     )  # fmt: skip
+    cells = ti.static(Cells(begin, sorted_dock, sorted_at))
+    connections = ti.static(Connections(contact_start, contact))
+    rows = ti.static(Rows(row, row_first, row_count))
     stray_limit = 0.5 * (cutoff - spacing)
     half = dock.shape[0] // 2
     for i in range((start.shape[0] - 1) * GRAIN):
@@ -213,8 +216,7 @@ def relax_structures(
                 base = t % 2 * half
                 if stale == 1 and longest[s] <= room:
                     longest[s] = ti.max(longest[s], list_structure(
-                        grid, base, start[s], start[s + 1], dock, begin, sorted_dock, sorted_at,
-                        contact_start, contact, row, row_first, row_count,
+                        grid, base, start[s], start[s + 1], dock, cells, connections, rows,
                         start[s] * capacity + s, room,
                     ))  # fmt: skip
                     builds[s] += 1

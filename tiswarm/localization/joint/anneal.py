@@ -283,8 +283,7 @@ class Annealer:
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
                 rows.capacity, self.near, self.schedule.seed, until, self.steps,
                 max(GROWING * self.steps, 1.0), self.inertia_factor, *self.measured, *self.trees,
-                rows.table, rows.begin, rows.sorted_dock, rows.sorted_at, rows.contact_start,
-                rows.contact, rows.longest, rows.row, rows.row_first, rows.row_count,
+                rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
                 *self.swarm, *self.blocks,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:

@@ -115,19 +115,6 @@ class Subtrees(NamedTuple):
     """Shift of each copy in this step, its ancestors' included [R], shape (C T, 3)."""
 
 
-class Rows(NamedTuple):
-    """Verlet rows of the neighbor list."""
-
-    entry: Ints1
-    """Neighbors of all robots, row after row."""
-
-    first: Ints1
-    """First entry of each row, shape (C N,)."""
-
-    count: Ints1
-    """Entries of each row, shape (C N,)."""
-
-
 class Swarm(NamedTuple):
     """State of every copy of a robot."""
 

@@ -12,13 +12,12 @@ from tiswarm.compute.lang import (
     Ref,
     ti,
 )  # fmt: skip
-from tiswarm.compute.neighbor_kernels import list_structure
+from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 from tiswarm.localization.joint.arrays import (
     Blocks,
     Contacts,
     Priors,
     Robots,
-    Rows,
     Step,
     Subtrees,
     Swarm,
@@ -99,11 +98,12 @@ def take_steps(
     subtree_pull: Reals2,
     subtree_velocity: Reals2,
     subtree_shift: Reals2,
-    # the tables that rows are built with
     table: Ints2,
+    # Cells
     begin: Ints1,
     sorted_dock: Ints1,
-    sorted_at: Reals1,
+    sorted_place: Reals1,
+    # Connections
     none_start: Ints1,
     none: Ints1,
     longest: Ints1,
@@ -146,8 +146,8 @@ def take_steps(
         sigma: Square root of the temperature of each structure at each step [R], shape (S, steps).
         structure: First array of `Robots`, whose others follow; then come those of `Contacts`,
             `Priors` and `Subtrees`.
-        table: Where each block's table starts, its buckets and strides, shape (B, 4); scratch and
-            two empty arrays follow.
+        table: Where each block's table starts, its buckets and strides, shape (B, 4); `Cells` and
+            `Connections` follow.
         longest: Written: entries of a block's rows; if too many, it stopped there, shape (B,).
         entry: First array of `Rows`; those of `Swarm` and `Blocks` follow.
     """
@@ -162,6 +162,8 @@ def take_steps(
             subtree_shift,
         )
     )  # fmt: skip
+    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
+    connections = ti.static(Connections(none_start, none))
     rows = ti.static(Rows(entry, row_first, row_count))
     swarm = ti.static(Swarm(arm, position, velocity, force, mass, heading, total, square_total))
     blocks = ti.static(Blocks(block_start, taken, age, skin, listed))
@@ -189,8 +191,7 @@ def take_steps(
                             for c in ti.static(range(3)):
                                 listed[4 * r + c] = position[r, c]
                         longest[b] = list_structure(
-                            grid, 0, start, end, listed, begin, sorted_dock, sorted_at,
-                            none_start, none, entry, row_first, row_count,
+                            grid, 0, start, end, listed, cells, connections, rows,
                             start * capacity + b, room,
                         )  # fmt: skip
                         age[b] = 0
