@@ -118,7 +118,7 @@ def test_what_a_method_says_of_its_estimate_is_held_against_the_truth():
     silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
     told = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, doubted_recall_mean=np.nan)
 
-    tables = [result_tables(t, pd.DataFrame(), pd.DataFrame()) for t in (silent, told)]
+    tables = [result_tables(t, pd.DataFrame()) for t in (silent, told)]
 
     assert len(tables[0]) + 1 == len(tables[1])
     assert tables[1][-1].header == ["condition", "in the 50 % interval"]

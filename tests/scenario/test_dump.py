@@ -50,7 +50,6 @@ scenarios = st.builds(
     seeds=st.integers(1, 99)
     | st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True).map(tuple),
     precision=st.sampled_from(["f64", "f32"]),
-    scorecard=st.sampled_from(["none", "reactivebuild-laws"]),
     robot=st.builds(RobotGeometry, rho=st.floats(1.2, 10.0)),
     structure=st.builds(
         TowerParams,

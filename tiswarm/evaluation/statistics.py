@@ -12,6 +12,9 @@ LEVEL = 0.95
 FEWEST = 2
 """Values that a spread needs."""
 
+FEWEST_FOR_EXPONENT = 3
+"""Different places that a fit of an exponent needs: two always fit."""
+
 
 def spread(values: NDArray[np.float64]) -> dict[str, float]:
     """Mean, standard deviation and half width of the mean's confidence interval.
@@ -60,3 +63,22 @@ def paired_difference(
         "smaller": int((difference < 0.0).sum()),
         "wilcoxon_p": p_value,
     }
+
+
+def power_law_exponent(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Fit p of y ~ x^p by least squares of log y over log x [1].
+
+    Args:
+        x: Places, shape (n,).
+        y: Values, shape (n,).
+
+    Returns:
+        The exponent; NaN with fewer than three different places or a value that is not positive.
+
+    >>> x = np.array([1.0, 4.0, 9.0])
+    >>> round(power_law_exponent(x, 7.0 * x**1.5), 9)
+    1.5
+    """
+    if len(np.unique(x)) < FEWEST_FOR_EXPONENT or min(x.min(), y.min()) <= 0.0:
+        return math.nan
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])

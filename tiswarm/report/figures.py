@@ -15,7 +15,6 @@ from tiswarm.report.case_figures import (
 )
 from tiswarm.report.figure_style import STYLE, pdf, png
 from tiswarm.report.folder import Series, has_table, read_cases, subfolder
-from tiswarm.report.law_figures import LAW_FIGURES, LAW_POINTS, read_law_points
 from tiswarm.report.positions_figure import draw_positions
 from tiswarm.report.scaling_figure import draw_scaling, has_scaling
 from tiswarm.report.table_figures import draw_accuracy, profile_painters
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
 
-    Cases that failed are left out, and a note on each figure says how many. A run that is held
-    against laws has figures of these; of its many settings, errors would tell little.
+    Cases that failed are left out, and a note on each figure says how many.
 
     Returns:
         The files written; empty where no case is done.
@@ -63,9 +61,6 @@ def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> l
 
 def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[], "Figure"]]:
     """By file name, what draws each figure that a run has."""
-    if has_table(folder, LAW_POINTS):
-        laws = read_law_points(folder)
-        return {name: partial(draw, laws, note) for name, draw in LAW_FIGURES.items()}
     painters: dict[str, Callable[[], Figure]] = {
         name: partial(draw, series, note) for name, draw in FIGURES.items()
     }

@@ -90,7 +90,7 @@ def _gather(folder: Path) -> dict[str, Any]:
         "description": said.get("description", ""),
         "what": _in_words(summary, manifest),
         "warnings": warnings_of(summary, manifest),
-        "tables": result_tables(table, *_optional(folder, "paired.csv", "laws.csv")),
+        "tables": result_tables(table, *_optional(folder, "paired.csv")),
         "view": build_view(cases),
         "figures": [],
         "renders": [],

@@ -86,10 +86,9 @@ CASE = (
 )
 
 
-def result_tables(table: pd.DataFrame, paired: pd.DataFrame, laws: pd.DataFrame) -> list[Table]:
-    """Everything a reader wants to know first; `paired` and `laws` may be empty."""
-    tables = [_scorecard(laws)] if len(laws) else []
-    tables += [_headline(table), _parts(table)]
+def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
+    """Everything a reader wants to know first; `paired` may be empty."""
+    tables = [_headline(table), _parts(table)]
     if _means(table, OF_ITSELF):
         tables.append(_of_itself(table))
     if "wilcoxon_p" in paired:
@@ -269,12 +268,6 @@ def _differences(paired: pd.DataFrame) -> Table:
             "and other pairs of conditions, are in paired.csv."
         ),
     )
-
-
-def _scorecard(laws: pd.DataFrame) -> Table:
-    """Structures against published laws, as `laws.csv` has it."""
-    columns = [_numbers(n, n, 3) if laws[n].dtype == float else _words(n) for n in laws.columns]
-    return Table.of(laws, columns, title="Structures against published laws", note="")
 
 
 def _swept(table: pd.DataFrame, *, before: str = "cases") -> list[Column]:

@@ -16,6 +16,12 @@ CHOICES = {"structure": "kind", "localization": "method"}
 SMALLEST: Plain = {"name": "smallest", "structure": {"kind": "tower"}}
 """A scenario that leaves everything else at its default."""
 
+REMOVED: dict[tuple[Part, ...], str] = {
+    ("scorecard",): "scenarios have no such key any more; remove it and compare the structures "
+    "with published laws by python -m benchmarks.reactivebuild SCENARIO",
+}
+"""Keys of earlier versions, and what to do about them."""
+
 _SORTED = {*CHOICES, "seeds"}
 """Values for which pydantic names the sort it tried, after the key."""
 
@@ -31,6 +37,8 @@ class Mistake(NamedTuple):
 
 def validated(data: Plain) -> Scenario | list[Mistake]:
     """Build a scenario from plain data, or say everything that is wrong with it."""
+    if data.get("scorecard") == "none":  # earlier versions wrote this into every run folder
+        data = {key: value for key, value in data.items() if key != "scorecard"}
     localization = data.get("localization")
     if isinstance(localization, dict):
         data = {**data, "localization": {"method": "virtual-force", **localization}}
@@ -57,7 +65,8 @@ def _mistake(error: ErrorDetails) -> Mistake:
         path = (path[0], *path[2:])
     if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         path = (path[0], CHOICES[str(path[0])])
-    return Mistake(path, explain(error, _allowed(error["loc"])), about_key)
+    problem = REMOVED.get(path) or explain(error, _allowed(error["loc"]))
+    return Mistake(path, problem, about_key)
 
 
 def _allowed(path: tuple[Part, ...]) -> tuple[str, ...]:

@@ -127,10 +127,6 @@ class Scenario:
     together stand in one entry, as `robots, structure.movers: [[100, 1], [1000, 10]]`: a row a
     point, which the first key names."""
 
-    scorecard: Literal["none", "reactivebuild-laws"] = "none"
-    """What the finished structures are held against: nothing, or the laws that ReactiveBuild's
-    structures were published to follow, row by row in `laws.csv`."""
-
     @property
     def seed_list(self) -> tuple[int, ...]:
         """Every seed."""

@@ -16,7 +16,6 @@ from tiswarm.study import manifest, tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard
 from tiswarm.study.pool import Dispatch, Pool, opened, reason
 from tiswarm.study.scaling import write_scaling
-from tiswarm.study.scorecard import write_scorecard
 from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
 from tiswarm.study.work import Job, Outcome, failure
 
@@ -114,24 +113,20 @@ def run(
                 costs = [folder.cost(case.name) for case in cases]
                 described = manifest.describe(used or backend.current(), costs)
                 manifest.write_manifest(folder.path, described | {"cases": len(cases)})
-            write_tables(folder, scenario, cases, [records[case.name] for case in cases])
+            write_tables(folder, cases, [records[case.name] for case in cases])
             if all(record.status == DONE for record in records.values()):
                 folder.forget_grown()
     return result
 
 
-def write_tables(
-    folder: RunFolder, scenario: Scenario, cases: Sequence[Case], records: Sequence[CaseRecord]
-) -> None:
-    """Write the tables of a run, and the scorecard if one is wanted, from the cases."""
+def write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
+    """Write the tables of a run from the cases."""
     write_table(tables.summary(records), folder.path / "summary.csv")
     settings = [case.settings for case in cases]
     write_table(tables.table(records, settings), folder.path / "table.csv")
     write_table(tables.paired(records), folder.path / "paired.csv")
     write_table(tables.profiles(records, folder.cases), folder.path / "profiles.csv")
     write_scaling(folder, cases, {record.case: record for record in records})
-    if scenario.scorecard != "none":
-        write_scorecard(folder, cases, records)
 
 
 def tabulate(path: Path) -> None:
@@ -144,10 +139,10 @@ def tabulate(path: Path) -> None:
     if not resolved.is_file():
         msg = "this is no run folder, for it holds no scenario.yaml; give one that a run made"
         raise InputError(msg, path=path)
-    folder, scenario = RunFolder(path), load_scenario(resolved)
-    stored = [(case, folder.recorded(case.name)) for case in plan(scenario)]
+    folder = RunFolder(path)
+    stored = [(case, folder.recorded(case.name)) for case in plan(load_scenario(resolved))]
     kept = [(case, record) for case, record in stored if record is not None]
-    write_tables(folder, scenario, [case for case, _ in kept], [record for _, record in kept])
+    write_tables(folder, [case for case, _ in kept], [record for _, record in kept])
 
 
 def _compute(

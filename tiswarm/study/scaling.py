@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from tiswarm.evaluation.fits import exponent
+from tiswarm.evaluation.statistics import power_law_exponent
 from tiswarm.study.cases import Case, structures
 from tiswarm.study.costs import Cost
 from tiswarm.study.storage import CaseRecord, RunFolder, write_table
@@ -63,7 +63,7 @@ def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
     robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
     known = np.log(np.where(mean > 0.0, mean, math.nan))
     slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
-    return points.assign(exponent=exponent(robots, mean) if len(points) else math.nan, slope=slope)
+    return points.assign(exponent=power_law_exponent(robots, mean), slope=slope)
 
 
 def _together(costs: Sequence[Cost]) -> Cost:

@@ -23,7 +23,6 @@ from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.study.scorecard import summed_up
 from tiswarm.study.storage import DONE, CaseRecord
 
 ACCURACY = (
@@ -130,11 +129,10 @@ def _accuracy(records: Sequence[CaseRecord]) -> pd.DataFrame:
 
 
 def headline(folder: Path) -> str:
-    """Say in a few lines what a run came to, from its `table.csv` and `laws.csv`."""
+    """Say in a few lines what a run came to, from its `table.csv`."""
     rows = pd.read_csv(folder / "table.csv")
     lines = [_headline_row(row) for row in rows.to_dict("records")]
-    lines += [f"results in {folder}", summed_up(folder)]
-    return "\n".join(line for line in lines if line)
+    return "\n".join([*lines, f"results in {folder}"])
 
 
 def _headline_row(row: dict[Hashable, Any]) -> str:

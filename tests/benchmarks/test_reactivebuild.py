@@ -1,16 +1,35 @@
-"""The scorecard tells structures that follow the published laws from those that do not."""
+"""The scorecard separates structures that follow the published laws from those that do not."""
 
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
+from PIL import Image
 
-from tiswarm.evaluation.fits import Form, affine, exponent, proportional
-from tiswarm.evaluation.grown import SETTINGS, TOTALS, Grown
-from tiswarm.evaluation.laws import LAWS, scorecard
-from tiswarm.evaluation.verdicts import Band, Row, above, at_least, at_most, below, within
+from benchmarks.reactivebuild import laws
+from benchmarks.reactivebuild.curves import Curve, Form, fit
+from benchmarks.reactivebuild.figures import FIGURES, draw_cross_section, draw_figures, draw_towers
+from benchmarks.reactivebuild.laws import (
+    LAWS,
+    Band,
+    Row,
+    above,
+    at_least,
+    at_most,
+    below,
+    law_points,
+    within,
+)
+from benchmarks.reactivebuild.structures import SETTINGS, TOTALS, Structures
+from tiswarm.report.render.pictures import is_blank
 
+REPOSITORY = Path(__file__).parents[2]
 SEEDS = (0, 1, 2)
 THRESHOLDS = (1.0, 2.5, 5.0, 10.0, 25.0)
 GAINED = {1.0: 0.0, 2.5: 0.4, 5.0: 1.0, 10.0: 5.0, 25.0: 9.0}
@@ -92,31 +111,37 @@ def exact():
         for place, (kind, known) in enumerate(kinds)
         for seed in SEEDS
     ]
-    return Grown(
-        structures=pd.DataFrame(rows, columns=["case", *SETTINGS, *TOTALS]),
+    return Structures(
+        totals=pd.DataFrame(rows, columns=["case", *SETTINGS, *TOTALS]),
         joins=pd.concat(map(joins, rows)),
         spheres=pd.concat([spheres(row) for row in rows if 20.0 < row["height_R"] < 40.0]),
     )
 
 
-def changed(grown, kind, column, value, **where):
-    """The same structures with one total of some set to a value."""
-    table = grown.structures.astype({column: float})
+def changed(structures, kind, column, value, **where):
+    """Set one total of some structures to a value."""
+    table = structures.totals.astype({column: float})
     chosen = table["kind"] == kind
     for name, setting in where.items():
         chosen &= table[name] == setting
     table.loc[chosen, column] = value
-    return replace(grown, structures=table)
+    return replace(structures, totals=table)
 
 
-def verdicts(grown):
-    """What the scorecard says, by law and quantity."""
-    return scorecard(grown)[0].set_index(["law", "quantity"])["verdict"]
+def scorecard(structures):
+    """Measure every number; return the table of numbers and the points behind them."""
+    rows = laws.measure(structures)
+    return laws.scorecard(rows), law_points(laws.curves_of(rows))
+
+
+def verdicts(structures):
+    """Return the verdicts by law and quantity."""
+    return scorecard(structures)[0].set_index(["law", "quantity"])["verdict"]
 
 
 @pytest.fixture(scope="module")
-def sound(exact):
-    """What it says where every law holds."""
+def good(exact):
+    """Verdicts where every law holds."""
     return verdicts(exact)
 
 
@@ -127,7 +152,7 @@ def test_where_every_law_holds_every_row_is_in_band(exact):
     judged = rows[rows["band"] != ""]
     assert set(judged["verdict"]) == {"in band"}
     assert set(rows[rows["band"] == ""]["verdict"]) == {"reported"}
-    assert set(rows["law"]) == set(LAWS)
+    assert set(rows["law"]) == {law.name for law in LAWS}
     assert (rows["structures"] >= len(SEEDS)).all()
     assert points.notna()[["law", "series", "x", "mean"]].all(axis=None)
 
@@ -171,13 +196,13 @@ BREACHES = [
 
 @pytest.mark.parametrize(("law", "quantity", "kind", "column", "value", "where"), BREACHES)
 def test_a_total_that_breaks_a_law_is_out_of_band(
-    exact, sound, law, quantity, kind, column, value, where
+    exact, good, law, quantity, kind, column, value, where
 ):
     """The row says so, and the other laws' rows do not."""
     broken = changed(exact, kind, column, value, **where)
 
     said = verdicts(broken)
-    assert sound[law, quantity] == "in band"
+    assert good[law, quantity] == "in band"
     assert said[law, quantity] == "out of band"
     assert said["tower cross-section", "R2 of k d^2, F = 5"] == "in band"
 
@@ -191,17 +216,17 @@ def test_a_total_that_breaks_a_law_is_out_of_band(
         ("cantilever reach", f"{GAIN}, F = 10", "reach_R", lambda n: 9.0 + 0.0 * n),
     ],
 )
-def test_growth_that_breaks_a_law_is_out_of_band(exact, sound, law, quantity, column, value):
+def test_growth_that_breaks_a_law_is_out_of_band(exact, good, law, quantity, column, value):
     """Laws of N look at every join, not at the end alone."""
     broken = replace(exact, joins=exact.joins.assign(**{column: value(exact.joins["robots"])}))
 
-    assert sound[law, quantity] == "in band"
+    assert good[law, quantity] == "in band"
     assert verdicts(broken)[law, quantity] == "out of band"
 
 
 def test_a_tower_as_thick_at_the_top_as_below_breaks_the_cross_section_law(exact):
     """A column of one thickness does not fit k d^2, and its R2 may be below zero."""
-    column = [pd.DataFrame({"case": c, "z_R": np.arange(40.0)}) for c in exact.structures["case"]]
+    column = [pd.DataFrame({"case": c, "z_R": np.arange(40.0)}) for c in exact.totals["case"]]
     broken = replace(exact, spheres=pd.concat(column))
 
     assert verdicts(broken)["tower cross-section", "R2 of k d^2, F = 10"] == "out of band"
@@ -209,9 +234,7 @@ def test_a_tower_as_thick_at_the_top_as_below_breaks_the_cross_section_law(exact
 
 def test_without_structures_every_row_is_there_and_not_measured(exact):
     """A run of other things than the laws ask for cannot pass by leaving rows out."""
-    nothing = Grown(
-        structures=exact.structures[:0], joins=exact.joins[:0], spheres=exact.spheres[:0]
-    )
+    nothing = Structures(totals=exact.totals[:0], joins=exact.joins[:0], spheres=exact.spheres[:0])
 
     rows, points = scorecard(nothing)
 
@@ -227,8 +250,9 @@ def test_cross_sections_count_spheres_within_one_radius():
     tall = pd.DataFrame({"case": "tall", "z_R": [1.0, 9.0]})
     table = pd.DataFrame({"case": ["low", "tall"]})
 
-    alone = Grown(structures=table[:1], joins=low, spheres=low).cross_sections()
-    both = Grown(structures=table, joins=low, spheres=pd.concat([low, tall])).cross_sections()
+    alone = Structures(totals=table[:1], joins=low, spheres=low)
+    both = replace(alone, totals=table, spheres=pd.concat([low, tall]))
+    alone, both = alone.means("distance", ""), both.means("distance", "")
 
     assert alone["x"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert alone["mean"].tolist() == [2.0, 3.0, 2.0, 1.0, 1.0]
@@ -238,28 +262,27 @@ def test_cross_sections_count_spheres_within_one_radius():
 
 def test_only_complete_structures_are_behind_a_law_of_robots(exact):
     """One that ended early would make the mean jump where it ends."""
-    table = exact.structures[exact.structures["kind"] == "chain"].copy()
+    table = exact.totals[exact.totals["kind"] == "chain"].copy()
     short = table["case"].iloc[0]
     table.loc[table["case"] == short, "robots"] = 60
-    chains = replace(exact, structures=table).swept("chain", **{F: 2.5})
+    chains = replace(exact, totals=table).of("chain", **{F: 2.5})
 
-    points = chains.over_robots("depth_R", least=25)
+    points = chains.means("robots", "depth_R")
 
-    assert points["x"].tolist() == list(range(25, 101))
+    assert points["x"].tolist() == list(range(1, 101))
     assert set(points["structures"]) == {len(SEEDS) - 1}
 
 
-def test_fits_find_what_is_there():
-    """Constants and powers of exact data, and NaN where there is too little of it."""
+def test_fits_recover_exact_coefficients():
+    """The formula has the coefficients of the data; R2 is NaN with too few points."""
     x = np.array([1.0, 4.0, 9.0, 16.0])
-    root = Form(name="x^0.5", of=np.sqrt)
+    root = Form("x^0.5", np.sqrt)
+    no_constant = root._replace(has_constant=False)
 
-    assert affine(x, 3.0 + 2.0 * np.sqrt(x), root).text == "3 + 2 x^0.5"
-    assert proportional(x, 5.0 * np.sqrt(x), root).text == "5 x^0.5"
-    assert proportional(x, 9.0 - np.sqrt(x), root).r2 < 0.0
-    assert exponent(x, 7.0 * x**1.5) == pytest.approx(1.5)
-    assert np.isnan(affine(x[:2], x[:2], root).r2)
-    assert np.isnan(exponent(x, x - 1.0))
+    assert fit(x, 3.0 + 2.0 * np.sqrt(x), root).formula == "3 + 2 x^0.5"
+    assert fit(x, 5.0 * np.sqrt(x), no_constant).formula == "5 x^0.5"
+    assert fit(x, 9.0 - np.sqrt(x), no_constant).r2 < 0.0
+    assert np.isnan(fit(x[:2], x[:2], root).r2)
 
 
 @pytest.mark.parametrize(
@@ -273,11 +296,130 @@ def test_fits_find_what_is_there():
     ],
 )
 def test_bands_know_their_ends(band: Band, inside, outside):
-    """What is allowed to be equal is, and an unknown number is neither in nor out."""
+    """A band with an end includes it if it says so; NaN is neither in nor out."""
 
-    def said(value):
-        return Row(quantity="q", ours=value, structures=1, band=band).verdict
+    def verdict(value):
+        return Row("law", "quantity", "", value, band, structures=1).verdict
 
-    assert {said(value) for value in inside} == {"in band"}
-    assert {said(value) for value in outside} == {"out of band"}
-    assert said(float("nan")) == "not measured"
+    assert {verdict(value) for value in inside} == {"in band"}
+    assert {verdict(value) for value in outside} == {"out of band"}
+    assert verdict(float("nan")) == "not measured"
+
+
+@pytest.mark.parametrize("empty", [False, True], ids=["every law", "no structure"])
+def test_every_figure_is_drawn(exact, empty, tmp_path):
+    """Each figure shows something, axes at least."""
+    structures = replace(exact, totals=exact.totals[:0]) if empty else exact
+
+    written = draw_figures(laws.curves_of(laws.measure(structures)), tmp_path)
+
+    assert {path.stem for path in written} == set(FIGURES)
+    for path in written:
+        with Image.open(path) as image:
+            assert not is_blank(np.asarray(image.convert("RGB")))
+
+
+def test_figures_show_the_means_and_the_published_form(exact):
+    """Dots are the means; the dashed line is the fit; the legend gives its R2."""
+    curves = laws.curves_of(laws.measure(exact))
+    curve = curves["tower height over F"][""]
+
+    over_f = draw_towers(curves).axes[0]
+    section = draw_cross_section(curves).axes[0]
+
+    dots, dashed = over_f.lines[0], over_f.lines[-1]
+    np.testing.assert_allclose(dots.get_xydata(), curve.points[["x", "mean"]])
+    np.testing.assert_allclose(dashed.get_ydata(), curve.points["fitted"])
+    assert dashed.get_linestyle() == "--"
+    assert over_f.get_legend_handles_labels()[1] == [f"R² = {curve.r2:.3f}"]
+    assert section.get_xscale() == section.get_yscale() == "log"
+    assert section.lines[0].get_xdata().min() == 1.0
+
+
+def test_a_curve_with_one_structure_has_no_error_bar():
+    """The standard deviation of one structure is NaN, which a figure shows as 0."""
+    points = pd.DataFrame({"x": [20.0], "mean": [0.5], "std": [np.nan], "structures": [1]})
+    curve = Curve.through(points)
+
+    axes = draw_towers({"tower height over J": {"F = 5": curve}}).axes[2]
+
+    bar = axes.collections[0].get_segments()[0]
+    assert np.isfinite(bar).all()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Call the command with two seeds of eight robots under two conditions."""
+    out = tmp_path_factory.mktemp("laws")
+    scenario = yaml.safe_load((REPOSITORY / "scenarios" / "reactivebuild-laws.yaml").read_text())
+    scenario |= {"robots": 8, "seeds": 2, "scorecard": "reactivebuild-laws"}  # as it once was
+    scenario |= {"conditions": {"a": {}, "b": {"localization.iterations": 2}}}
+    (out / "old.yaml").write_text(yaml.safe_dump(scenario))
+    done = call(out / "old.yaml", "--set", "precision=f32", "--out", out)
+    assert done.returncode == 0, done.stderr
+    return next(out.glob("reactivebuild-laws-*")), done.stdout
+
+
+def call(*arguments):
+    """Call the command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "benchmarks.reactivebuild", *map(str, arguments)],
+        cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+
+
+def test_a_small_run_writes_every_row(finished):
+    """Numbers that need 25 robots or more are there but not measured."""
+    folder, _ = finished
+    table = pd.read_csv(folder / "reactivebuild" / "laws.csv", keep_default_na=False)
+
+    large = table["quantity"].str.contains("N = 100")
+    plain = table["law"].isin({"tower shape", "tower height over J", "bridge success"})
+    assert table["law"].drop_duplicates().tolist() == [*dict.fromkeys(law.name for law in LAWS)]
+    assert set(table[large]["verdict"]) == {"not measured"}
+    assert set(table[plain]["verdict"]) == {"in band", "out of band", "reported"}
+
+
+def test_a_structure_counts_once_whatever_the_conditions(finished):
+    """Two seeds under two conditions are two structures."""
+    folder, _ = finished
+    table = pd.read_csv(folder / "reactivebuild" / "laws.csv").set_index(["law", "quantity"])
+
+    assert table.loc[("tower shape", "height [R]"), "structures"] == 2
+
+
+def test_the_last_line_counts_the_numbers_in_band(finished):
+    """Numbers that are not measured are not judged."""
+    folder, printed = finished
+    verdict = pd.read_csv(folder / "reactivebuild" / "laws.csv")["verdict"].value_counts()
+
+    judged = verdict["in band"] + verdict["out of band"]
+    assert printed.splitlines()[-1] == (
+        f"laws.csv: {verdict['in band']} of {judged} in band, {verdict['reported']} reported, "
+        f"{verdict['not measured']} not measured"
+    )
+
+
+def test_a_run_folder_gives_the_same_files_again(finished):
+    """The scorecard follows from the stored cases alone."""
+    folder, printed = finished
+    place = folder / "reactivebuild"
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+    shutil.rmtree(place)
+
+    done = call(folder)
+
+    assert done.returncode == 0, done.stderr
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == before
+    assert set(before) == {"laws.csv", "law-points.csv", "laws.html"} | {
+        f"{n}.png" for n in FIGURES
+    }
+    assert done.stdout.splitlines()[-1] == printed.splitlines()[-1]
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    """The message names the folder and what to give instead."""
+    done = call(tmp_path)
+
+    assert done.returncode == 2
+    assert f"{tmp_path}: this is not a run folder" in done.stderr
