@@ -15,6 +15,8 @@ from tiswarm.report.figures import draw_figures
 from tiswarm.report.folder import read_cases
 from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
 
+COLUMNS = "case,status,condition,series,point,kind"
+
 
 def test_every_figure_is_drawn(run_folder):
     """Each figure is a PNG file that shows something."""
@@ -24,6 +26,20 @@ def test_every_figure_is_drawn(run_folder):
     for path in written:
         with Image.open(path) as image:
             assert not is_blank(image)
+
+
+def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
+    """Neither the folder nor the page shows what an earlier state of the run had."""
+    stale = run_folder / "figures" / "profiles.png"
+    stale.parent.mkdir()
+    stale.touch()
+    vector = stale.with_name("convergence.pdf")
+    vector.touch()
+
+    written = draw_figures(run_folder, Progress())
+
+    assert set(stale.parent.iterdir()) == set(written)
+    assert vector.stat().st_size > 0
 
 
 def test_the_same_tables_give_the_same_bytes(run_folder):
@@ -85,8 +101,8 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
     last = {"baseline": 40, "no-z": 40, "back-propagation": 400}
     for name, iteration in last.items():
         write_case(tmp_path / "cases" / f"0-{name}", seed=0, last_iteration=iteration)
-    rows = [[f"0-{name}", "done", name] for name in last]
-    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+    rows = [[f"0-{name}", "done", name, name] for name in last]
+    write_table(tmp_path / "summary.csv", "case,status,condition,series", rows)
 
     figure = draw_convergence({case.series: [case] for case in read_cases(tmp_path)}, "")
 
@@ -98,15 +114,15 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
 
 def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch):
     """Where a run grows several kinds, none is drawn into the other's axes."""
-    names = [
-        f"0-structure.kind={kind},{condition}"
+    rows = [
+        [f"0-{kind}-{condition}", "done", condition, f"{point}, {condition}", point, kind]
         for kind in ("tower", "cantilever")
+        for point in [f"structure.kind={kind}"]
         for condition in ("baseline", "no-z")
     ]
-    for name in names:
+    for name, *_ in rows:
         write_case(tmp_path / "cases" / name, seed=0)
-    rows = [[name, "done", name.rpartition(",")[2]] for name in names]
-    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+    write_table(tmp_path / "summary.csv", COLUMNS, rows)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
@@ -128,16 +144,16 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
 def test_many_points_and_conditions_have_room(tmp_path):
     """Each point of a sweep has its panel, and what is drawn says nothing twice."""
     conditions = [f"condition-{number}" for number in range(8)]
-    names = [
-        f"0-structure.kind={kind},structure.climb.settle={settle},{condition}"
+    rows = [
+        [f"0-{point},{condition}", "done", condition, f"{point}, {condition}", point, kind]
         for kind in ("tower", "cantilever")
         for settle in ("false", "true")
+        for point in [f"structure.kind={kind}, structure.climb.settle={settle}"]
         for condition in conditions
     ]
-    for name in names:
+    for name, *_ in rows:
         write_case(tmp_path / "cases" / name, seed=0)
-    rows = [[name, "done", name.rpartition(",")[2]] for name in names]
-    write_table(tmp_path / "summary.csv", "case,status,condition", rows)
+    write_table(tmp_path / "summary.csv", COLUMNS, rows)
     series = {case.series: [case] for case in read_cases(tmp_path)}
 
     figure = draw_convergence(series, "")

@@ -17,6 +17,7 @@ from tests.runs import MEASURED, REPOSITORY
 from tiswarm import study
 from tiswarm.localization import virtual_force
 from tiswarm.progress import Progress
+from tiswarm.report.folder import read_cases
 from tiswarm.scenario import load_scenario
 from tiswarm.study import storage, tables, work
 from tiswarm.study.cases import chunks, plan
@@ -314,6 +315,39 @@ def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     _assert_same_bytes(whole.folder, stopped.folder)
     manifest = json.loads((stopped.folder / "manifest.json").read_text())
     assert manifest["stages"]["grow"]["cpu_s"] > 0.0
+
+
+def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
+    """A report reads them from `summary.csv`, since the names of folders may be cut."""
+    climb = {
+        "max_flips": 999,
+        "max_spawns": 99,
+        "max_flip_deg": 200.5,
+        "contact_gap": 0.0001,
+        "patience": 3,
+    }
+    structures = [
+        {"mechanics": {"model": model}, "climb": climb, "force_threshold": 8.25, "kind": kind}
+        for kind, model in (("tower", "flexible"), ("chain", "rigid"))
+    ]
+    overrides = [
+        f"sweep={{structure: {json.dumps(structures)}, robots: [4, 5]}}",
+        "conditions={a: {}, b-c: {localization.iterations: 2}}",
+        "seeds=[7]",
+    ]
+    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+
+    folder = study.run(small, tmp_path, progress=Progress()).folder
+
+    cases = read_cases(folder)
+    assert max(len(case.name) for case in cases) > 150
+    assert [case.kind for case in cases] == ["tower"] * 4 + ["chain"] * 4
+    assert [case.point[-10:] for case in cases] == [", robots=4"] * 2 + [", robots=5"] * 2 + (
+        [", robots=4"] * 2 + [", robots=5"] * 2
+    )
+    assert [case.series for case in cases] == [f"{c.point}, {c.condition}" for c in cases]
+    assert len({case.point for case in cases}) == 4
+    assert len(pd.read_csv(folder / "table.csv")) == 8
 
 
 def test_small_structures_are_computed_first():

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
 
-    Cases that failed are left out, and a note on each figure says how many.
+    Cases that failed are left out, and a note on each figure says how many. A figure that an
+    earlier call drew and that the run no longer has is removed; a PDF that is there is redrawn.
 
     Returns:
         The files written; empty where no case is done.
@@ -43,6 +44,7 @@ def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> l
             series.setdefault(case.series, []).append(case)
     if not series:
         progress.info("no figures: no case is done")
+        _remove_others(folder / "figures", [])
         return []
     failed = sum(not case.done for case in cases)
     note = f"{failed} of {len(cases)} cases failed and are left out" if failed else ""
@@ -51,12 +53,19 @@ def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> l
     for name, draw in _painters(folder, series, note).items():
         with style.context(["default", STYLE]):
             figure = draw()
-            for suffix, encode in (("png", png), ("pdf", pdf))[: 1 + vector]:
+            for suffix, encode in (("png", png), ("pdf", pdf)):
                 path = place / f"{name}.{suffix}"
-                write_bytes(path, encode(figure))
-                progress.info(f"figures/{path.name}")
-                written.append(path)
+                if suffix == "png" or vector or path.exists():
+                    write_bytes(path, encode(figure))
+                    progress.info(f"figures/{path.name}")
+                    written.append(path)
+    _remove_others(place, written)
     return written
+
+
+def _remove_others(place: Path, written: list[Path]) -> None:
+    for path in {*place.glob("*.png"), *place.glob("*.pdf")} - set(written):
+        path.unlink()
 
 
 def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[], "Figure"]]:

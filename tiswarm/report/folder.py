@@ -1,7 +1,6 @@
 """Reads the tables that a run left in its folder."""
 
 import csv
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,44 +14,33 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-_KIND = re.compile(r"structure(?:\.kind=|=kind-)([a-z]+)")
-
-"""Receives one line of progress."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """One row of `summary.csv`."""
 
     name: str
-    """Name of its folder: the seed, a dash, the series."""
+    """Name of its folder."""
 
     folder: Path
     done: bool
     condition: str = ""
 
+    series: str = ""
+    """Point of the sweep and condition, which cases of other seeds share."""
+
+    point: str = ""
+    """Values of the sweep, which cases of other seeds and conditions share; may be empty."""
+
+    kind: str = ""
+    """Kind of its structure."""
+
     robots: int = 0
     """Robots of its structure, if they are known."""
 
-    @property
-    def series(self) -> str:
-        """What it shares with its other seeds: the condition and the values of the sweep."""
-        return self.name.partition("-")[2].replace(",", ", ")
-
-    @property
-    def point(self) -> str:
-        """Values of the sweep that it shares with other conditions; empty without a sweep."""
-        return self.series.removesuffix(self.condition).rstrip(", ") if self.condition else ""
-
-    @property
-    def kind(self) -> str:
-        """Kind of its structure, where that is swept; empty where it is not."""
-        found = _KIND.search(self.name)
-        return found[1] if found else ""
-
 
 Series = dict[str, list[Case]]
-"""Cases that are done, by what they share with their other seeds."""
+"""Cases that are done, by series."""
 
 
 def read_cases(folder: Path) -> list[Case]:
@@ -70,6 +58,9 @@ def read_cases(folder: Path) -> list[Case]:
                     folder=folder / "cases" / row["case"],
                     done=row["status"] == "done",
                     condition=row.get("condition") or "",
+                    series=row.get("series") or "",
+                    point=row.get("point") or "",
+                    kind=row.get("kind") or "",
                     robots=int(float(row.get("robots") or 0)),
                 )
                 for row in csv.DictReader(file)

@@ -1,8 +1,10 @@
 """Which cases a scenario asks for, and which of them share a structure."""
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from typing import Any
 
 from tiswarm.scenario import Scenario, Variant, variants
 
@@ -28,6 +30,17 @@ class Case:
     def settings(self) -> Scenario:
         """Everything the case is computed from, but the seed."""
         return self.variant.settings
+
+
+def point_text(point: Mapping[str, Any]) -> str:
+    """Write a point of a sweep in one line, as `robots=300, structure={kind: tower}`."""
+    values = [json.dumps(value).replace('"', "") for value in point.values()]
+    return ", ".join(f"{key}={value}" for key, value in zip(point, values, strict=True))
+
+
+def series_text(point: Mapping[str, Any], condition: str) -> str:
+    """Name all cases of a point and a condition, whose seeds alone differ."""
+    return ", ".join(filter(None, [point_text(point), condition]))
 
 
 def plan(scenario: Scenario) -> list[Case]:

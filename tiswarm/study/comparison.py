@@ -80,14 +80,14 @@ def _paired(runs: dict[str, Path]) -> pd.DataFrame:
 
 
 def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
-    """Of each series of a run, the accuracy by structure, known by the digest of its truth."""
+    """Of each series of a run, the accuracy by structure, identified by the digest of its truth."""
     names = sorted(path.name for path in folder.cases.glob("[!.]*"))
     rows: dict[str, dict[str, CaseRecord]] = {}
     for name in names:
         record = folder.recorded(name)
         if record is not None and record.status == DONE:
             structure = record.files["truth.csv"]
-            rows.setdefault(name.partition("-")[2], {})[structure] = record
+            rows.setdefault(record.series, {})[structure] = record
     return {
         series: pd.DataFrame(
             [dict(record.scores) for record in records.values()],

@@ -121,8 +121,8 @@ def run(
 
 def write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
     """Write the tables of a run from the cases."""
-    write_table(tables.summary(records), folder.path / "summary.csv")
     settings = [case.settings for case in cases]
+    write_table(tables.summary(records, settings), folder.path / "summary.csv")
     write_table(tables.table(records, settings), folder.path / "table.csv")
     write_table(tables.paired(records), folder.path / "paired.csv")
     write_table(tables.profiles(records, folder.cases), folder.path / "profiles.csv")

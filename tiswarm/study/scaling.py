@@ -1,6 +1,5 @@
 """`scaling.csv`: how accuracy and cost change with the number of robots."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.evaluation.statistics import power_law_exponent
-from tiswarm.study.cases import Case, structures
+from tiswarm.study.cases import Case, series_text, structures
 from tiswarm.study.costs import Cost
 from tiswarm.study.storage import CaseRecord, RunFolder, write_table
 
@@ -86,5 +85,4 @@ def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
 def _series(case: Case) -> str:
     """What a case has in common with those of other sizes."""
     point = {key: value for key, value in case.variant.point.items() if key != "robots"}
-    names = [f"{key}={json.dumps(value)}" for key, value in point.items()]
-    return ", ".join([*names, case.variant.condition])
+    return series_text(point, case.variant.condition)

@@ -20,7 +20,7 @@ from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
-from tiswarm.study.cases import Case, structure_key
+from tiswarm.study.cases import Case, series_text, structure_key
 from tiswarm.study.costs import Cost
 from tiswarm.version import __version__, code_digest
 from tiswarm.world.history import History
@@ -66,6 +66,11 @@ class CaseRecord:
 
     files: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of each of the case's other files, but for its cost."""
+
+    @property
+    def series(self) -> str:
+        """Point and condition, which cases of other seeds share."""
+        return series_text(self.point, self.condition)
 
 
 class RunFolder:

@@ -23,6 +23,7 @@ from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
 from tiswarm.sensing import SensingParams
+from tiswarm.study.cases import point_text
 from tiswarm.study.storage import DONE, CaseRecord
 
 ACCURACY = (
@@ -50,20 +51,23 @@ AVERAGED = (
 _Item = TypeVar("_Item")
 
 
-def summary(records: Sequence[CaseRecord]) -> pd.DataFrame:
+def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """One row a case, failed ones included."""
     return pd.DataFrame(
         [
             {
                 "case": record.case,
                 "seed": record.seed,
+                "series": record.series,
                 "condition": record.condition,
+                "point": point_text(record.point),
+                "kind": setting.structure.kind,
                 **record.point,
                 "status": record.status,
                 "reason": record.reason,
                 **record.scores,
             }
-            for record in records
+            for record, setting in zip(records, settings, strict=True)
         ]
     )
 
@@ -72,7 +76,7 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     """One row a sweep point and condition: mean over its seeds, and how far it can be trusted."""
     pairs = list(zip(records, settings, strict=True))
     rows = []
-    for group in _grouped(pairs, lambda pair: _series(pair[0])):
+    for group in _grouped(pairs, lambda pair: pair[0].series):
         first, setting = group[0]
         ours = _with_statistics([record for record, _ in group])
         rows.append({"condition": first.condition, **first.point, **ours, **_paper(setting, ours)})
@@ -82,7 +86,7 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
 def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
     """One row a measure and pair of conditions of a sweep point: differences by structure."""
     rows = []
-    for of_point in _grouped(records, lambda record: repr(record.point)):
+    for of_point in _grouped(records, lambda record: point_text(record.point)):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
             pair = _accuracy(first).merge(_accuracy(second), on="seed")
@@ -105,7 +109,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
     """Rows of errors by what robots have in common, for each sweep point and condition."""
     parts = []
     done = [record for record in records if record.status == DONE]
-    for of_row in _grouped(done, _series):
+    for of_row in _grouped(done, lambda record: record.series):
         folders = [cases / record.case for record in of_row]
         robots = [pd.read_csv(folder / "robots.csv") for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
@@ -193,11 +197,6 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
         values = spread(column.to_numpy(np.float64))
         full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
     return full
-
-
-def _series(record: CaseRecord) -> str:
-    """What a case shares with its other seeds."""
-    return record.case.partition("-")[2]
 
 
 def _grouped(items: Iterable[_Item], key: Callable[[_Item], str]) -> list[list[_Item]]:
