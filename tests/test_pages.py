@@ -1,0 +1,36 @@
+"""Links and names on the pages of the project lead somewhere."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+PAGES = [
+    *(REPOSITORY / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((REPOSITORY / "docs").rglob("*.md")),
+]
+NAMED = r"\b((?:scenarios|tests|docs)/[\w./-]+\.(?:csv|json|md|py|yaml))"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_links_lead_to_files(page):
+    """A reader who follows a link or opens a named file finds it."""
+    text = page.read_text()
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", text)
+
+    missing = [link for link in links if not (page.parent / link).exists()]
+    missing += [name for name in re.findall(NAMED, text) if not (REPOSITORY / name).exists()]
+
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_rows_of_tables_have_the_cells_of_their_header(page):
+    """A lost bar shifts all numbers of its row to a wrong column."""
+    ragged = []
+    for table in re.findall(r"(?:^ *\|.*\n?)+", page.read_text(), re.MULTILINE):
+        counts = {row.count("|") - row.count("\\|") for row in table.splitlines()}
+        ragged += [table] if len(counts) > 1 else []
+
+    assert ragged == []
