@@ -84,7 +84,7 @@ def test_version_is_told(tiswarm):
         (("localize", "log.jsonl", "--cues", "contacts"), "--cues: unknown key; the keys here are"),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--cues", "contacts,smell"),
-            "--cues: smell is not a choice here; use contacts, non_overlap",
+            "--cues: smell is not a cue; use contacts, non_overlap",
         ),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--set", "start.iterations=x"),

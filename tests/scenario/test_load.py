@@ -93,13 +93,13 @@ REFUSED = [
     (f"{SMALL}seeds: 0", 3, "seeds", "0 should be greater than or equal to 1"),
     (f"{SMALL}seeds: []", 3, "seeds", "should have at least 1 item, not 0"),
     (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 should be greater than or equal to 0"),
-    (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 stands twice; give each value once"),
+    (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 occurs twice; give each value once"),
     (f"{SMALL}precision: f16", 3, "precision", "\"f16\" should be 'f64' or 'f32'"),
     (
         f"{SMALL}scorecard: reactivebuild-laws",
         3,
         "scorecard",
-        "scenarios have no such key any more; remove it and compare",
+        "is not a key of scenarios any more; remove it and compare",
     ),
     (
         "name: x\nstructure:\n  kind: tower\n  climb:\n    patiense: 3",
@@ -167,7 +167,7 @@ REFUSED = [
     ),
     (f"{SMALL}sweep:\n  robots: 10", 4, "sweep.robots", "10 should be a valid array"),
     (f"{SMALL}sweep:\n  robots: []", 4, "sweep.robots", "should have at least 1 item, not 0"),
-    (f"{SMALL}sweep:\n  robots: [3, 3]", 4, "sweep.robots", "3 stands twice; give each value once"),
+    (f"{SMALL}sweep:\n  robots: [3, 3]", 4, "sweep.robots", "3 occurs twice; give each value once"),
     (
         f"{SMALL}sweep:\n  robots:\n    - 3\n    - 1",
         6,
@@ -187,7 +187,7 @@ REFUSED = [
         "\"[1]\" should be one of 'virtual-force'",
     ),
     (f"{SMALL}localization: {{method: 'a\n\n  b'}}", 3, "localization.method", '"a\\nb" should'),
-    (f"{SMALL}sweep:\n  seeds: [1]", 4, "sweep.seeds", "this cannot be swept; sweep robots, "),
+    (f"{SMALL}sweep:\n  seeds: [1]", 4, "sweep.seeds", "cannot be swept; sweep robots, "),
     (f"{SMALL}sweep:\n  robot.rh: [1]", 4, "sweep.robot.rh", "unknown key; did you mean rho?"),
     (
         f"{SMALL}sweep:\n  structure:\n    - {{kind: tower}}\n    - kind: tower\n      climb: 3",
@@ -288,7 +288,7 @@ def test_the_last_option_wins(scenario):
     [
         ("robots", "is not KEY=VALUE; write it like robots=20"),
         ("=3", "is not KEY=VALUE; write it like robots=20"),
-        ("robots=", "nothing stands here; write the value"),
+        ("robots=", "is empty; write a value"),
         ("robots=many", '"many" should be a valid integer'),
         ("robots=[", "not YAML: "),
         ("robts=20", "unknown key; did you mean robots?"),

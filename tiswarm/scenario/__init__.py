@@ -1,9 +1,12 @@
-"""The scenario: a YAML file that says all there is to say about a study."""
+"""Scenarios: YAML files that define studies."""
 
-from tiswarm.scenario.check import scenario_schema
-from tiswarm.scenario.load import find_mistakes, load_scenario, localization_params
-from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
-from tiswarm.scenario.variants import Variant, variants
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tiswarm.scenario.expansion import Variant, find_mistakes, load_scenario, variants
+    from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
+    from tiswarm.scenario.validation import localization_params
 
 __all__ = [
     "Scenario",
@@ -16,3 +19,18 @@ __all__ = [
     "scenario_schema",
     "variants",
 ]
+
+_HOMES = {
+    "expansion": ("Variant", "find_mistakes", "load_scenario", "variants"),
+    "model": ("Scenario", "dump_scenario", "scenario_hash", "scenario_schema"),
+    "validation": ("localization_params",),
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a name when it is used: `localization_params` needs neither world nor sensing."""
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"tiswarm.scenario.{module}"), name)
+    msg = f"module {__name__!r} has no attribute {name!r}"
+    raise AttributeError(msg)

@@ -1,11 +1,12 @@
-"""What a scenario says, and that as text.
+"""The scenario: its keys, its text and its hash.
 
-The parameters themselves are defined in the rooms that use them.
+Each section is defined in the room that uses it.
 """
 
 import json
 import re
 from dataclasses import field
+from functools import cache
 from hashlib import sha256
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -16,14 +17,11 @@ from pydantic.dataclasses import dataclass
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.params import STRICT
 from tiswarm.robot import RobotGeometry
-from tiswarm.scenario.document import plain_scalar
+from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, validate
+from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams
 
-Plain = dict[str, Any]
-"""A scenario, or a part of it, as it would stand in a file."""
-
-CONDITION_SECTIONS = ("localization", "sensing")
 SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
 
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
@@ -45,13 +43,13 @@ def _condition_key(key: str) -> str:
 
 
 def swept_keys(entry: str) -> list[str]:
-    """Keys that an entry of the sweep sets: one, or several that change together."""
+    """Return the keys of an entry of the sweep: one, or several that change together."""
     return [key.strip() for key in entry.split(",")]
 
 
 def _sweep_key(entry: str) -> str:
     if any(key.partition(".")[0] not in SWEEP_SECTIONS for key in swept_keys(entry)):
-        message = f"this cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or what is in them"
+        message = f"cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or keys in them"
         raise ValueError(message)
     return entry
 
@@ -61,7 +59,7 @@ def _distinct(values: _Values) -> _Values:
     for value in values:
         text = json.dumps(value, sort_keys=True)
         if text in seen:
-            message = f"{text} stands twice; give each value once"
+            message = f"{text} occurs twice; give each value once"
             raise ValueError(message)
         seen.add(text)
     return values
@@ -85,65 +83,79 @@ SweepValues = Annotated[tuple[JsonValue, ...], Field(min_length=1), AfterValidat
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Scenario:
-    """One reproducible study: structures to grow, and ways to localize their robots."""
+    """A reproducible study: structures to grow, and ways to localize their robots."""
 
     name: Slug
-    """Name of the study; the folder of its results starts with it."""
+    """Name of the study, with which its result folder starts."""
 
     description: str = ""
-    """What the study is for, in words."""
+    """Purpose of the study."""
 
     robots: Annotated[int, Field(ge=2, lt=2**31)] = 100
     """Robots in each structure."""
 
     seeds: Seeds = 1
-    """Random seeds, one structure each: a count from 0 up, or a list."""
+    """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
 
     precision: Literal["f64", "f32"] = "f64"
-    """Floating point numbers of the localizer; structures always grow in f64."""
+    """Floating-point type of the localizer; structures always grow in f64."""
 
     robot: RobotGeometry = RobotGeometry()
     """Geometry of a robot."""
 
     structure: StructureParams
-    """What is grown."""
+    """Structure to grow."""
 
     sensing: SensingParams = SensingParams()
-    """What the robots feel of it."""
+    """What the robots sense, with which noise."""
 
     localization: LocalizationParams = VirtualForceParams()
-    """How the robots find out where they are."""
+    """Localization method and its settings."""
 
     conditions: Annotated[dict[Slug, Overrides], Field(min_length=1)] = field(
         default_factory=lambda: {"baseline": {}}
     )
-    """By name, settings of `localization.*` and `sensing.*` that differ from those above; each
-    is run on the same structures."""
+    """By name, settings of `localization.*` and `sensing.*` that differ from those above. All
+    conditions run on the same structures."""
 
     sweep: dict[Annotated[str, AfterValidator(_sweep_key)], SweepValues] = field(
         default_factory=dict
     )
-    """By dotted key, values to be run one after another, in all combinations. Keys that change
-    together stand in one entry, as `robots, structure.movers: [[100, 1], [1000, 10]]`: a row a
-    point, which the first key names."""
+    """By dotted key, values to run in all combinations. Keys that change together share an entry
+    with a row of values for each point, which the first key names:
+    `robots, structure.movers: [[100, 1], [1000, 10]]`."""
 
     @property
     def seed_list(self) -> tuple[int, ...]:
-        """Every seed."""
+        """The seeds, one by one."""
         return tuple(range(self.seeds)) if isinstance(self.seeds, int) else self.seeds
 
 
 ADAPTER = TypeAdapter(Scenario)
 
 
-def plain(scenario: Scenario) -> Plain:
-    """Turn a scenario into plain data, every default written out."""
-    document: Plain = ADAPTER.dump_python(scenario, mode="json")
-    return document
+def from_plain(data: Plain) -> Scenario | list[Mistake]:
+    """Build a scenario from plain data, or list every mistake in it."""
+    if data.get("scorecard") == "none":  # earlier versions wrote this into every run folder
+        data = {key: value for key, value in data.items() if key != "scorecard"}
+    return validate(ADAPTER, data)
+
+
+def to_plain(scenario: Scenario) -> Plain:
+    """Convert a scenario to plain data, every default included."""
+    data: Plain = ADAPTER.dump_python(scenario, mode="json")
+    return data
+
+
+@cache
+def scenario_schema() -> Plain:
+    """Return the JSON Schema of a scenario file, for editors."""
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return {**dialect, **ADAPTER.json_schema()}
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes values out wherever they occur, and quotes text that would not read as text."""
+    """Repeats equal values, and quotes text that would not be read as text."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
         return True
@@ -160,17 +172,17 @@ _Dumper.add_representer(str, _represent_text)
 
 
 def dump_scenario(scenario: Scenario) -> str:
-    """Write a scenario as YAML, every default included; it loads back to an equal scenario."""
-    data = plain(scenario)
+    """Write a scenario as YAML with every default; it loads back to an equal scenario."""
+    data = to_plain(scenario)
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 def scenario_hash(scenario: Scenario) -> str:
-    """Eight hex digits that stand for all a scenario says, but for its description.
+    """Hash a scenario without its description to eight hex digits.
 
-    The order of keys, comments and what was left at its default make no difference.
+    The order of keys, comments and defaults written out make no difference.
     """
-    data = plain(scenario)
+    data = to_plain(scenario)
     del data["description"]
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return sha256(text.encode()).hexdigest()[:8]

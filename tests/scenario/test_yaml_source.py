@@ -3,7 +3,7 @@
 import pytest
 
 from tiswarm.errors import InputError
-from tiswarm.scenario.document import parse_document, read_document
+from tiswarm.scenario.yaml_source import parse_yaml, read_yaml
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ from tiswarm.scenario.document import parse_document, read_document
 )
 def test_scalars_follow_yaml_1_2(text, value):
     """What is not a number, truth value or null of the core schema is text."""
-    data = parse_document(f"[{text}]").data
+    data = parse_yaml(f"[{text}]").data
 
     assert data == [value]
     assert type(data[0]) is type(value)
@@ -46,7 +46,7 @@ def test_scalars_follow_yaml_1_2(text, value):
 
 def test_keys_are_text():
     """A key means what it says, also where YAML 1.1 would see a number or a truth value."""
-    assert parse_document("{on: 1, 10: 2, null: 3, 1e3: 4}").data == {
+    assert parse_yaml("{on: 1, 10: 2, null: 3, 1e3: 4}").data == {
         "on": 1,
         "10": 2,
         "null": 3,
@@ -56,7 +56,7 @@ def test_keys_are_text():
 
 def test_every_value_knows_its_line():
     """Keys and list entries are found by their way; what is missing, by what would hold it."""
-    document = parse_document("a: 1\nb:\n  c:\n    - 1\n    -\n      d: 2\n")
+    document = parse_yaml("a: 1\nb:\n  c:\n    - 1\n    -\n      d: 2\n")
 
     assert document.line_of(("b", "c")) == 3
     assert document.line_of(("b", "c", 1)) == 6
@@ -67,10 +67,13 @@ def test_every_value_knows_its_line():
 @pytest.mark.parametrize(
     ("raw", "problem"),
     [
-        (b"", ":1: nothing stands here; write the value, or a scenario"),
-        (b"# only a comment\n", ":1: nothing stands here; write"),
+        (b"", ":1: is empty; write a value, or a scenario"),
+        (b"# only a comment\n", ":1: is empty; write"),
         (b"a: 1\nb: \xff\n", ":2: byte 0xff is not UTF-8; save the file as UTF-8"),
-        (b"a: 1\nb: \x07\n", ":2: holds a character that no text file has; delete it"),
+        (
+            b"a: 1\nb: \x07\n",
+            ":2: contains a character that is not allowed in text files; delete it",
+        ),
         (b"a: 1\n\tb: 2\n", ":2: a tab cannot stand here; indent with spaces"),
         (b"a: 1\nb: 2\na: 3\n", ":3: a: the key stands on line 1 too; keep one"),
         (b"a:\n  b: 1\n  b: 2\n", ":3: a.b: the key stands on line 2 too; keep one"),
@@ -84,7 +87,7 @@ def test_every_value_knows_its_line():
         (b"- " * 100_000, ":1: nested deeper than 32 levels; is this a scenario?"),
         (b"- a\n" * 20_000, ":20000: more than 20000 values; is this a scenario?"),
         (b"a: 1\n" * 60_000, ": the file is larger than 256 KiB; is this a scenario?"),
-        (b'a: "\\UFFFFFFFF"\n', ":1: not YAML: a number or escape out of range; correct it"),
+        (b'a: "\\UFFFFFFFF"\n', ":1: not YAML: an escape is out of range; correct it"),
         (b'a: "\\ud800"\n', ":1: a: half a character (a lone surrogate); correct the escape"),
     ],
 )
@@ -94,7 +97,7 @@ def test_what_a_scenario_cannot_be_is_refused(tmp_path, raw, problem):
     path.write_bytes(raw)
 
     with pytest.raises(InputError) as refusal:
-        read_document(path)
+        read_yaml(path)
 
     assert str(refusal.value).startswith(f"{path}{problem}")
     assert "\n" not in str(refusal.value)
@@ -104,4 +107,4 @@ def test_what_a_scenario_cannot_be_is_refused(tmp_path, raw, problem):
 def test_a_file_that_cannot_be_opened_is_told(tmp_path, name, problem):
     """A missing file and a folder are named, with what to do."""
     with pytest.raises(InputError, match=problem):
-        read_document(tmp_path / name)
+        read_yaml(tmp_path / name)

@@ -10,8 +10,8 @@ from pydantic.dataclasses import dataclass
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.params import STRICT
-from tiswarm.scenario import Scenario, check, find_mistakes, model, variants
-from tiswarm.scenario.variants import MAX_LABEL
+from tiswarm.scenario import Scenario, find_mistakes, model, variants
+from tiswarm.scenario.expansion import MAX_LABEL
 from tiswarm.world.params import TowerParams
 
 
@@ -79,14 +79,14 @@ def test_keys_of_one_entry_change_together():
 @pytest.mark.parametrize(
     ("sweep", "problem"),
     [
-        ("{'robots, structure.movers': [[10, 1], [20]]}", "is no row of 2 values"),
-        ("{'robots, structure.movers': [10]}", "is no row of 2 values"),
+        ("{'robots, structure.movers': [[10, 1], [20]]}", "should be a row of 2 values"),
+        ("{'robots, structure.movers': [10]}", "should be a row of 2 values"),
         (
             "{'robots, structure.movers': [[10, 1], [20, 0]]}",
             "should be greater than or equal to 1",
         ),
         ("{robots: [10], 'structure.movers, robots': [[1, 20]]}", "robots is swept already"),
-        ("{'robots, seeds': [[10, 1]]}", "this cannot be swept"),
+        ("{'robots, seeds': [[10, 1]]}", "cannot be swept"),
     ],
 )
 def test_rows_that_do_not_fit_are_told_with_their_line(tmp_path, sweep, problem):
@@ -155,7 +155,7 @@ def test_labels_are_fit_for_folders():
 
 def test_cases_that_a_file_system_may_mix_up_are_refused():
     """Names that differ by capitals only are the same folder on many machines."""
-    with pytest.raises(InputError, match="two cases would be called A; rename a condition"):
+    with pytest.raises(InputError, match="two cases would have the name A; rename a condition"):
         variants(scenario(conditions={"a": {}, "A": {}}))
 
 
@@ -190,9 +190,7 @@ class TwoMethodScenario(Scenario):
 @pytest.fixture
 def two_methods(monkeypatch):
     """Make scenarios with a choice of two methods."""
-    check.scenario_schema()  # keep the real one in its cache
     adapter = TypeAdapter(TwoMethodScenario)
-    monkeypatch.setattr(check, "ADAPTER", adapter)
     monkeypatch.setattr(model, "ADAPTER", adapter)
     return TwoMethodScenario(name="two", structure=TowerParams())
 

@@ -1,0 +1,310 @@
+"""From a scenario file and `--set` options to a scenario, and to its variants.
+
+A variant is one point of the sweep under one condition.
+"""
+
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tiswarm.errors import InputError
+from tiswarm.records.messages import Part, counted, dotted
+from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
+from tiswarm.scenario.validation import (
+    DISCRIMINATORS,
+    Mistake,
+    Plain,
+    Setting,
+    find_culprit,
+    parse_setting,
+    set_key,
+)
+from tiswarm.scenario.yaml_source import YamlSource, read_yaml
+
+MAX_VARIANTS = 10_000
+MAX_LABEL = 150
+
+Conditions = Mapping[str, Mapping[str, Any]]
+Sweep = Mapping[str, Sequence[Any]]
+
+_MINIMAL: Plain = {"name": "minimal", "structure": {"kind": "tower"}}
+"""A scenario of defaults only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """One point of the sweep under one condition."""
+
+    label: str
+    """Name of a folder: `baseline`, or `robots=300,baseline`."""
+
+    condition: str
+    """Name of the condition."""
+
+    point: Mapping[str, Any]
+    """Swept values by dotted key, without those that follow another key."""
+
+    settings: Scenario
+    """The scenario at this point and condition, without conditions and sweep."""
+
+
+def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read and check a scenario with all its conditions and swept values.
+
+    Args:
+        path: YAML file.
+        overrides: Texts `KEY=VALUE`: a dotted key and a YAML value that replaces the file's.
+
+    Raises:
+        InputError: for the first mistake in the file, with the number of further mistakes.
+    """
+    scenario, mistakes = _examine(path, overrides)
+    if scenario is not None and not mistakes:
+        return scenario
+    first, more = mistakes[0], len(mistakes) - 1
+    if not more:
+        raise first
+    problem = f"{first.problem} (and {counted(more, 'more mistake')})"
+    raise InputError(problem, path=first.path, line=first.line, key=first.key)
+
+
+def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]:
+    """List all mistakes in a scenario file in file order, those in options last."""
+    try:
+        return _examine(path, overrides)[1]
+    except InputError as error:
+        return [error]
+
+
+def variants(scenario: Scenario) -> list[Variant]:
+    """List the variants of a scenario: sweep points in order, at each its conditions in order.
+
+    Raises:
+        InputError: a condition or a swept value is wrong; never for a loaded scenario, which
+            has been checked already.
+    """
+    found, mistakes = expand(to_plain(scenario), scenario.conditions, scenario.sweep)
+    if mistakes:
+        raise InputError(mistakes[0].problem, key=dotted(mistakes[0].path))
+    return found
+
+
+def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
+    source = read_yaml(path)
+    data = source.data
+    if not isinstance(data, dict):
+        problem = "a scenario is a mapping of keys to values; start it with `name:`"
+        raise InputError(problem, path=path, line=source.line_of(()))
+    settings = [parse_setting(text) for text in overrides]
+    for setting in settings:
+        if problem := set_key(data, setting.path, setting.value):
+            raise setting.error(problem)
+    outcome = from_plain(data)
+    mistakes = [] if isinstance(outcome, Scenario) else outcome
+    bad = {part for mistake in mistakes for part in mistake.path[:1]}
+    found = [*mistakes, *_expansion_mistakes(data, bad)]
+    errors = [_placed(mistake, path, source, settings) for mistake in found]
+    errors.sort(key=lambda error: (error.line is None, error.line))
+    return (outcome if isinstance(outcome, Scenario) else None), errors
+
+
+def _expansion_mistakes(data: Plain, bad: set[Part]) -> list[Mistake]:
+    """Check those conditions and swept values that touch no bad section."""
+    good = {key: value for key, value in data.items() if key not in bad}
+    scenario = from_plain({**_MINIMAL, **good})
+    if not isinstance(scenario, Scenario):
+        return []
+
+    def is_good(key: str) -> bool:
+        return key.partition(".")[0] not in bad
+
+    conditions = {
+        name: {key: value for key, value in entries.items() if is_good(key)}
+        for name, entries in scenario.conditions.items()
+    }
+    sweep = {key: values for key, values in scenario.sweep.items() if is_good(key)}
+    return expand(to_plain(scenario), conditions, sweep)[1]
+
+
+def _placed(
+    mistake: Mistake, path: Path, source: YamlSource, settings: Sequence[Setting]
+) -> InputError:
+    if culprit := find_culprit(mistake, settings):
+        return culprit.error(mistake.problem)
+    line = source.line_of(mistake.path)
+    return InputError(mistake.problem, path=path, line=line, key=dotted(mistake.path))
+
+
+class _Change(NamedTuple):
+    """A value to set, and its place in the scenario."""
+
+    key: str
+    value: object
+    source: tuple[Part, ...]
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        return tuple(self.key.split("."))
+
+    @property
+    def selects(self) -> bool:
+        """Whether it selects which settings a section has."""
+        return self.path[1:] == (DISCRIMINATORS.get(self.path[0]),)
+
+
+class _Combination(NamedTuple):
+    """A point of the sweep and a condition, not yet applied."""
+
+    condition: str
+    point: tuple[_Change, ...]
+    """Changes that name the point."""
+
+    overrides: tuple[_Change, ...]
+    """Changes that follow the point, then those of the condition."""
+
+    @property
+    def label(self) -> str:
+        names = [f"{change.key}={_label(change.value)}" for change in self.point]
+        label = ",".join([*names, self.condition])
+        if len(label) <= MAX_LABEL:
+            return label
+        return f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
+
+
+def expand(
+    base: Plain, conditions: Conditions, sweep: Sweep
+) -> tuple[list[Variant], list[Mistake]]:
+    """Build the variants of a valid scenario, and list mistakes in its conditions and sweep."""
+    count = math.prod(map(len, sweep.values())) * len(conditions)
+    if count > MAX_VARIANTS:
+        problem = f"makes {count} cases; {MAX_VARIANTS} is the most: give fewer values"
+        return [], [Mistake(("sweep",), problem)]
+    if malformed := _malformed(sweep):
+        return [], malformed
+    base = {key: value for key, value in base.items() if key not in {"conditions", "sweep"}}
+    found: dict[str, Variant] = {}
+    mistakes: dict[Mistake, None] = {}
+    for combination in _combinations(conditions, sweep):
+        outcome = _apply(base, combination)
+        label = combination.label
+        if not isinstance(outcome, Scenario):
+            mistakes.update(dict.fromkeys(outcome))
+        elif label.casefold() in found:
+            problem = f"two cases would have the name {label}; rename a condition or a value"
+            mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None
+        else:
+            found[label.casefold()] = Variant(
+                label=label,
+                condition=combination.condition,
+                point={change.key: change.value for change in combination.point},
+                settings=outcome,
+            )
+    return list(found.values()), list(mistakes)
+
+
+def _combinations(conditions: Conditions, sweep: Sweep) -> Iterator[_Combination]:
+    axes = [list(_rows(entry, values)) for entry, values in sweep.items()]
+    for rows in itertools.product(*axes):
+        followers = [change for row in rows for change in row[1:]]
+        for name, entries in conditions.items():
+            overrides = [_Change(k, v, ("conditions", name, k)) for k, v in entries.items()]
+            point = tuple(row[0] for row in rows)
+            yield _Combination(name, point, (*followers, *overrides))
+
+
+def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_Change]]:
+    """Yield the changes at each point of an entry, first the one that names the point."""
+    keys = swept_keys(entry)
+    for place, value in enumerate(values):
+        if len(keys) == 1:
+            yield [_Change(entry, value, ("sweep", entry, place))]
+        else:
+            cells = enumerate(zip(keys, value, strict=True))
+            yield [_Change(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
+
+
+def _malformed(sweep: Sweep) -> list[Mistake]:
+    """Find rows that do not fit their keys, and keys in several entries."""
+    mistakes = []
+    seen: set[str] = set()
+    for entry, values in sweep.items():
+        keys = swept_keys(entry)
+        if twice := [key for n, key in enumerate(keys) if key in seen or key in keys[:n]]:
+            problem = f"{twice[0]} is swept already; keep one of its places"
+            mistakes.append(Mistake(("sweep", entry), problem))
+        seen.update(keys)
+        problem = f"should be a row of {len(keys)} values, one for each key of {entry}"
+        mistakes += [
+            Mistake(("sweep", entry, place), problem)
+            for place, row in enumerate(values)
+            if len(keys) > 1 and not (isinstance(row, list) and len(row) == len(keys))
+        ]
+    return mistakes
+
+
+def _apply(base: Plain, combination: _Combination) -> Scenario | list[Mistake]:
+    """Apply whole sections first, then keys that select settings, then the settings."""
+    data = deepcopy(base)
+    changes = sorted(
+        [*combination.point, *combination.overrides],
+        key=lambda change: (len(change.path) > 1, not change.selects),
+    )
+    lost = []
+    for change in changes:
+        if change.selects and (problem := _reset_section(data, change)):
+            lost.append(Mistake(change.source, problem))
+        if problem := set_key(data, change.path, change.value):
+            return [Mistake(change.source, problem)]
+    outcome = from_plain(data)
+    if isinstance(outcome, Scenario):
+        return lost or outcome
+    return [_attribute(mistake, changes, combination.label) for mistake in outcome]
+
+
+def _reset_section(data: Plain, change: _Change) -> str:
+    """Empty a section that is to have other settings; return which are lost, or nothing."""
+    section, key = change.path
+    settings = data[section]
+    old = settings.get(key) if isinstance(settings, dict) else None
+    if not isinstance(old, str) or old == change.value:
+        return ""
+    data[section] = {}
+    if settings == _defaults(section, old):
+        return ""
+    problem = f"would drop the settings made for {old}"
+    return f"{problem}; sweep {section} as a whole, or move them into the conditions of {old}"
+
+
+@cache
+def _defaults(section: str, selected: str) -> Plain | None:
+    outcome = from_plain({**_MINIMAL, section: {DISCRIMINATORS[section]: selected}})
+    return to_plain(outcome)[section] if isinstance(outcome, Scenario) else None
+
+
+def _attribute(mistake: Mistake, changes: Sequence[_Change], label: str) -> Mistake:
+    """Move a mistake to the change that set the value at fault, or a part of it."""
+    for change in reversed(changes):
+        size = len(change.path)
+        if change.path == mistake.path[:size]:
+            of_key = mistake.about_key and size == len(mistake.path) and change.source[0] == "sweep"
+            source = change.source[:2] if of_key else change.source
+            return mistake._replace(path=(*source, *mistake.path[size:]))
+    for change in reversed(changes):
+        if mistake.path == change.path[: len(mistake.path)]:
+            return mistake._replace(path=change.source)
+    return mistake._replace(problem=f"{mistake.problem} (in case {label})")
+
+
+def _label(value: object) -> str:
+    """Write a swept value with characters that any file system accepts."""
+    text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+    text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
+    return text.strip("-") if isinstance(value, (dict, list)) else text

@@ -1,0 +1,196 @@
+"""Checks of plain data and of `--set` options; each mistake with its place."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from functools import cache
+from typing import Any, NamedTuple, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from pydantic_core import ErrorDetails
+
+from tiswarm.errors import InputError
+from tiswarm.localization.params import CUES, LocalizationParams
+from tiswarm.params import STRICT
+from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain
+from tiswarm.scenario.yaml_source import parse_yaml
+
+Plain = dict[str, Any]
+"""A scenario, or a part of it, as plain data."""
+
+DISCRIMINATORS = {"structure": "kind", "localization": "method"}
+"""By section, the key that selects which settings the section has."""
+
+CONDITION_SECTIONS = ("localization", "sensing")
+"""Sections that conditions change."""
+
+_REMOVED: dict[tuple[Part, ...], str] = {
+    ("scorecard",): "is not a key of scenarios any more; remove it and compare the structures "
+    "with published laws by python -m benchmarks.reactivebuild SCENARIO",
+}
+"""Problems with keys of earlier versions."""
+
+_UNIONS = {*DISCRIMINATORS, "seeds"}
+"""Keys whose path in an error of pydantic continues with the alternative it tried."""
+
+_CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+))?")
+_Checked = TypeVar("_Checked")
+
+
+class Mistake(NamedTuple):
+    """A problem and its place."""
+
+    path: tuple[Part, ...]
+    problem: str
+    about_key: bool = False
+    """Whether the key is wrong, not its value."""
+
+
+class Setting(NamedTuple):
+    """One `--set KEY=VALUE`."""
+
+    text: str
+    path: tuple[str, ...]
+    value: object
+
+    def error(self, problem: str) -> InputError:
+        """Return an error that names the option."""
+        return InputError(problem, key=f"--set {self.text}")
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class _LocalizationSection:
+    localization: LocalizationParams
+
+
+_LOCALIZATION = TypeAdapter(_LocalizationSection)
+
+
+def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
+    """Build an object from plain data, or list every mistake in it."""
+    localization = data.get("localization")
+    if isinstance(localization, dict):
+        data = {**data, "localization": {"method": "virtual-force", **localization}}
+    try:
+        # Only from JSON does strict validation accept lists for tuples.
+        return adapter.validate_json(json.dumps(data))
+    except ValidationError as found:
+        return [_mistake(error, adapter) for error in found.errors(include_url=False)]
+
+
+def set_key(data: Plain, path: Sequence[str], value: object) -> str:
+    """Set a value in plain data in place; return why that is impossible, or nothing."""
+    for place, part in enumerate(path[:-1], start=1):
+        data = data.setdefault(part, {})
+        if not isinstance(data, dict):
+            return f"{dotted(path[:place])} is a single value, not a section; correct the key"
+    data[path[-1]] = deepcopy(value)
+    return ""
+
+
+def parse_setting(text: str, *section: str) -> Setting:
+    """Parse `KEY=VALUE`, the key being one of a section if that is given.
+
+    Raises:
+        InputError: the text has no key or no value, or the value is not YAML.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        problem = "is not KEY=VALUE; write it like robots=20"
+        raise InputError(problem, key=f"--set {text}")
+    try:
+        path = (*section, *_setting_path(key.strip()))
+        return Setting(text, path, parse_yaml(value).data)
+    except InputError as error:
+        raise InputError(error.problem, key=f"--set {text}") from error
+
+
+def find_culprit(mistake: Mistake, settings: Sequence[Setting]) -> Setting | None:
+    """Find the last option that set the value at fault or, failing that, a part of it."""
+    for setting in reversed(settings):
+        if setting.path == mistake.path[: len(setting.path)]:
+            return setting
+    for setting in reversed(settings):
+        if mistake.path == setting.path[: len(mistake.path)]:
+            return setting
+    return None
+
+
+def localization_params(
+    method: str,
+    overrides: Sequence[str] = (),
+    *,
+    cues: Sequence[str] | None = None,
+    values: Mapping[str, object] | None = None,
+) -> LocalizationParams:
+    """Build the settings of a localization method without a scenario file.
+
+    Args:
+        method: Name of the method.
+        overrides: Texts `KEY=VALUE`, the key being one of the method's own.
+        cues: Cues to use, all others being off; None for the method's own choice.
+        values: Settings by key, as plain data.
+
+    Raises:
+        InputError: for an unknown method or cue, or for the first bad setting.
+    """
+    for cue in cues or ():
+        if cue not in CUES:
+            problem = f"{cue} is not a cue; use {', '.join(CUES)}"
+            raise InputError(problem, key="--cues")
+    switches = {} if cues is None else {cue: cue in cues for cue in CUES}
+    settings = [parse_setting(text, "localization") for text in overrides]
+    data: Plain = {"localization": {"method": method, **switches, **(values or {})}}
+    for setting in settings:
+        if problem := set_key(data, setting.path, setting.value):
+            raise setting.error(problem)
+    outcome = validate(_LOCALIZATION, data)
+    if isinstance(outcome, _LocalizationSection):
+        return outcome.localization
+    first = outcome[0]
+    if culprit := find_culprit(first, settings):
+        raise culprit.error(first.problem)
+    key = dotted(first.path[1:])
+    option = "--method" if key == "method" else "--cues" if key in switches else key
+    raise InputError(first.problem, key=option)
+
+
+def _setting_path(key: str) -> tuple[str, ...]:
+    """Split a dotted key; keys of conditions and sweep have dots of their own."""
+    if match := _CONDITION.fullmatch(key):
+        return ("conditions", *(part for part in match.groups() if part))
+    head, dot, rest = key.partition(".")
+    return (head, rest) if head == "sweep" and dot else tuple(key.split("."))
+
+
+def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
+    path = error["loc"]
+    about_key = error["type"] in UNKNOWN_KEY or path[-1:] == ("[key]",)
+    if path[-1:] == ("[key]",):
+        path = path[:-1]
+    elif path and path[0] in _UNIONS:
+        path = (path[0], *path[2:])
+    if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
+        path = (path[0], DISCRIMINATORS[str(path[0])])
+    problem = _REMOVED.get(path) or explain(error, _allowed(error["loc"], adapter))
+    return Mistake(path, problem, about_key)
+
+
+def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ...]:
+    """Return the keys of the section that holds the value at a path."""
+    schema = _schema(adapter)
+    section = schema
+    for part in path[:-1]:
+        alternatives = section.get("discriminator", {}).get("mapping", {})
+        section = section.get("properties", {}).get(part) or {"$ref": alternatives.get(part, "")}
+        nullable = [section, *section.get("anyOf", ())]  # a section that may be null is one of two
+        name = next((each["$ref"] for each in nullable if "$ref" in each), "").rpartition("/")[2]
+        section = schema["$defs"].get(name, section)
+    return tuple(section.get("properties", ()))
+
+
+@cache
+def _schema(adapter: TypeAdapter[Any]) -> Plain:
+    return adapter.json_schema()

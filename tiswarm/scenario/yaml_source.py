@@ -1,0 +1,182 @@
+"""YAML text to plain data, with the line of each value.
+
+Scalars follow the core schema of YAML 1.2: `1e-3` is a number; `no`, `on` and `12:30` are text;
+`010` is ten. Anchors, aliases, tags and very large files are refused.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tiswarm.errors import InputError
+from tiswarm.records.io import decode, unreadable
+from tiswarm.records.messages import Part, dotted
+
+MAX_BYTES = 256 * 2**10
+MAX_DEPTH = 32
+MAX_NODES = 20_000
+
+_CONSTRUCTORS: dict[str, Callable[[str], object]] = {
+    r"~|null|Null|NULL|": lambda _text: None,
+    r"true|True|TRUE|false|False|FALSE": lambda text: text.lower() == "true",
+    r"[-+]?[0-9]{1,300}": int,  # longer ones are floats, and infinite
+    r"0o[0-7]{1,99}|0x[0-9a-fA-F]{1,99}": lambda text: int(text, 0),
+    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?": float,
+    r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)": lambda text: float(text.replace(".", "").lower()),
+}
+"""How plain scalars become values, by their pattern; all others are text."""
+
+
+@dataclass(frozen=True)
+class YamlSource:
+    """Plain data and the lines it comes from."""
+
+    data: Any
+    """Dicts with text keys, lists, text, numbers, booleans and None."""
+
+    lines: dict[tuple[Part, ...], int]
+    """Line of each key and list entry, by its path."""
+
+    def line_of(self, path: Sequence[Part]) -> int:
+        """Return the line of a value, or of the section that lacks it."""
+        parts = tuple(path)
+        while parts not in self.lines:
+            parts = parts[:-1]
+        return self.lines[parts]
+
+
+def read_yaml(path: Path) -> YamlSource:
+    """Read a YAML file.
+
+    Raises:
+        InputError: the file cannot be read or is not YAML as scenarios use it.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise unreadable(path, error) from error
+    if len(raw) > MAX_BYTES:
+        problem = f"the file is larger than {MAX_BYTES // 2**10} KiB; is this a scenario?"
+        raise InputError(problem, path=path)
+    return parse_yaml(decode(raw, path), path)
+
+
+def parse_yaml(text: str, path: Path | None = None) -> YamlSource:
+    """Parse YAML text from a file, or from the command line if `path` is None.
+
+    Raises:
+        InputError: the text is empty or not YAML as scenarios use it.
+    """
+    lines: dict[tuple[Part, ...], int] = {(): 1}
+    try:
+        root = _compose(text)
+        data = _value(root, (), lines)
+    except InputError as error:
+        line = None if path is None else error.line
+        raise InputError(error.problem, path=path, line=line, key=error.key) from error
+    return YamlSource(data, lines)
+
+
+def plain_scalar(text: str) -> object:
+    """Return the value of a scalar without quotes."""
+    for pattern, construct in _CONSTRUCTORS.items():
+        if re.fullmatch(pattern, text):
+            return construct(text)
+    return text
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes, which it keeps shallow and few; their scalars stay text."""
+
+    depth = nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        self.nodes += 1
+        self.depth += 1
+        problem = ""
+        if event.anchor is not None:
+            name = f"anchors and aliases such as {event.anchor}"
+            problem = f"{name} are not used here; write the value out"
+        elif getattr(event, "tag", None) is not None:
+            problem = "tags such as !!str are not used here; leave it out"
+        elif self.depth > MAX_DEPTH and not isinstance(event, yaml.ScalarEvent):
+            problem = f"nested deeper than {MAX_DEPTH} levels; is this a scenario?"
+        elif self.nodes > MAX_NODES:
+            problem = f"more than {MAX_NODES} values; is this a scenario?"
+        if problem:
+            raise InputError(problem, line=event.start_mark.line + 1)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def _compose(text: str) -> yaml.Node:
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        raise InputError(_syntax(error), line=mark.line + 1 if mark else 1) from error
+    except yaml.reader.ReaderError as error:
+        problem = "contains a character that is not allowed in text files; delete it"
+        line = text.count("\n", 0, error.position) + 1
+        raise InputError(problem, line=line) from error
+    except (ValueError, OverflowError) as error:  # such as \UFFFFFFFF
+        problem = "not YAML: an escape is out of range; correct it"
+        raise InputError(problem, line=loader.line + 1 if loader else 1) from error
+    if node is None:
+        problem = "is empty; write a value, or a scenario that starts with `name:`"
+        raise InputError(problem, line=1)
+    return node
+
+
+def _syntax(error: yaml.MarkedYAMLError) -> str:
+    found = " ".join(str(error.problem or error.context).split())
+    if "another document" in found:
+        return "a second document starts here; keep one in a file"
+    if "\\t" in found:
+        return "a tab cannot stand here; indent with spaces"
+    return f"not YAML: {found}; check indentation, colons and quotes"
+
+
+def _value(node: yaml.Node, at: tuple[Part, ...], lines: dict[tuple[Part, ...], int]) -> object:
+    """Convert a node to plain data, and note its lines."""
+    lines.setdefault(at, _line(node))
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(entry, (*at, n), lines) for n, entry in enumerate(node.value)]
+    if not isinstance(node, yaml.MappingNode):
+        text = _text(node, at)
+        is_plain = isinstance(node, yaml.ScalarNode) and node.style is None
+        return plain_scalar(text) if is_plain else text
+    entries: dict[str, object] = {}
+    for key_node, value_node in node.value:
+        if not isinstance(key_node, yaml.ScalarNode):
+            problem = "a key must be text; write `key: value`"
+            raise InputError(problem, line=_line(key_node), key=dotted(at))
+        key = _text(key_node, at)
+        here = (*at, key)
+        if key in entries:
+            problem = f"the key stands on line {lines[here]} too; keep one"
+            raise InputError(problem, line=_line(key_node), key=dotted(here))
+        lines[here] = _line(key_node)
+        entries[key] = _value(value_node, here, lines)
+    return entries
+
+
+def _text(node: yaml.Node, at: tuple[Part, ...]) -> str:
+    text = str(node.value)
+    if any("\ud800" <= letter <= "\udfff" for letter in text):
+        problem = "half a character (a lone surrogate); correct the escape"
+        raise InputError(problem, line=_line(node), key=dotted(at))
+    return text
+
+
+def _line(node: yaml.Node) -> int:
+    return node.start_mark.line + 1
