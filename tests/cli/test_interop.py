@@ -1,6 +1,7 @@
 """Structures come in from other programs and go out to them."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,9 +9,10 @@ import pytest
 import trimesh
 
 from tests.runs import REPOSITORY
-from tiswarm.interop.exporting import export_case
+from tiswarm.interop.exports import export_case
 from tiswarm.progress import Progress
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.report.figure_style import JOIN_COLORS, rgb
 
 EXAMPLE = REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv"
 
@@ -104,24 +106,48 @@ def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
     assert len(np.unique(ply.visual.vertex_colors, axis=0)) > 5
 
 
-def test_contacts_are_lines_between_centers(exported, robots):
-    """One each, from one robot's true center to the other's."""
+def test_colors_read_back(exported, robots):
+    """Docks of the first robot have the first color, in sRGB in PLY and linear in glTF."""
+    color = 255.0 * rgb(JOIN_COLORS[0])
+
+    ply = trimesh.load(exported / "structure.ply").visual.vertex_colors
+    glb = (
+        trimesh.load(exported / "case.glb").geometry["structure"].visual.vertex_attributes["color"]
+    )
+
+    assert (np.abs(ply[:, :3] - color).max(axis=1) <= 1).any()
+    linear = 255.0 * (color / 255.0) ** 2.2
+    assert (np.abs(glb[:, :3] - linear).max(axis=1) <= 1).any()
+
+
+@pytest.mark.parametrize("file", ["case.glb", "contacts.ply"])
+def test_contacts_are_lines_between_centers(exported, robots, file):
+    """Each line runs from the true center of a robot to that of the other."""
     contacts = pd.read_csv(exported / "contacts.csv")
     center = robots.set_index("robot")[["x_R", "y_R", "z_R"]]
-    data = (exported / "case.glb").read_bytes()
+
+    ends = _lines(exported / file).reshape(-1, 6)
+
+    pairs = contacts[["other_robot", "robot"]].to_numpy()
+    expected = center.to_numpy()[pairs].reshape(-1, 6)
+    np.testing.assert_allclose(ends, expected, atol=1e-5)
+
+
+def _lines(path):
+    """Read the ends of each line of a file, shape (lines, 2, 3)."""
+    data = path.read_bytes()
+    if path.suffix == ".ply":
+        header, _, body = data.partition(b"end_header\n")
+        count = int(re.search(rb"element vertex (\d+)", header)[1])
+        vertex = np.frombuffer(body, "<f4", 3 * count).reshape(-1, 3)
+        return vertex[np.frombuffer(body[12 * count :], "<i4").reshape(-1, 2)]
     size = int.from_bytes(data[12:16], "little")
     document, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
-
-    lines = next(mesh for mesh in document["meshes"] if mesh["name"] == "contacts")["primitives"][0]
-    place, index = [
-        np.frombuffer(binary, kind, accessor["count"] * width, view["byteOffset"]).reshape(-1, cut)
-        for name, kind, width, cut in (("POSITION", "<f4", 3, 3), ("indices", "<u4", 1, 2))
-        for accessor in [document["accessors"][(lines | lines["attributes"])[name]]]
-        for view in [document["bufferViews"][accessor["bufferView"]]]
-    ]
-
-    ends = contacts[["other_robot", "robot"]].to_numpy()
-    np.testing.assert_allclose(place[index], center.to_numpy()[ends], atol=1e-5)
+    mesh = next(mesh for mesh in document["meshes"] if mesh["name"] == "contacts")
+    lines = mesh["primitives"][0]
+    accessor = document["accessors"][lines["attributes"]["POSITION"]]
+    start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    start += accessor.get("byteOffset", 0)
     assert lines["mode"] == 1
-    assert document["asset"]["extras"] == {"length_unit": "R"}
-    assert int.from_bytes(data[8:12], "little") == len(data)
+    assert document["scenes"][0]["extras"] == {"length_unit": "R"}
+    return np.frombuffer(binary, "<f4", 3 * accessor["count"], start).reshape(-1, 2, 3)

@@ -6,7 +6,7 @@ import pytest
 from tests.recorder import Recorder
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
-from tiswarm.interop.importing import Assumptions, import_poses
+from tiswarm.interop.imports import Assumptions, import_poses
 from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.robot import RobotGeometry
@@ -117,17 +117,20 @@ TRIANGLE = [[0, 0, 0, 0, 0], [0, 1, 2.6, 0, 0], [0, 2, 0, 2.6, 0]]
     [
         ("robot,x,y,z", [], {}, "poses.csv:1: the columns are neither robot,x,y,z,qw,qx,qy,qz nor"),
         (POSES, [], {}, "poses.csv:2: there are no robots"),
-        (POSES, [[0, 0, 0, 0, 1, 0, 0]], {}, "poses.csv:2: has 7 cells; 8 are needed"),
+        (POSES, [[0, 0, 0, 0, 1, 0, 0]], {}, "poses.csv:2: qz: '' is not a finite number"),
+        (POSES, [[0, 0, 0, 0, 1, 0, 0, 0, 9]], {}, "poses.csv: not a table"),
+        (POSES, [[0, 0, 0, 0, 1, 0, 0, 0], [1.5, *"0001000"]], {}, "poses.csv:3: robot: '1.5' is"),
+        (POSES, [["a", 0, "b", 0, 1, 0, 0, 0]], {}, "poses.csv:2: robot: 'a' is not a whole"),
         (POSES, [[0, 0, 0, 0, 1, 1, 0, 0]], {}, "poses.csv:2: qw: the quaternion has length 1.41"),
         (POSES, [[0, 0, 0, 0, 1, 0, 0, 0]] * 2, {}, "poses.csv:3: robot 0 has a row already"),
         (POSES, [[0, 0, 0, 0, 1, 0, 0, 0]], {"anchor": 5}, "--anchor: there is no robot 5"),
-        (SPHERES, TRIANGLE[:2], {}, "poses.csv:2: sphere: 2 spheres do not say how a robot is"),
+        (SPHERES, TRIANGLE[:2], {}, "poses.csv:2: sphere: 2 spheres leave the orientation"),
         (SPHERES, [*TRIANGLE, [1, 0, 9, 9, 9]], {}, "poses.csv:5: sphere: robot 1 has spheres [0]"),
         (
             SPHERES,
             [*TRIANGLE, *([1, s, x + 9, 1.5 * y, z] for _, s, x, y, z in TRIANGLE)],
             {},
-            "poses.csv:5: the spheres of robot 1 lie",
+            "poses.csv:5: the spheres of robot 1 are up to",
         ),
     ],
 )

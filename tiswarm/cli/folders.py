@@ -82,7 +82,7 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write structure, contacts and estimate of a case for other programs."""
-    from tiswarm.interop.exporting import export_case
+    from tiswarm.interop.exports import export_case
 
     progress = ConsoleProgress(quiet=quiet)
     export_case(run, form, run / "export" if out is None else out, case, progress)

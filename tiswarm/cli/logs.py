@@ -91,7 +91,7 @@ def import_(
     quiet: Quiet = False,
 ) -> None:
     """Turn poses from any simulator into a sensing log and a truth, deriving who touches whom."""
-    from tiswarm.interop.importing import Assumptions, import_poses
+    from tiswarm.interop.imports import Assumptions, import_poses
     from tiswarm.robot import FIREANT_RHO, docks_in_plane
 
     assumed = Assumptions(

@@ -1,0 +1,350 @@
+"""Imports poses of other simulators as a sensing log and a truth."""
+
+import re
+import warnings
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.compute.math import dock_offsets
+from tiswarm.errors import InputError
+from tiswarm.progress import Progress
+from tiswarm.records.io import make_folder, unreadable
+from tiswarm.records.messages import counted
+from tiswarm.records.positions import write_positions
+from tiswarm.records.sensing_file import FAR_FROM_UNIT, write_sensing_log
+from tiswarm.records.sensing_log import SensingLog, canonical_contacts
+
+QUATERNION = ["qw", "qx", "qy", "qz"]
+WHOLE = ["robot", "sphere", "join"]
+FEWEST_SPHERES = 3
+"""Spheres that determine the orientation of a robot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assumptions:
+    """Facts that a table of poses does not state; lengths in its own unit."""
+
+    dock_radius: float
+    tolerance: float
+    """Largest difference between the distance of two docks in contact and their diameter."""
+
+    anchor: int | None
+    """Id of the anchor robot; the first robot to join, or of the file, if None."""
+
+    ground_z: float | None
+    """Height of flat ground; None where there is none."""
+
+    length_unit: str
+    """Unit of lengths where the columns do not name it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses:
+    """N robots with D docks each, in the order of their file."""
+
+    robot_id: NDArray[np.int64]
+    """Id of each robot, shape (N,)."""
+
+    position: NDArray[np.float64]
+    """Centers, in the file's unit, shape (N, 3)."""
+
+    orientation_wxyz: NDArray[np.float64]
+    """Body to world, unit quaternion, shape (N, 4)."""
+
+    dock_offset_body: NDArray[np.float64]
+    """Vectors from center to dock, body frame, shape (D, 3)."""
+
+    join: NDArray[np.int64] | None
+    """Rank of each robot in join order; None where the file has none, shape (N,)."""
+
+    length_unit: str
+    """Unit of all lengths as the columns name it; empty where they do not."""
+
+
+def import_poses(
+    path: Path,
+    out: Path,
+    dock_offset_body: NDArray[np.float64],
+    assumed: Assumptions,
+    progress: Progress,
+) -> None:
+    """Turn a table of poses into `sensing.jsonl` and `truth.csv`.
+
+    Args:
+        path: The table, see `read_poses`.
+        out: Folder for the two files; made if need be.
+        dock_offset_body: Vectors from center to dock, body frame, shape (D, 3); ignored for
+            spheres.
+        assumed: Facts that the table does not state.
+        progress: Receives a line on the result, and on each assumption.
+
+    Raises:
+        InputError: the table is malformed or does not contain the anchor.
+        EnvironmentTroubleError: `out` cannot be made or written to.
+    """
+    poses = read_poses(path, dock_offset_body, assumed.tolerance)
+    unit = poses.length_unit or assumed.length_unit
+    docks = poses.position[:, None] + dock_offsets(poses.orientation_wxyz, poses.dock_offset_body)
+    contacts, too_close = _contacts(docks, assumed)
+    order = _join_order(poses, contacts, assumed.anchor, path, progress)
+    log = _log(poses, contacts, docks, order, assumed, unit)
+    make_folder(out)
+    write_sensing_log(log, out / "sensing.jsonl")
+    write_positions(out / "truth.csv", log.robot_id, poses.position[order], length_unit=unit)
+    size = f"{counted(log.robot_count, 'robot')}, {counted(len(contacts), 'contact')}"
+    progress.info(f"{size} -> {out}")
+    if too_close:
+        by = f"by more than {assumed.tolerance:g} {unit}"
+        progress.info(f"{counted(too_close, 'overlap')} of two docks {by}")
+
+
+def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: float) -> Poses:
+    """Read `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order, among other columns.
+
+    Lengths may name their unit, as in `x_mm`. A column `join` states the join order of the robots.
+    A robot of spheres has its center at their mean; the first robot defines the body frame.
+
+    Args:
+        path: The table.
+        dock_offset_body: Vectors from center to dock, body frame, shape (D, 3); ignored for
+            spheres.
+        tolerance: Largest distance of a sphere from its place in the first robot's shape.
+
+    Raises:
+        InputError: the table cannot be read or a row is malformed; names file and line.
+    """
+    table, unit = _read_table(path)
+    table = _by_robot(table, path)
+    first = table.drop_duplicates("robot")
+    count = len(first)
+    place = table[[*"xyz"]].to_numpy(float).reshape(count, -1, 3)
+    if "sphere" in table:
+        position = place.mean(axis=1)
+        dock_offset_body = place[0] - position[0]
+        orientation = _align(place - position[:, None], first, path, tolerance)
+    else:
+        position = place[:, 0]
+        orientation = _unit_quaternions(first, path)
+    return Poses(
+        robot_id=first["robot"].to_numpy(np.int64),
+        position=position,
+        orientation_wxyz=orientation,
+        dock_offset_body=dock_offset_body,
+        join=first["join"].to_numpy(np.int64) if "join" in first else None,
+        length_unit=unit,
+    )
+
+
+def _read_table(path: Path) -> tuple[pd.DataFrame, str]:
+    """Read the columns of poses as numbers, and the line of each row; returns the unit too."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            text = pd.read_csv(
+                path, dtype=str, na_filter=False, skipinitialspace=True, skip_blank_lines=False,
+                index_col=False, encoding="utf-8-sig",
+            )  # fmt: skip
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except (ValueError, pd.errors.ParserWarning) as error:
+        problem = f"not a table: {error}; write a header, and in each row a cell for each column"
+        raise InputError(problem, path=path) from error
+    text = text.rename(columns=str.strip)
+    columns, unit = _columns(text.columns, path)
+    text = text.loc[(text != "").any(axis=1), list(columns.values())]
+    text = text.apply(lambda column: column.str.strip())
+    if text.empty:
+        problem = "there are no robots; add a row for each"
+        raise InputError(problem, path=path, line=2)
+    bad = pd.DataFrame({
+        name: ~text[column].map(_is_whole).astype(bool)
+        if name in WHOLE
+        else ~np.isfinite(pd.to_numeric(text[column], errors="coerce"))
+        for name, column in columns.items()
+    })  # fmt: skip
+    if bad.to_numpy().any():
+        row = int(bad.any(axis=1).idxmax())
+        name = str(bad.loc[row].idxmax())
+        kind = "a whole number" if name in WHOLE else "a finite number"
+        problem = f"{str(text.loc[row, columns[name]])[:40]!r} is not {kind}; correct it"
+        raise InputError(problem, path=path, line=row + 2, key=columns[name])
+    table = pd.DataFrame({
+        name: text[column].to_numpy(str).astype(np.int64 if name in WHOLE else np.float64)
+        for name, column in columns.items()
+    })  # fmt: skip
+    return table.assign(line=text.index + 2), unit
+
+
+def _is_whole(cell: str) -> bool:
+    return bool(re.fullmatch(r"[+-]?\d{1,19}", cell)) and -(2**63) <= int(cell) < 2**63
+
+
+def _columns(header: pd.Index, path: Path) -> tuple[dict[str, str], str]:
+    """Find the column of each quantity, and the unit of lengths."""
+    units = [name[2:] for name in header if re.fullmatch(r"x_[A-Za-z]+", name)]
+    for unit in ["", *units]:
+        lengths = {axis: f"{axis}_{unit}" if unit else axis for axis in "xyz"}
+        rest = ["robot", *(["sphere"] if "sphere" in header else QUATERNION)]
+        if {*lengths.values(), *rest} <= {*header}:
+            rest += [name for name in ("join",) if name in header]
+            return {**{name: name for name in rest}, **lengths}, unit
+    problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z; rename them"
+    raise InputError(problem, path=path, line=1)
+
+
+def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
+    """Gather the rows of each robot, sorted by sphere; every robot has the same spheres."""
+    spheres = "sphere" in table
+    repeated = table[table.duplicated(["robot", "sphere"] if spheres else ["robot"])]
+    if len(repeated):
+        row = repeated.iloc[0]
+        what = f"sphere {row['sphere']:.0f} of robot" if spheres else "robot"
+        problem = f"{what} {row['robot']:.0f} has a row already; keep one"
+        raise InputError(problem, path=path, line=int(row["line"]))
+    if not spheres:
+        return table
+    robot, _ = pd.factorize(table["robot"])
+    table = table.iloc[np.lexsort((table["sphere"], robot))]
+    wanted: list[int] = []
+    for name, rows in table.groupby("robot", sort=False):
+        found = rows["sphere"].tolist()
+        line = int(rows["line"].min())
+        wanted = wanted or found
+        if found != wanted:
+            problem = f"robot {name} has spheres {found}, the first robot {wanted}; complete it"
+            raise InputError(problem, path=path, line=line, key="sphere")
+        if len(found) < FEWEST_SPHERES:
+            problem = f"{len(found)} spheres leave the orientation open; give three or more"
+            raise InputError(problem, path=path, line=line, key="sphere")
+    return table
+
+
+def _unit_quaternions(table: pd.DataFrame, path: Path) -> NDArray[np.float64]:
+    """Scale quaternions to length 1; refuse those whose length is far from it."""
+    quaternion = table[QUATERNION].to_numpy()
+    length = np.linalg.norm(quaternion, axis=1)
+    far = np.flatnonzero(np.abs(length - 1.0) > FAR_FROM_UNIT)
+    if len(far):
+        line = int(table["line"].iloc[far[0]])
+        problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
+        raise InputError(problem, path=path, line=line, key="qw")
+    unit: NDArray[np.float64] = quaternion / length[:, None]
+    return unit
+
+
+def _align(
+    offset: NDArray[np.float64], first: pd.DataFrame, path: Path, tolerance: float
+) -> NDArray[np.float64]:
+    """Rotate the first robot's shape onto each robot, shape (N, 4).
+
+    Args:
+        offset: Vectors from center to sphere, world frame, shape (N, D, 3).
+        first: The first row of each robot.
+        path: The file, for messages.
+        tolerance: Largest distance of a sphere from its place in the first robot's shape.
+    """
+    rotations = []
+    for own, robot, line in zip(offset, first["robot"], first["line"], strict=True):
+        rotation, _ = Rotation.align_vectors(own, offset[0])
+        off = np.linalg.norm(rotation.apply(offset[0]) - own, axis=1).max()
+        if off > tolerance:
+            problem = (
+                f"the spheres of robot {robot} are up to {off:.3g} off the first robot's shape; "
+                "give rigid robots of one shape, or a larger --tolerance"
+            )
+            raise InputError(problem, path=path, line=line)
+        rotations.append(rotation.as_quat(scalar_first=True))
+    return np.array(rotations)
+
+
+def _contacts(docks: NDArray[np.float64], assumed: Assumptions) -> tuple[NDArray[np.int32], int]:
+    """Find docks in contact, rows of (robot, dock, robot, dock), and count those that overlap."""
+    count = docks.shape[1]
+    spacing = 2.0 * assumed.dock_radius
+    tree = cKDTree(docks.reshape(-1, 3))
+    pairs = tree.query_pairs(spacing + assumed.tolerance, output_type="ndarray")
+    pairs = pairs[pairs[:, 0] // count != pairs[:, 1] // count]
+    apart = np.linalg.norm(tree.data[pairs[:, 0]] - tree.data[pairs[:, 1]], axis=1)
+    touching = pairs[apart >= spacing - assumed.tolerance]
+    rows = np.column_stack([touching[:, :1] // count, touching[:, :1] % count,
+                            touching[:, 1:] // count, touching[:, 1:] % count])  # fmt: skip
+    return rows.astype(np.int32), len(pairs) - len(touching)
+
+
+def _join_order(
+    poses: Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, progress: Progress
+) -> NDArray[np.int64]:
+    """Sort robots by their join index; without it, by hops from the anchor."""
+    if poses.join is not None:
+        order: NDArray[np.int64] = np.argsort(poses.join, kind="stable")
+        if anchor is None or poses.robot_id[order[0]] == anchor:
+            return order
+        problem = f"robot {poses.robot_id[order[0]]} joined first, not {anchor}; leave --anchor out"
+        raise InputError(problem, path=path, key="join")
+    first = 0 if anchor is None else _row_of(anchor, poses, path)
+    neighbors: list[list[int]] = [[] for _ in poses.robot_id]
+    for i, _, j, _ in contacts.tolist():
+        neighbors[i].append(j)
+        neighbors[j].append(i)
+    found, waiting = {first: None}, deque([first])
+    while waiting:
+        new = sorted(set(neighbors[waiting.popleft()]) - found.keys())
+        found |= dict.fromkeys(new)
+        waiting.extend(new)
+    progress.info(
+        f"no column join: robots join outward from robot {poses.robot_id[first]}, by contacts"
+    )
+    lost = len(neighbors) - len(found)
+    if lost:
+        progress.info(f"{counted(lost, 'disconnected robot')} placed last in join order")
+    return np.array(list(found | dict.fromkeys(range(len(neighbors)))), np.int64)
+
+
+def _row_of(robot: int, poses: Poses, path: Path) -> int:
+    found = np.flatnonzero(poses.robot_id == robot)
+    if not len(found):
+        problem = f"there is no robot {robot}; name one of the file"
+        raise InputError(problem, path=path, key="--anchor")
+    return int(found[0])
+
+
+def _log(
+    poses: Poses,
+    contacts: NDArray[np.int32],
+    docks: NDArray[np.float64],
+    order: NDArray[np.int64],
+    assumed: Assumptions,
+    unit: str,
+) -> SensingLog:
+    """Derive what the robots would have sensed at rest."""
+    place = np.empty(len(order), np.int32)
+    place[order] = np.arange(len(order))
+    renamed = contacts.copy()
+    renamed[:, [0, 2]] = place[contacts[:, [0, 2]]]
+    swapped = renamed[:, 0] > renamed[:, 2]
+    renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
+    standing: NDArray[np.int32] = np.empty((0, 2), np.int32)
+    if assumed.ground_z is not None:
+        height = docks[order, :, 2] - assumed.dock_radius - assumed.ground_z
+        standing = np.argwhere(np.abs(height) <= assumed.tolerance).astype(np.int32)
+    count = len(order)
+    return SensingLog(
+        robot_id=poses.robot_id[order],
+        dock_radius=assumed.dock_radius,
+        dock_offset_body=poses.dock_offset_body,
+        anchor_position=poses.position[order[0]],
+        orientation_wxyz=poses.orientation_wxyz[order],
+        contacts=canonical_contacts(renamed),
+        ground_z=assumed.ground_z,
+        ground_docks=standing,
+        flip_height=np.full(count, np.nan),
+        spawn_position=np.full((count, 3), np.nan),
+        length_unit=unit,
+    )
