@@ -3,7 +3,10 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import tiswarm
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [
@@ -34,3 +37,18 @@ def test_rows_of_tables_have_the_cells_of_their_header(page):
         ragged += [table] if len(counts) > 1 else []
 
     assert ragged == []
+
+
+def test_the_example_log_can_be_localized(tmp_path):
+    """A reader can copy it as a start for a log of their own."""
+    text = (REPOSITORY / "docs" / "files.md").read_text()
+    example = re.search(r"```json\n(.*?)```", text, re.DOTALL)
+    log = tmp_path / "sensing.jsonl"
+    log.write_text(example[1])
+
+    estimate = tiswarm.localize(log, "joint")
+
+    # Both robots lie on the ground, and their docks 0 touch: center, dock, dock, center.
+    distance = np.linalg.norm(estimate.position[1] - estimate.position[0])
+    assert distance < 1.506 + 2.0 + 1.506 + 0.05  # 5 sd of a contact and of a height
+    assert estimate.position[1, 2] == pytest.approx(1.0, abs=0.05)
