@@ -22,7 +22,7 @@ import pandas as pd
 from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.scenes import ROBOT, Law, make
 from tiswarm.compute import backend
-from tiswarm.engine.relax import prepare
+from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
 from tiswarm.localization.registry import METHODS
 from tiswarm.records.sensing_log import SensingLog
@@ -102,7 +102,7 @@ def _localize_one(params: LocalizationParams) -> Callable[[int], Task]:
 
 def _step(robots: int) -> Task:
     scene, law, running = make("block", robots, seed=0), Law(), backend.current()
-    swarm = prepare(
+    swarm = PreparedSwarm(
         scene.position, scene.orientation_wxyz, scene.contacts, robot=ROBOT, threads=running.threads
     )
     return lambda: swarm.relax(

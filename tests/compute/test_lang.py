@@ -6,7 +6,6 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 MOST_PARAMETERS = 10
 NOT_YET_BUNDLED = {
-    "engine/relax_kernels.py",
     "localization/join_order_kernels.py",
     "localization/kernels.py",
     "world/join_kernels.py",

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute.lang import Reals1, Reals2, ti
-from tiswarm.engine.force_kernels import dock_pair_force
+from tiswarm.engine.kernels import dock_pair_force
 
 GAINS = (0.5, 0.3)
 SPACING = 2.0

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tests.oracle import swarm_step
 from tiswarm import relax
 from tiswarm.compute import neighbor_list
-from tiswarm.engine import prepared as engine
+from tiswarm.engine import relax as engine
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import RobotGeometry
 

@@ -115,8 +115,8 @@ def current() -> Backend:
 
 
 @contextlib.contextmanager
-def loose_arithmetic() -> Iterator[None]:
-    """Let kernels that are compiled within reorder sums and take no heed of NaN.
+def fast_arithmetic() -> Iterator[None]:
+    """Let kernels that are compiled within reorder sums and ignore NaN.
 
     Sums over neighbors are then vectorized. Their bits are still the same for any number of
     threads, but may differ between kinds of processors.

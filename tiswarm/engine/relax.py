@@ -1,25 +1,67 @@
-"""The swarm step: every robot at once, moved by what its docks feel.
+"""The swarm step: every robot at once, moved by the forces on its docks.
 
     F_i = sum over connected docks of Eq. (1)
         + sum over other docks of other robots nearer than D of Eq. (2)
         + k_z (h_i - z_i) along z, Eq. (3)
-    p_i <- p_i + F_i, no farther than the largest step
+    p_i <- p_i + F_i, no farther than the longest step
 
-Equations as in `tiswarm.engine.force_kernels`. Lengths in the unit of the robot's spacing D.
+Equations as in `tiswarm.engine.kernels`. Lengths in the unit of the robot's spacing D.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import psutil
 from numpy.typing import ArrayLike, NDArray
 
 from tiswarm.compute import backend
-from tiswarm.engine.prepared import PreparedSwarm, RelaxResult
-from tiswarm.engine.swarm import Swarm
+from tiswarm.compute.arrays import Allocator
+from tiswarm.compute.backend import Backend
+from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
+from tiswarm.engine.kernels import (
+    STALE,
+    STEPS_A_LAUNCH,
+    TAKEN,
+    UNKNOWN,
+    Gains,
+    Robots,
+    place_docks,
+    relax_structures,
+    start_interval,
+    step_robots,
+    turn_docks,
+)
+from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.params import Arch, Precision
 from tiswarm.robot import Robot
 
-__all__ = ["PreparedSwarm", "RelaxResult", "prepare", "relax"]
+SKIN = 0.25
+"""Reach of rows of neighbors beyond D [D]."""
+SMALL = 2_000
+"""Most robots of a structure that one thread relaxes by itself, without a pause."""
+LAUNCHES = 2
+"""Launches between two questions to the device whether rows are stale."""
+NO_LIMIT = 1e30
+LARGEST_GAIN = 1e12
+NORM_SLACK = 1e-6
+"""Largest deviation of a quaternion's norm from 1."""
+FINEST = 0.01
+"""Coarsest resolution of a coordinate [D]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxResult:
+    """Where the robots came to rest, or are on the way."""
+
+    position: NDArray[np.float64]
+    """Centers, in the caller's order, shape (N, 3)."""
+
+    largest_move: NDArray[np.float64]
+    """Longest step of any robot, by step, shape (steps,)."""
+
+    list_builds: int
+    """How often rows of neighbors were made, in the structure that needed it most."""
 
 
 def relax(
@@ -55,45 +97,255 @@ def relax(
         steps: T.
         height: Height that each robot is pulled toward, NaN for none, shape (N,).
         height_gain: k_z of Eq. (3) [1].
-        max_step: A robot moves no farther than this in a step; None for no limit.
+        max_step: Longest step of a robot; None for no limit.
         structure: Number of each robot's structure, shape (N,); robots of different structures
-            never feel each other. None for one structure.
+            never interact. None for one structure.
         precision: f32 halves the memory and loses what is far from the origin.
         arch: Device; it computes there or an error is raised.
         threads: CPU threads; all that this process may use if None.
 
     Raises:
-        InputError: where an argument makes no sense, or forces diverge.
-        EnvironmentTroubleError: where the machine lacks the device or the memory.
+        InputError: an argument makes no sense, or forces diverge.
+        EnvironmentTroubleError: the machine lacks the device or the memory.
     """
-    return prepare(
+    swarm = PreparedSwarm(
         position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure,
         precision=precision, arch=arch, threads=threads,
-    ).relax(
+    )  # fmt: skip
+    return swarm.relax(
         attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, ramp=ramp, steps=steps,
         height_gain=height_gain, max_step=max_step,
     )  # fmt: skip
 
 
-def prepare(
-    position: ArrayLike,
-    orientation_wxyz: ArrayLike,
-    contacts: ArrayLike,
-    *,
-    robot: Robot,
-    height: ArrayLike | None = None,
-    structure: ArrayLike | None = None,
-    precision: Precision = "f64",
-    arch: Arch = "cpu",
-    threads: int | None = None,
-) -> PreparedSwarm:
-    """Put a swarm on the device, to be relaxed again and again, as when gains are fitted.
+class PreparedSwarm:
+    """A swarm on the device, to be relaxed again and again; arguments as for `relax`.
 
-    Args: as `relax` has them, and so are the errors.
+    Robots are renumbered, so that neighbors are near in memory.
     """
-    swarm = Swarm.checked(
-        position, orientation_wxyz, contacts, robot=robot, height=height, structure=structure
+
+    def __init__(
+        self,
+        position: ArrayLike,
+        orientation_wxyz: ArrayLike,
+        contacts: ArrayLike,
+        *,
+        robot: Robot,
+        height: ArrayLike | None = None,
+        structure: ArrayLike | None = None,
+        precision: Precision = "f64",
+        arch: Arch = "cpu",
+        threads: int | None = None,
+    ) -> None:
+        """Check the robots, renumber them and copy them to the device."""
+        self.start_position = center = _shaped("position", position, ("N", 3))
+        robots = len(center)
+        orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
+        norm = np.linalg.norm(orientation, axis=1)
+        if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
+            msg = "positions must be finite and orientations unit quaternions (w, x, y, z)"
+            raise InputError(msg)
+        ids: NDArray[np.int64] = np.zeros(robots, np.int64)
+        if structure is not None:
+            named = _shaped("structure", structure, (robots,))
+            ids = np.unique(named, return_inverse=True)[1].astype(np.int64)
+        body, self.spacing = robot.dock_offset_body, robot.spacing
+        connected = _checked_contacts(contacts, len(body), ids)
+        target = np.zeros(1) if height is None else _shaped("height", height, (robots,))
+        self.running = running = backend.start(arch, threads=threads, precision=precision)
+        if not self._is_resolved(center):
+            msg = (
+                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
+                f"{running.precision} resolves; move the swarm to the origin"
+            )
+            raise InputError(msg + (" or use precision f64" if running.precision == "f32" else ""))
+        if robots == 0:
+            return
+        size = np.bincount(ids)
+        self.by_structure = running.arch == "cpu" and size.max() <= SMALL
+        self.order = order = morton_order(center, ids)
+        self.start = np.concatenate([[0], size.cumsum()])
+        _check_memory(running, robots, len(body))
+        new = np.argsort(order)
+        connected[:, [0, 2]] = new[connected[:, [0, 2]]]
+        self.memory = memory = Allocator(running, on_host=self.by_structure)
+        self.neighbors = NeighborList(
+            memory,
+            center[order],
+            connected,
+            docks=len(body),
+            reach=float(np.linalg.norm(body, axis=1).max()),
+            cutoff=(1.0 + SKIN) * self.spacing,
+            start=self.start if self.by_structure else None,
+        )
+        self.robots = Robots(
+            arm=memory.reals(robots * len(body), 3),
+            dock=memory.reals(2 * robots * len(body) * 4),
+            position=memory.reals(robots, 3),
+            reference=memory.reals(robots, 3),
+            height=memory.upload(
+                np.nan_to_num(target if height is None else target[order], nan=UNKNOWN)
+            ),
+        )
+        self.control, self.moves = memory.ints(2), memory.reals(1)
+        self.ramp = memory.reals(1)
+        seldom = memory.for_seldom_used()
+        self.structure = seldom.upload(ids[order])
+        turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
+
+    def relax(
+        self,
+        *,
+        attraction_gain: float,
+        repulsion_gain: float,
+        ramp: float | Sequence[float] | NDArray[np.float64],
+        steps: int,
+        height_gain: float = 0.0,
+        max_step: float | None = None,
+    ) -> RelaxResult:
+        """Take steps from where the robots were at first."""
+        ramps = np.asarray(ramp, np.float64)
+        if steps < 0 or ramps.shape not in {(), (steps,)}:
+            msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
+            raise InputError(msg)
+        limit = NO_LIMIT if max_step is None else max_step
+        gains = Gains(attraction_gain, repulsion_gain, height_gain, self.spacing, limit)
+        if not (all(0.0 <= gain <= LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
+            msg = (
+                f"gains must be 0 to {LARGEST_GAIN:g}, and the longest step 0 or more, "
+                f"not {tuple(gains)}"
+            )
+            raise InputError(msg)
+        if steps == 0 or len(self.start_position) == 0:
+            still = self.start_position.copy()
+            return RelaxResult(position=still, largest_move=np.zeros(steps), list_builds=0)
+        relax = self._by_structure if self.by_structure else self._all_at_once
+        self._go_to_start()
+        moves, builds = relax(gains, np.broadcast_to(ramps, steps))
+        position = np.empty_like(self.start_position)
+        position[self.order] = self.memory.download(self.robots.position)
+        if not self._is_resolved(position):
+            msg = "the forces diverged; lower the gains or give max_step"
+            raise InputError(msg)
+        return RelaxResult(position=position, largest_move=moves, list_builds=builds)
+
+    def _is_resolved(self, position: NDArray[np.float64]) -> bool:
+        """Whether every coordinate is a number that the precision resolves finely enough."""
+        farthest = np.abs(position).max(initial=0.0)
+        return bool(farthest * np.finfo(self.running.dtype).eps <= FINEST * self.spacing)
+
+    def _go_to_start(self) -> None:
+        robots = self.robots
+        self.memory.refill(robots.position, self.start_position[self.order])
+        place_docks(self.structure, robots.position, robots.arm, robots.dock)
+
+    def _all_at_once(
+        self, gains: Gains, ramp: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], int]:
+        """Step by step, each with all threads; make rows anew where they are stale."""
+        neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(ramp)
+        if self.moves.shape[0] != steps:
+            self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
+        self.memory.refill(self.ramp, ramp)
+        taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
+        control[TAKEN] = 0
+        while taken < steps:
+            neighbors.build(robots.dock, taken % 2 * half)
+            start_interval(robots.position, robots.reference, control)
+            while not control[STALE]:
+                taken = int(control[TAKEN])
+                with backend.fast_arithmetic():
+                    for t in range(taken, taken + LAUNCHES * STEPS_A_LAUNCH, STEPS_A_LAUNCH):
+                        step_robots(
+                            neighbors.docks, neighbors.own_bits, neighbors.entry_stride, *gains,
+                            0.5 * SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
+                            control, self.moves,
+                        )  # fmt: skip
+            taken = int(control[TAKEN])
+        moves = self.memory.download(self.moves).astype(np.float64)
+        return moves, neighbors.builds - builds_before
+
+    def _by_structure(
+        self, gains: Gains, ramp: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], int]:
+        """All steps of a structure on one thread; again from the start if a row was too short."""
+        neighbors, structures = self.neighbors, len(self.start) - 1
+        start, ramps = self.memory.upload(self.start), self.memory.upload(ramp)
+        moves = self.memory.reals(structures, len(ramp))
+        builds = self.memory.ints(structures)
+        while True:
+            with backend.fast_arithmetic():
+                relax_structures(
+                    neighbors.docks, neighbors.own_bits, neighbors.cutoff, neighbors.capacity,
+                    *gains, start, ramps, neighbors.table, *neighbors.cells,
+                    *neighbors.connections, *neighbors.rows, *self.robots, builds,
+                    neighbors.longest, moves,
+                )  # fmt: skip
+            if (entries := neighbors.fullest()) <= neighbors.capacity:
+                break
+            neighbors.make_room(entries)
+            self._go_to_start()
+        return moves.max(axis=0).astype(np.float64), int(builds.max())
+
+
+def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
+    """Copy an array of this shape; a length that is a letter may be any."""
+    expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+    try:
+        array = np.array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        msg = f"{name} is no table of numbers; give an array of shape {expected}"
+        raise InputError(msg) from error
+    if array.size == 0:
+        array = array.reshape(0, *(int(length) for length in shape[1:]))
+    fits = array.ndim == len(shape) and all(
+        isinstance(wanted, str) or length == wanted
+        for length, wanted in zip(array.shape, shape, strict=True)
     )
-    running = backend.start(arch, threads=threads, precision=precision)
-    swarm.check_resolution(running)
-    return PreparedSwarm(running, swarm)
+    if not fits:
+        msg = f"{name} has shape {array.shape}; expected {expected}"
+        raise InputError(msg)
+    return array
+
+
+def _checked_contacts(
+    contacts: ArrayLike, docks: int, structure: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Contacts between docks that exist, of different robots of one structure, each once."""
+    given = _shaped("contacts", contacts, ("C", 4))
+    odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]
+    if odd.size:
+        msg = f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock"
+        raise InputError(msg)
+    rows = given.astype(np.int64)
+    first, second = rows[:, [0, 2]].T
+    beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
+    wrong = beyond.any(axis=1) | (first == second)
+    if not wrong.any():
+        wrong = structure[first] != structure[second]
+    if wrong.any():
+        msg = (
+            f"contact {tuple(rows[wrong][0].tolist())} is not between docks 0 to {docks - 1} of "
+            f"two of the {len(structure)} robots in one structure"
+        )
+        raise InputError(msg)
+    # One number a pair sorts far faster than rows of four do.
+    one, other = first * docks + rows[:, 1], second * docks + rows[:, 3]
+    most = len(structure) * docks
+    pair = np.unique(np.minimum(one, other) * most + np.maximum(one, other))
+    one, other = np.divmod(pair, most)
+    return np.column_stack([one // docks, one % docks, other // docks, other % docks])
+
+
+def _check_memory(running: Backend, robots: int, docks: int) -> None:
+    """Refuse a swarm that does not fit into the machine's memory, before any of it is reserved."""
+    numbers = 3 * 3 + docks * (3 + 2 * 4 + 4)
+    integers = docks * (1 + 16 + 16) + 12
+    needed = robots * (numbers * np.dtype(running.dtype).itemsize + 4 * integers)
+    free = psutil.virtual_memory().available
+    if running.arch == "cpu" and needed > free:
+        msg = (
+            f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB "
+            "are free; use precision f32, fewer robots or a larger machine"
+        )
+        raise EnvironmentTroubleError(msg)

@@ -6,7 +6,7 @@ Structures are independent and run in parallel; within one, robots follow each o
 from tiswarm.compute.cell_kernels import cube_of, link, relink
 from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_at
-from tiswarm.engine.force_kernels import capped
+from tiswarm.engine.kernels import capped
 from tiswarm.localization.kernels import dock_at, law_of, turn_dock, virtual_force
 
 

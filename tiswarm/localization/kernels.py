@@ -6,7 +6,7 @@ Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 from tiswarm.compute.cell_kernels import bucket_of, cube_of, neighbor_cube
 from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.math_kernels import vector_at, vector_in
-from tiswarm.engine.force_kernels import dock_pair_force, parting
+from tiswarm.engine.kernels import dock_pair_force, parting
 
 
 @ti.func

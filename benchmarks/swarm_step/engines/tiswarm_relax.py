@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.swarm_step.scenes import ROBOT, Law, Scene
 from tiswarm.compute import backend
-from tiswarm.engine.relax import PreparedSwarm, prepare
+from tiswarm.engine.relax import PreparedSwarm
 
 
 class TiswarmRelax:
@@ -54,7 +54,7 @@ class TiswarmRelax:
 
     def _prepare(self) -> PreparedSwarm:
         scene = self.scene
-        return prepare(
+        return PreparedSwarm(
             scene.position,
             scene.orientation_wxyz,
             scene.contacts,

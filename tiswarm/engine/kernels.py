@@ -1,0 +1,313 @@
+"""Virtual forces between docks, and steps of the whole swarm under them.
+
+A force is the step of a robot's center in one iteration [R]. Offsets point from the robot's own
+dock to the other one: a positive magnitude pulls toward it. Forces are gathered from a robot's row,
+never scattered, so runs repeat bit for bit. `grid` is the struct of
+`tiswarm.compute.neighbor_kernels`, `gains` one with the fields of `Gains`.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2, Ref, ti
+from tiswarm.compute.math_kernels import rotate, vector_at
+from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
+
+TINY = 1e-20
+"""Docks nearer than this [R] have no direction to part in, and no force acts on them."""
+STEPS_A_LAUNCH = 4
+UNKNOWN = -1e30
+"""Height of robots that no height pulls."""
+
+TAKEN = 0
+STALE = 1
+"""Columns of `control`: steps taken, and whether rows are stale or no step is left."""
+
+
+class Gains(NamedTuple):
+    """Strength of the forces and length of a step."""
+
+    attraction_gain: float
+    """A of Eq. (1) [1]."""
+
+    repulsion_gain: float
+    """B of Eqs. (1) and (2) [R^-3]."""
+
+    height_gain: float
+    """k_z of Eq. (3) [1]."""
+
+    spacing: float
+    """D: distance between the centers of two docks that touch [R]."""
+
+    max_step: float
+    """Longest step of a robot [R]."""
+
+
+class Robots(NamedTuple):
+    """N robots with M docks in all."""
+
+    position: Reals2
+    """Centers [R], shape (N, 3)."""
+
+    reference: Reals2
+    """Centers as the rows were made [R], shape (N, 3)."""
+
+    height: Reals1
+    """Height that is pulled toward, or UNKNOWN [R], shape (N,), or (1,) if unused."""
+
+    arm: Reals2
+    """Center to dock, world frame [R], shape (M, 3)."""
+
+    dock: Reals1
+    """Places of docks and, last, their structure: two halves of M rows of four. Step t reads the
+    half `t % 2` and writes the other one."""
+
+
+@ti.func
+def pull_of(distance, connected, attraction, repulsion, spacing):
+    """Compute the magnitude of Eqs. (1) and (2); both gains include the ramp.
+
+    Every branch is computed, since which one holds cannot be predicted in a dense swarm.
+    """
+    gap = distance - spacing
+    square = gap * gap  # a name, so that strict arithmetic multiplies twice, not three times
+    pull = ti.select(connected, attraction * gap, 0.0)
+    return ti.select(gap > 0.0, pull, -repulsion * square * square)
+
+
+@ti.func
+def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
+    """Compute the force on a dock whose connected partner lies at `offset`, Eq. (1).
+
+    With d = |offset|, u = offset / d, spacing D and ramp a:
+
+        F =  A a (d - D) u            if d > D
+        F = -B (1 - a) (d - D)^4 u    otherwise
+    """
+    distance = offset.norm()
+    pull = pull_of(distance, True, attraction_gain * ramp, repulsion_gain * (1.0 - ramp), spacing)
+    return pull / ti.max(distance, TINY) * offset
+
+
+@ti.func
+def parting(offset, stiffness, spacing):
+    """Compute the force of a spring that only parts: stiffness (d - D) u if d < D, else none."""
+    distance = offset.norm()
+    return stiffness * ti.min(distance - spacing, 0.0) / ti.max(distance, TINY) * offset
+
+
+@ti.func
+def capped(step, max_step):
+    """Shorten a step to the length `max_step` where it is longer."""
+    length = step.norm()
+    scale = ti.select(length > max_step, max_step / length, 1.0)
+    return step * scale
+
+
+@ti.func
+def force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Ref):
+    """Sum Eqs. (1) and (2) over a robot's row."""
+    force = ti.Vector([0.0, 0.0, 0.0])
+    flag = 1 << grid.own_bits
+    attraction = gains.attraction_gain * ramp
+    repulsion = gains.repulsion_gain * (1.0 - ramp)
+    first = rows.first[robot]
+    for e in range(rows.count[robot]):
+        entry = rows.entry[first + e * grid.entry_stride]
+        own = base + 4 * (robot * grid.docks + (entry & (flag - 1)))
+        other = base + 4 * (entry >> (grid.own_bits + 1))
+        offset = ti.Vector(
+            [
+                robots.dock[other] - robots.dock[own],
+                robots.dock[other + 1] - robots.dock[own + 1],
+                robots.dock[other + 2] - robots.dock[own + 2],
+            ]
+        )
+        distance = offset.norm()
+        pull = pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
+        force += pull / ti.max(distance, TINY) * offset
+    return force
+
+
+@ti.func
+def step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, robots: Ref):
+    """Move a robot by its forces; return its squared step and distance from its reference."""
+    here = vector_at(robots.position, robot)
+    force = force_of_row(grid, gains, ramp, base, robot, rows, robots)
+    if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
+        if robots.height[robot] != UNKNOWN:
+            force[2] += gains.height_gain * (robots.height[robot] - here[2])
+    step = capped(force, gains.max_step)
+    here += step
+    strayed = 0.0
+    for c in ti.static(range(3)):
+        robots.position[robot, c] = here[c]
+        strayed += (here[c] - robots.reference[robot, c]) ** 2
+    for m in range(robot * grid.docks, (robot + 1) * grid.docks):
+        for c in ti.static(range(3)):
+            robots.dock[next_base + 4 * m + c] = here[c] + robots.arm[m, c]
+    return step.norm_sqr(), strayed
+
+
+@ti.kernel
+def step_robots(
+    docks: I32, own_bits: I32, entry_stride: I32,
+    attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
+    max_step: Float,  # Gains
+    stray_limit: Float, first_t: I32, ramp: Reals1,
+    entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
+    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,  # Robots
+    control: Ints1, largest_move: Reals1,
+):  # fmt: skip
+    """Move every robot a few times, until rows are stale.
+
+    One launch takes several steps, since a launch takes as long as a thousand robots do.
+
+    Args:
+        docks: First number of `grid`.
+        stray_limit: Distance of a robot from its reference at which rows are stale [R].
+        first_t: Which step comes first.
+        ramp: Share of attraction in each step, shape (T,).
+        control: Columns as TAKEN and STALE name them; read and written.
+        largest_move: Written: longest step of a robot in step t [R], shape (T,) or longer.
+    """
+    rows = ti.static(Rows(entry, row_first, row_count))
+    robots = ti.static(Robots(position, reference, height, arm, dock))
+    grid = ti.Struct(docks=docks, own_bits=own_bits, entry_stride=entry_stride)
+    gains = ti.Struct(
+        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
+        spacing=spacing, max_step=max_step,
+    )  # fmt: skip
+    half = dock.shape[0] // 2
+    for k in ti.static(range(STEPS_A_LAUNCH)):
+        t = first_t + k
+        moved = 0.0
+        strayed = 0.0
+        for robot in range(row_count.shape[0]):
+            if control[STALE] == 0:
+                base = (first_t + k) % 2 * half
+                step, way = step_robot(
+                    grid, gains, ramp[first_t + k], base, half - base, robot, rows, robots
+                )
+                ti.atomic_max(moved, step)
+                ti.atomic_max(strayed, way)
+        if control[STALE] == 0:
+            control[TAKEN] = t + 1
+            gone = strayed > stray_limit * stray_limit or t + 1 == ramp.shape[0]
+            control[STALE] = ti.cast(gone, ti.i32)
+            largest_move[t] = ti.sqrt(moved)
+
+
+@ti.kernel
+def turn_docks(orientation_wxyz: Reals2, dock_offset_body: Reals2, arm: Reals2):
+    """Turn every robot's docks into the world.
+
+    Args:
+        orientation_wxyz: Body to world, shape (N, 4).
+        dock_offset_body: Center to dock, body frame [R], shape (docks, 3).
+        arm: Written: center to dock, world frame [R], shape (M, 3).
+    """
+    docks = dock_offset_body.shape[0]
+    for m in range(arm.shape[0]):
+        turn = ti.Vector([orientation_wxyz[m // docks, c] for c in range(4)])
+        offset = rotate(turn, vector_at(dock_offset_body, m % docks))
+        for c in ti.static(range(3)):
+            arm[m, c] = offset[c]
+
+
+@ti.kernel
+def place_docks(structure: Ints1, position: Reals2, arm: Reals2, dock: Reals1):
+    """Place every robot's docks, in both halves of `dock`.
+
+    Args:
+        structure: Number of each robot's structure, shape (N,).
+        position: Centers [R], shape (N, 3).
+        arm: Center to dock, world frame [R], shape (M, 3).
+        dock: Written, as `Robots` describes it.
+    """
+    docks = arm.shape[0] // position.shape[0]
+    for m in range(arm.shape[0]):
+        place = vector_at(position, m // docks) + vector_at(arm, m)
+        for half in ti.static(range(2)):
+            at = 4 * (half * arm.shape[0] + m)
+            for c in ti.static(range(3)):
+                dock[at + c] = place[c]
+            dock[at + 3] = structure[m // docks]
+
+
+@ti.kernel
+def start_interval(position: Reals2, reference: Reals2, control: Ints1):
+    """Note where robots are as their rows are made; arguments as for `step_robots`."""
+    for robot, c in ti.ndrange(position.shape[0], 3):
+        reference[robot, c] = position[robot, c]
+    control[STALE] = 0
+
+
+@ti.kernel
+def relax_structures(
+    docks: I32, own_bits: I32, cutoff: Float, capacity: I32,
+    attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
+    max_step: Float,  # Gains
+    start: Ints1, ramp: Reals1, table: Ints2,
+    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
+    connection_start: Ints1, connection: Ints1,  # Connections
+    entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
+    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,  # Robots
+    builds: Ints1, longest: Ints1, largest_move: Reals2,
+):  # fmt: skip
+    """Take every step of small structures, each on one thread.
+
+    Args:
+        docks: First number of `grid`.
+        capacity: Entries that fit in rows, a robot on average.
+        start: First robot of each structure, shape (S + 1,).
+        ramp: Share of attraction in each step, shape (T,).
+        table: Where each structure's table starts, its buckets and strides, shape (S, 4).
+        builds: Written: how often each structure's rows were made, shape (S,).
+        longest: Written: most entries of its rows; a structure stopped where they did not fit,
+            shape (S,).
+        largest_move: Written: longest step of a robot by structure and step [R], shape (S, T).
+    """
+    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
+    connections = ti.static(Connections(connection_start, connection))
+    rows = ti.static(Rows(entry, row_first, row_count))
+    robots = ti.static(Robots(position, reference, height, arm, dock))
+    gains = ti.Struct(
+        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
+        spacing=spacing, max_step=max_step,
+    )  # fmt: skip
+    stray_limit = 0.5 * (cutoff - spacing)
+    half = dock.shape[0] // 2
+    for i in range((start.shape[0] - 1) * GRAIN):
+        if i % GRAIN == 0:
+            s = i // GRAIN
+            grid = ti.Struct(
+                docks=docks, own_bits=own_bits, cutoff=cutoff, table=table[s, 0],
+                buckets=table[s, 1], stride_y=table[s, 2], stride_z=table[s, 3],
+                slot=start[s] * docks, entry_stride=1,
+            )  # fmt: skip
+            room = capacity * (start[s + 1] - start[s])
+            stale = 1
+            builds[s] = 0
+            longest[s] = 0
+            for t in range(ramp.shape[0]):
+                base = t % 2 * half
+                if stale == 1 and longest[s] <= room:
+                    longest[s] = ti.max(longest[s], list_structure(
+                        grid, base, start[s], start[s + 1], dock, cells, connections, rows,
+                        start[s] * capacity + s, room,
+                    ))  # fmt: skip
+                    builds[s] += 1
+                    stale = 0
+                    for robot in range(start[s], start[s + 1]):
+                        for c in ti.static(range(3)):
+                            reference[robot, c] = position[robot, c]
+                if longest[s] <= room:
+                    moved = 0.0
+                    for robot in range(start[s], start[s + 1]):
+                        step, way = step_robot(
+                            grid, gains, ramp[t], base, half - base, robot, rows, robots
+                        )
+                        moved = ti.max(moved, step)
+                        if way > stray_limit * stray_limit:
+                            stale = 1
+                    largest_move[s, t] = ti.sqrt(moved)
