@@ -1,10 +1,7 @@
 """The scorecard separates structures that follow the published laws from those that do not."""
 
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,9 +24,9 @@ from benchmarks.reactivebuild.laws import (
     within,
 )
 from benchmarks.reactivebuild.structures import SETTINGS, TOTALS, Structures
-from tiswarm.report.render.pictures import is_blank
+from tests.benchmarks.commands import REPOSITORY, call
+from tests.report.conftest import is_blank
 
-REPOSITORY = Path(__file__).parents[2]
 SEEDS = (0, 1, 2)
 THRESHOLDS = (1.0, 2.5, 5.0, 10.0, 25.0)
 GAINED = {1.0: 0.0, 2.5: 0.4, 5.0: 1.0, 10.0: 5.0, 25.0: 9.0}
@@ -316,7 +313,7 @@ def test_every_figure_is_drawn(exact, empty, tmp_path):
     assert {path.stem for path in written} == set(FIGURES)
     for path in written:
         with Image.open(path) as image:
-            assert not is_blank(np.asarray(image.convert("RGB")))
+            assert not is_blank(image)
 
 
 def test_figures_show_the_means_and_the_published_form(exact):
@@ -355,17 +352,9 @@ def finished(tmp_path_factory):
     scenario |= {"robots": 8, "seeds": 2, "scorecard": "reactivebuild-laws"}  # as it once was
     scenario |= {"conditions": {"a": {}, "b": {"localization.iterations": 2}}}
     (out / "old.yaml").write_text(yaml.safe_dump(scenario))
-    done = call(out / "old.yaml", "--set", "precision=f32", "--out", out)
+    done = call("reactivebuild", out / "old.yaml", "--set", "precision=f32", "--out", out)
     assert done.returncode == 0, done.stderr
     return next(out.glob("reactivebuild-laws-*")), done.stdout
-
-
-def call(*arguments):
-    """Call the command in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "benchmarks.reactivebuild", *map(str, arguments)],
-        cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
 
 
 def test_a_small_run_writes_every_row(finished):
@@ -407,7 +396,7 @@ def test_a_run_folder_gives_the_same_files_again(finished):
     before = {path.name: path.read_bytes() for path in place.iterdir()}
     shutil.rmtree(place)
 
-    done = call(folder)
+    done = call("reactivebuild", folder)
 
     assert done.returncode == 0, done.stderr
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
@@ -419,7 +408,7 @@ def test_a_run_folder_gives_the_same_files_again(finished):
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message names the folder and what to give instead."""
-    done = call(tmp_path)
+    done = call("reactivebuild", tmp_path)
 
     assert done.returncode == 2
     assert f"{tmp_path}: this is not a run folder" in done.stderr

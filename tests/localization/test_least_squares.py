@@ -1,15 +1,10 @@
 """Least squares finds what the residuals determine, from a start that is near enough."""
 
-import dataclasses
-import sys
-
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.least_squares.method import improve
 from tiswarm.localization.least_squares.problem import Pairs, Places, Problem
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
@@ -113,50 +108,3 @@ def _deepest_overlap(log, position):
 def test_least_squares_repeats_bit_for_bit(log):
     """Twice the same log, twice the same bytes."""
     assert localize(log, QUICK).trace.tobytes() == localize(log, QUICK).trace.tobytes()
-
-
-@pytest.mark.parametrize("yaw_bias_deg", [0.0, 15.0])
-def test_another_library_finds_the_same(towers, yaw_bias_deg):
-    """GTSAM comes from the same start to the same places and turns as scipy."""
-    pytest.importorskip("gtsam")
-    history = towers[0]
-    log = observe(history, SensingParams(spawn_noise=0.0, yaw_bias_deg=yaw_bias_deg))
-    start = history.position + 0.1 * np.random.default_rng(0).normal(size=(30, 3))
-    params = LeastSquaresParams(odometry_width=0.05)
-
-    ours, theirs = (
-        improve(log, dataclasses.replace(params, optimizer=optimizer), start)
-        for optimizer in ("scipy", "gtsam")
-    )
-
-    np.testing.assert_allclose(ours.position, theirs.position, atol=1e-3)
-    assert theirs.residual[-1] < 0.1 * theirs.residual[0]
-    if yaw_bias_deg:
-        np.testing.assert_allclose(ours.yaw, theirs.yaw, atol=1e-3)
-
-
-def test_a_robot_that_nothing_is_known_of_stays_where_it_was(log):
-    """Neither library minds that it has no residual."""
-    pytest.importorskip("gtsam")
-    silent = dataclasses.replace(
-        log,
-        contacts=log.contacts[(log.contacts[:, [0, 2]] != 29).all(axis=1)],
-        flip_height=np.where(np.arange(30) == 29, np.nan, log.flip_height),
-    )
-    start = np.random.default_rng(0).normal(scale=9.0, size=(30, 3))
-
-    for optimizer in ("scipy", "gtsam"):
-        params = dataclasses.replace(QUICK, optimizer=optimizer, non_overlap=False)
-        found = improve(silent, params, start).position
-
-        np.testing.assert_array_equal(found[29], start[29])
-        assert (found[1:29] != start[1:29]).any(axis=1).all()
-
-
-def test_what_gtsam_cannot_do_is_said(log, monkeypatch):
-    """Other losses are refused at once; where it is not installed, a line says what to do."""
-    with pytest.raises(ValidationError, match="gtsam knows no other loss"):
-        LeastSquaresParams(optimizer="gtsam", loss="huber")
-    monkeypatch.setitem(sys.modules, "gtsam", None)
-    with pytest.raises(EnvironmentTroubleError, match=r"pip install 'tiswarm\[gtsam\]'"):
-        localize(log, dataclasses.replace(QUICK, optimizer="gtsam"))

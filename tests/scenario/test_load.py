@@ -54,8 +54,11 @@ def test_name_and_kind_are_enough(scenario):
 
 
 def test_run_folders_of_earlier_versions_load(scenario):
-    """Earlier versions wrote `scorecard: none` into the scenario of every run."""
-    assert load_scenario(scenario(f"{SMALL}scorecard: none\n")) == load_scenario(scenario(SMALL))
+    """Earlier versions wrote every default into the scenario of a run, also of removed keys."""
+    small = f"{SMALL}localization: {{method: least-squares}}\n"
+    old = f"{SMALL}localization: {{method: least-squares, optimizer: scipy}}\nscorecard: none\n"
+
+    assert load_scenario(scenario(old)) == load_scenario(scenario(small))
 
 
 def test_what_is_written_is_what_is_loaded(scenario):
@@ -99,7 +102,13 @@ REFUSED = [
         f"{SMALL}scorecard: reactivebuild-laws",
         3,
         "scorecard",
-        "is not a key of scenarios any more; remove it and compare",
+        "this key no longer exists; remove it and run python -m benchmarks.reactivebuild",
+    ),
+    (
+        f"{SMALL}localization:\n  method: least-squares\n  optimizer: gtsam",
+        5,
+        "localization.optimizer",
+        "this key no longer exists; remove it and run python -m benchmarks.least_squares LOG",
     ),
     (
         "name: x\nstructure:\n  kind: tower\n  climb:\n    patiense: 3",

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.params import STRICT
@@ -165,7 +165,7 @@ class CueParams:
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class LeastSquaresParams(CueParams):
-    """Weights of the residuals that a general optimiser makes small together.
+    """Weights of the residuals that `scipy.optimize.least_squares` minimizes together.
 
     A residual counts in units of its width. The widths are plausible, not fitted.
     """
@@ -175,10 +175,6 @@ class LeastSquaresParams(CueParams):
 
     start: VirtualForceParams = VirtualForceParams()
     """How the positions to start from are found."""
-
-    optimizer: Literal["scipy", "gtsam"] = "scipy"
-    """`scipy.optimize.least_squares`, or GTSAM (the extra `gtsam`), which knows no other loss than
-    linear."""
 
     solve_yaw: bool = True
     """Solve for each robot's bias of yaw where the log states one; else yaw is taken as sensed."""
@@ -202,14 +198,7 @@ class LeastSquaresParams(CueParams):
     """Solves at most; before each, pairs of docks that may overlap are looked up anew."""
 
     evaluations: Annotated[int, Field(ge=1, le=100_000)] = 50
-    """Evaluations of the residuals at most in each solve; iterations of GTSAM."""
-
-    @model_validator(mode="after")
-    def _check_loss(self) -> "LeastSquaresParams":
-        if self.optimizer == "gtsam" and self.loss != "linear":
-            msg = "gtsam knows no other loss than linear; choose that, or optimizer: scipy"
-            raise ValueError(msg)
-        return self
+    """Largest number of evaluations of the residuals in each solve."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -136,8 +136,6 @@ ADAPTER = TypeAdapter(Scenario)
 
 def from_plain(data: Plain) -> Scenario | list[Mistake]:
     """Build a scenario from plain data, or list every mistake in it."""
-    if data.get("scorecard") == "none":  # earlier versions wrote this into every run folder
-        data = {key: value for key, value in data.items() if key != "scorecard"}
     return validate(ADAPTER, data)
 
 

@@ -26,11 +26,17 @@ DISCRIMINATORS = {"structure": "kind", "localization": "method"}
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
-_REMOVED: dict[tuple[Part, ...], str] = {
-    ("scorecard",): "is not a key of scenarios any more; remove it and compare the structures "
-    "with published laws by python -m benchmarks.reactivebuild SCENARIO",
+_REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
+    ("scorecard",): (
+        "none",
+        "this key no longer exists; remove it and run python -m benchmarks.reactivebuild SCENARIO",
+    ),
+    ("localization", "optimizer"): (
+        "scipy",
+        "this key no longer exists; remove it and run python -m benchmarks.least_squares LOG",
+    ),
 }
-"""Problems with keys of earlier versions."""
+"""Keys of earlier versions: their default, which run folders hold, and what to do instead."""
 
 _UNIONS = {*DISCRIMINATORS, "seeds"}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
@@ -70,6 +76,7 @@ _LOCALIZATION = TypeAdapter(_LocalizationSection)
 
 def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
     """Build an object from plain data, or list every mistake in it."""
+    data = _without_old_defaults(data)
     localization = data.get("localization")
     if isinstance(localization, dict):
         data = {**data, "localization": {"method": "virtual-force", **localization}}
@@ -174,8 +181,21 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         path = (path[0], *path[2:])
     if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         path = (path[0], DISCRIMINATORS[str(path[0])])
-    problem = _REMOVED.get(path) or explain(error, _allowed(error["loc"], adapter))
-    return Mistake(path, problem, about_key)
+    if path in _REMOVED:
+        return Mistake(path, _REMOVED[path][1], about_key=True)
+    return Mistake(path, explain(error, _allowed(error["loc"], adapter)), about_key)
+
+
+def _without_old_defaults(data: Plain) -> Plain:
+    """Drop removed keys at their default: run folders of earlier versions still load."""
+    kept = deepcopy(data)
+    for (*sections, key), (default, _) in _REMOVED.items():
+        owner: Any = kept
+        for section in sections:
+            owner = owner.get(section) if isinstance(owner, dict) else None
+        if isinstance(owner, dict) and owner.get(key) == default:
+            del owner[key]
+    return kept
 
 
 def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ...]:

@@ -4,16 +4,15 @@ The sum of squares has many minima. From a poor start least squares ends in a po
 on the wrong side of their contacts, held there by docks that may not overlap.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import virtual_force
-from tiswarm.localization.least_squares import factor_graph
-from tiswarm.localization.least_squares.factor_graph import Found
 from tiswarm.localization.least_squares.problem import (
     Problem,
     Reals,
@@ -29,6 +28,26 @@ from tiswarm.records.sensing_log import SensingLog
 
 SETTLED = 1e-6
 """The rounds end when one lowers the cost by less than this part."""
+
+
+class Minimum(NamedTuple):
+    """The end of a solve, with the names of scipy's OptimizeResult."""
+
+    x: Reals
+    """Unknowns, shape (unknowns,)."""
+
+    cost: float
+    """Half the sum of squares."""
+
+    nfev: int
+    """Evaluations of the residuals."""
+
+    status: int
+    """0 if the solve used up its evaluations, positive if it converged."""
+
+
+Minimize = Callable[[Problem, Reals, LeastSquaresParams], Minimum]
+"""A solver: the problem, the unknowns to start from, settings."""
 
 
 def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:
@@ -55,25 +74,47 @@ def localize_batch(
     ]
 
 
-def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estimate:
-    """Move robots from given positions until the weighted residuals are as small as they get.
+def trust_region(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> Minimum:
+    """Minimize the residuals by scipy's trust region reflective method."""
+    found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
+        problem.residuals,
+        unknowns,
+        jac=problem.jacobian,
+        method="trf",
+        tr_solver="lsmr",
+        loss=params.loss,
+        max_nfev=params.evaluations,
+    )
+    return Minimum(found.x, found.cost, found.nfev, found.status)
+
+
+def improve(
+    log: SensingLog,
+    params: LeastSquaresParams,
+    start: Reals,
+    *,
+    minimize: Minimize = trust_region,
+) -> Estimate:
+    """Move robots from given positions to a minimum of the weighted residuals.
 
     Args:
         log: What the swarm sensed.
         params: Settings.
         start: Positions to start from, in the log's unit, shape (N, 3).
+        minimize: Solver of each round; benchmarks compare others with scipy's.
     """
     yaw_sd = log.yaw_bias * params.solve_yaw
     yaw: Reals = np.zeros(log.robot_count)
     if yaw_sd:
-        start = improve(log, replace(params, solve_yaw=False), start).position
+        positions_only = replace(params, solve_yaw=False)
+        start = improve(log, positions_only, start, minimize=minimize).position
     position: Reals = np.concatenate([log.anchor_position[None], start[1:]])
     poses, iteration, cost = [(position, yaw)], [0], np.inf
     contacts, places = list(touching(log, params)), list(places_known(log, params))
     for _ in range(params.rounds if log.robot_count > 1 else 0):
         pairs = [*contacts, *close(log, params, position, yaw)]
         problem = Problem(log, pairs, places, yaw_sd)
-        found = _minimize(problem, problem.unknowns(position, yaw), params)
+        found = minimize(problem, problem.unknowns(position, yaw), params)
         position, yaw = problem.poses(found.x)
         poses.append((position, yaw))
         iteration.append(iteration[-1] + found.nfev)
@@ -89,21 +130,6 @@ def improve(log: SensingLog, params: LeastSquaresParams, start: Reals) -> Estima
         trace=np.array([frame for frame, _ in poses]),
         residual=np.array([_stretch(log, *pose) for pose in poses]),
     )
-
-
-def _minimize(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> Found:
-    if params.optimizer == "gtsam":
-        return factor_graph.minimize(problem, unknowns, params.evaluations)
-    found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
-        problem.residuals,
-        unknowns,
-        jac=problem.jacobian,
-        method="trf",
-        tr_solver="lsmr",
-        loss=params.loss,
-        max_nfev=params.evaluations,
-    )
-    return Found(found.x, found.cost, found.nfev, found.status)
 
 
 def _stretch(log: SensingLog, position: Reals, yaw: Reals) -> float:

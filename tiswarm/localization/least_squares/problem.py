@@ -60,8 +60,6 @@ class Problem:
         pairs: Sequence[Pairs],
         places: Sequence[Places],
         yaw_sd: float = 0.0,
-        *,
-        robots: int | None = None,
     ) -> None:
         """Gather what is to be made small.
 
@@ -70,12 +68,10 @@ class Problem:
             pairs: Residuals of docks.
             places: Residuals of coordinates.
             yaw_sd: Standard deviation of a bias of yaw [rad]; solved for unless 0.
-            robots: How many there are, the anchor first; all of the log's if None.
         """
-        self.log = log
         self.anchor = log.anchor_position
         self.spacing = log.spacing
-        self.robots = log.robot_count if robots is None else robots
+        self.robots = log.robot_count
         self.yaw_sd = yaw_sd
         self.unit = log.dock_radius
         nobody, none = np.empty(0, np.int64), np.empty((0, 3))
@@ -103,17 +99,6 @@ class Problem:
             residuals, unknowns = residuals + self.robots, unknowns + self.robots
         self.row, self.column = np.concatenate(row), np.concatenate(column)
         self.shape = (residuals, unknowns)
-
-    def part(self, pairs: Pairs, places: Places) -> tuple["Problem", Integers]:
-        """Pose some of the residuals alone.
-
-        Returns:
-            A problem of the robots that they are about, and these, ascending, the anchor first.
-        """
-        robot = np.unique(np.concatenate([[0], pairs.i, pairs.j, places.j]))
-        i, j, told = (np.searchsorted(robot, of) for of in (pairs.i, pairs.j, places.j))
-        pairs, places = pairs._replace(i=i, j=j), places._replace(j=told)
-        return Problem(self.log, [pairs], [places], self.yaw_sd, robots=len(robot)), robot
 
     def unknowns(self, position: Reals, yaw: Reals) -> Reals:
         """What is solved for: coordinates, then turns as lengths of arc at one dock radius."""
