@@ -1,5 +1,9 @@
 """`tiswarm.run` gives a notebook what the command writes."""
 
+import re
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -80,3 +84,19 @@ def test_failed_cases_are_warned_of(tmp_path):
         run = library.run("scenarios/tower.yaml", impossible, out=tmp_path, quiet=True)
 
     assert set(run.summary["status"]) == {"failed"}
+
+
+def test_a_log_is_localized_without_the_simulator(run):
+    """Neither world nor sensing is imported for the log of another simulator."""
+    log = run.folder / "cases" / "0-baseline" / "sensing.jsonl"
+    code = (
+        "import sys, tiswarm; tiswarm.localize(sys.argv[1], 'virtual-force', iterations=5);"
+        "print(sorted(name for name in sys.modules if name.startswith('tiswarm.')))"
+    )
+
+    done = subprocess.run(
+        [sys.executable, "-c", code, log], capture_output=True, text=True, check=True
+    )
+
+    assert "tiswarm.localization.registry" in done.stdout
+    assert not re.search(r"tiswarm\.(world|sensing|study|report)", done.stdout)

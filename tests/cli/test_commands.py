@@ -83,6 +83,10 @@ def test_version_is_told(tiswarm):
         (("localize", "log.jsonl", "--seed", "3"), "--set seed=3: unknown key"),
         (("localize", "log.jsonl", "--cues", "contacts"), "--cues: unknown key; the keys here are"),
         (
+            ("localize", "log.jsonl", "--method", "joint", "--cues", "contacts, height"),
+            "log.jsonl: there is no such file",
+        ),
+        (
             ("localize", "log.jsonl", "--method", "least-squares", "--cues", "contacts,smell"),
             "--cues: smell is not a cue; use contacts, non_overlap",
         ),

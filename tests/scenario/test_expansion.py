@@ -216,8 +216,8 @@ def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
     (mistake,) = find_mistakes(path)
 
     assert str(mistake) == (
-        f"{path}:6: conditions.new.localization.method: would drop the settings made for "
-        "virtual-force; sweep localization as a whole, or move them into the conditions of "
+        f"{path}:6: conditions.new.localization.method: would drop iterations, set for "
+        "virtual-force; sweep localization as a whole, or move the settings into the conditions of "
         "virtual-force"
     )
 

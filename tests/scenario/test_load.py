@@ -1,12 +1,14 @@
 """Scenarios load with defaults, or are refused with file, line, key and a way out."""
 
+import shlex
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.scenario import find_mistakes, load_scenario, localization_params
+from tiswarm.scenario import find_mistakes, load_scenario, localization_params, variants
 from tiswarm.sensing import SensingParams
 
 SMALL = "name: tower\nstructure: {kind: tower}\n"
@@ -317,6 +319,106 @@ def test_a_wrong_option_is_named_instead_of_a_line(scenario, option, problem):
 
     assert str(refusal.value).startswith(f"--set {option}: {problem}")
     assert refusal.value.line is None
+
+
+def test_an_option_replaces_the_sweep_of_its_key(scenario):
+    """Also where a whole section sets it; all other sweeps stay."""
+    path = scenario(f"{SMALL}sweep: {{robots: [30, 40], structure.goal_height: [5, 6]}}")
+
+    one = load_scenario(path, ["robots=20"])
+    both = load_scenario(path, ["robots=20", "structure={kind: tower, goal_height: 7}"])
+
+    assert (one.robots, one.sweep) == (20, {"structure.goal_height": (5, 6)})
+    assert (both.structure.goal_height, both.sweep) == (7.0, {})
+
+
+@pytest.mark.parametrize(
+    ("section", "option", "problem"),
+    [
+        (
+            "sweep: {'robots, structure.movers': [[30, 1], [40, 2]], precision: [f32]}",
+            "robots=20",
+            (
+                "has no effect: the sweep sets robots together with structure.movers; add --set "
+                """'sweep={"precision": ["f32"]}'"""
+            ),
+        ),
+        (
+            "sweep: {structure: [{kind: tower}, {kind: chain}]}",
+            "structure.movers=3",
+            "has no effect: the sweep sets structure as a whole; add --set 'sweep={}'",
+        ),
+        (
+            "conditions: {a: {localization.iterations: 5}, b: {localization.iterations: 6}}",
+            "localization.iterations=7",
+            (
+                "has no effect: every condition sets localization.iterations; set it there, as in "
+                "--set conditions.a.localization.iterations=7"
+            ),
+        ),
+        (
+            "conditions: {a: {localization.back_propagation: {}}}",
+            "localization={back_propagation: {every: 3}}",
+            (
+                "has no effect: every condition sets localization.back_propagation; set it there, "
+                "as in --set conditions.a.localization.back_propagation.every=3"
+            ),
+        ),
+    ],
+)
+def test_an_option_without_effect_is_refused(scenario, section, option, problem):
+    """The message says which option to give."""
+    with pytest.raises(InputError) as refusal:
+        load_scenario(scenario(SMALL + section), [option])
+
+    assert str(refusal.value) == f"--set {option}: {problem}"
+
+
+def test_conditions_keep_what_they_set(scenario):
+    """An option changes those that leave its key alone, and may repeat a condition."""
+    text = f"{SMALL}conditions: {{a: {{}}, b: {{localization.iterations: 6}}}}"
+
+    both = load_scenario(scenario(text), ["localization.iterations=7"])
+    same = load_scenario(scenario(text.replace("a: {}, ", "")), ["localization.iterations=6"])
+
+    iterations = [variant.settings.localization.iterations for variant in variants(both)]
+    assert iterations == [7, 6]
+    assert same.localization.iterations == 6
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "problem"),
+    [
+        (
+            "localization.method=joint",
+            FULL,
+            (
+                'joint has no z_correction (lines 11, 14); add --set \'localization={"method": '
+                '"joint"}\' --set \'conditions={"baseline": {}}\''
+            ),
+        ),
+        (
+            "localization.method=joint",
+            f"{SMALL}conditions: {{no-z: {{localization.z_correction: false}}}}",
+            "joint has no z_correction (line 3); add --set 'conditions={\"joint\": {}}'",
+        ),
+        (
+            "structure={kind: chain}",
+            f"{SMALL}sweep: {{structure.goal_height: [1, 2], robots: [5, 6]}}",
+            "chain has no goal_height (line 3); add --set 'sweep={\"robots\": [5, 6]}'",
+        ),
+    ],
+)
+def test_another_method_or_kind_names_the_keys_it_lacks(scenario, option, text, problem):
+    """The options of the message make the scenario load."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path, [option])
+
+    assert str(refusal.value) == f"--set {option}: {problem}"
+    added = [part for part in shlex.split(problem) if "={" in part]
+    assert load_scenario(path, [option, *added])
 
 
 def test_a_method_is_set_up_without_a_file():

@@ -48,9 +48,8 @@ def localize(
     from tiswarm.scenario import localization_params
 
     chosen = [] if seed is None else [f"seed={seed}"]
-    params = localization_params(
-        method, [*chosen, *overrides], cues=None if cues is None else cues.split(",")
-    )
+    names = None if cues is None else [cue.strip() for cue in cues.split(",")]
+    params = localization_params(method, [*chosen, *overrides], cues=names)
     sensed = read_sensing_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)

@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from tiswarm.errors import InputError
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
 from tiswarm.scenario.validation import (
+    CONDITION_SECTIONS,
     DISCRIMINATORS,
     Mistake,
     Plain,
@@ -105,23 +107,101 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, lis
         raise InputError(problem, path=path, line=source.line_of(()))
     settings = [parse_setting(text) for text in overrides]
     for setting in settings:
-        if problem := set_key(data, setting.path, setting.value):
+        _override(data, setting)
+    for setting in settings:
+        if problem := _overridden(data, setting) or _missing_keys(data, setting, settings, source):
             raise setting.error(problem)
     outcome = from_plain(data)
-    mistakes = [] if isinstance(outcome, Scenario) else outcome
-    bad = {part for mistake in mistakes for part in mistake.path[:1]}
-    found = [*mistakes, *_expansion_mistakes(data, bad)]
-    errors = [_placed(mistake, path, source, settings) for mistake in found]
+    errors = [_placed(mistake, path, source, settings) for mistake in _mistakes(data)]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
 
-def _expansion_mistakes(data: Plain, bad: set[Part]) -> list[Mistake]:
-    """Check those conditions and swept values that touch no bad section."""
+def _override(data: Plain, setting: Setting) -> None:
+    """Apply an option to a scenario, in place of the sweep of its keys."""
+    if problem := set_key(data, setting.path, setting.value):
+        raise setting.error(problem)
+    if isinstance(sweep := data.get("sweep"), dict):
+        for key in setting.values:
+            sweep.pop(key, None)
+
+
+def _overridden(data: Plain, setting: Setting) -> str:
+    """Return what makes an option have no effect and the way out, or nothing."""
+    sweep, conditions = data.get("sweep", {}), data.get("conditions", {})
+    leaves = {k: v for k, v in setting.values.items() if not isinstance(v, dict) or not v}
+    if not (isinstance(sweep, dict) and isinstance(conditions, dict)):
+        return ""
+    for entry in sweep:
+        keys = swept_keys(entry)
+        for key in keys:
+            if any(_covers(key, leaf) for leaf in leaves):
+                others = ", ".join(other for other in keys if other != key)
+                how = f"{key} together with {others}" if others else f"{key} as a whole"
+                rest = {other: values for other, values in sweep.items() if other != entry}
+                return f"has no effect: the sweep sets {how}; add {_option('sweep', rest)}"
+    each = [entries if isinstance(entries, dict) else {} for entries in conditions.values()]
+    for leaf, value in leaves.items():
+        covering = [next((k for k in entries if _covers(k, leaf)), "") for entries in each]
+        if covering and all(covering) and any(entries.get(leaf, ...) != value for entries in each):
+            problem = f"has no effect: every condition sets {covering[0]}; set it there"
+            return (
+                f"{problem}, as in {_option(f'conditions.{next(iter(conditions))}.{leaf}', value)}"
+            )
+    return ""
+
+
+def _missing_keys(
+    data: Plain, setting: Setting, settings: Sequence[Setting], source: YamlSource
+) -> str:
+    """Return the keys that the settings selected by an option lack and the way out, or nothing."""
+    section, name = setting.selected
+    kept, missing, lines = deepcopy(data), list[str](), set[int]()
+    while paths := [
+        mistake.path
+        for mistake in _mistakes(kept)
+        if mistake.about_key and not find_culprit(mistake, settings) and _keys(mistake, section)
+    ]:
+        for path in paths:
+            missing += _keys(Mistake(path, ""), section)
+            lines.add(source.line_of(path))
+            kept[str(path[0])].pop(path[1], None)
+        if not kept.get("conditions", True):
+            kept["conditions"] = {name: {}}
+    if not missing:
+        return ""
+    parts = [part for part in (section, "conditions", "sweep") if kept.get(part) != data.get(part)]
+    options = " ".join(_option(part, kept[part]) for part in parts)
+    place = f"line{'s' * (len(lines) > 1)} {', '.join(map(str, sorted(lines)))}"
+    return f"{name} has no {', '.join(dict.fromkeys(missing))} ({place}); add {options}"
+
+
+def _keys(mistake: Mistake, section: str) -> list[str]:
+    """Return the keys of a section at which a mistake was made, nested ones excluded."""
+    kind, *path = mistake.path
+    if kind == section:
+        return [str(path[0])] if len(path) == 1 else []
+    keys = swept_keys(str(path[0])) if kind == "sweep" else map(str, path[1:2])
+    return [key[len(section) + 1 :] for key in keys if key.startswith(f"{section}.")]
+
+
+def _covers(key: str, leaf: str) -> bool:
+    return f"{leaf}.".startswith(f"{key}.")
+
+
+def _option(key: str, value: object) -> str:
+    return f"--set {shlex.quote(f'{key}={json.dumps(value)}')}"
+
+
+def _mistakes(data: Plain) -> list[Mistake]:
+    """List all mistakes; conditions and swept values of bad sections are not checked."""
+    outcome = from_plain(data)
+    mistakes = [] if isinstance(outcome, Scenario) else outcome
+    bad = {part for mistake in mistakes for part in mistake.path[:1]}
     good = {key: value for key, value in data.items() if key not in bad}
     scenario = from_plain({**_MINIMAL, **good})
     if not isinstance(scenario, Scenario):
-        return []
+        return mistakes
 
     def is_good(key: str) -> bool:
         return key.partition(".")[0] not in bad
@@ -131,7 +211,7 @@ def _expansion_mistakes(data: Plain, bad: set[Part]) -> list[Mistake]:
         for name, entries in scenario.conditions.items()
     }
     sweep = {key: values for key, values in scenario.sweep.items() if is_good(key)}
-    return expand(to_plain(scenario), conditions, sweep)[1]
+    return [*mistakes, *expand(to_plain(scenario), conditions, sweep)[1]]
 
 
 def _placed(
@@ -279,8 +359,12 @@ def _reset_section(data: Plain, change: _Change) -> str:
     data[section] = {}
     if settings == _defaults(section, old):
         return ""
-    problem = f"would drop the settings made for {old}"
-    return f"{problem}; sweep {section} as a whole, or move them into the conditions of {old}"
+    default = _defaults(section, old) or {}
+    names = ", ".join(name for name, value in settings.items() if value != default.get(name))
+    problem = f"would drop {names}, set for {old}; sweep {section} as a whole"
+    if section not in CONDITION_SECTIONS:
+        return problem
+    return f"{problem}, or move the settings into the conditions of {old}"
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
 from typing import Any, NamedTuple, TypeVar
@@ -60,6 +60,24 @@ class Setting(NamedTuple):
     text: str
     path: tuple[str, ...]
     value: object
+
+    @property
+    def key(self) -> str:
+        """Dotted key."""
+        return ".".join(self.path)
+
+    @property
+    def values(self) -> dict[str, object]:
+        """Its value and, if that is a mapping, all values in it, by dotted key."""
+        return dict(_nested(self.key, self.value))
+
+    @property
+    def selected(self) -> tuple[str, str]:
+        """The section whose settings it selects and their name; empty if it selects none."""
+        for section, key in DISCRIMINATORS.items():
+            if isinstance(name := self.values.get(f"{section}.{key}"), str):
+                return section, name
+        return "", ""
 
     def error(self, problem: str) -> InputError:
         """Return an error that names the option."""
@@ -162,6 +180,13 @@ def localization_params(
     key = dotted(first.path[1:])
     option = "--method" if key == "method" else "--cues" if key in switches else key
     raise InputError(first.problem, key=option)
+
+
+def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:
+    yield key, value
+    if isinstance(value, dict):
+        for part, inner in value.items():
+            yield from _nested(f"{key}.{part}", inner)
 
 
 def _setting_path(key: str) -> tuple[str, ...]:
