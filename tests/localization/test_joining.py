@@ -67,7 +67,7 @@ def test_what_cannot_join_is_told(lines):
         tiswarm.Localizer(lines[0], VirtualForceParams(back_propagation=BackPropagation()))
     full = tiswarm.Localizer(lines[0], capacity=1)
     full.join(lines[1])
-    with pytest.raises(InputError, match="room for 1 robots"):
+    with pytest.raises(InputError, match="capacity is 1 robot;"):
         full.join(lines[2])
 
 
@@ -99,7 +99,7 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
     for call, told in (
         ({"method": "guess"}, "--method: "),
         ({"iterationz": 3}, "iterationz: unknown key; did you mean iterations"),
-        ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a choice"),
+        ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a cue"),
         ({"iterations": -1}, "iterations: -1 should be greater"),
     ):
         with pytest.raises(InputError, match=told):

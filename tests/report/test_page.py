@@ -93,7 +93,7 @@ def test_warnings_count_what_limits_a_run():
 
     assert "1 of 3 cases failed: too few robots" in told
     assert "Growth of 1 case ended early: the gap is bridged" in told
-    assert "3 robots in 1 cases are tied to the anchor by no" in told
+    assert "No chain of final contacts ties 3 robots in 1 case to the anchor" in told
     assert "leaves 4 to 12 floppy modes" in told
     assert "open3d: died" in told
     assert [row[1].text for row in case_table(summary).rows] == ["done", "done", "failed"]

@@ -102,7 +102,7 @@ def test_a_plan_is_told_and_nothing_runs(tiswarm, tmp_path):
     planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
     checked = tiswarm("check", scenario)
 
-    told = "42 cases, 866400 robots in all; an estimate: "
+    told = "42 cases, 866400 robots in all; estimate: "
     assert planned.stdout.startswith(told)
     assert told in checked.stdout
     assert not (tmp_path / "out").exists()

@@ -9,6 +9,7 @@ import typer
 from tiswarm.cli.options import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
+from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
     from tiswarm import study
@@ -81,7 +82,9 @@ def run(
     )
     result = study.run(plan, out, progress=progress, arch=arch, threads=threads, dispatch=dispatch)
     if result.missing:
-        progress.info(f"part {shard} is done; {result.missing} cases of other parts are missing")
+        progress.info(
+            f"part {shard} is done; other parts still lack {counted(result.missing, 'case')}"
+        )
     else:
         from tiswarm.drawing import draw_all
 

@@ -13,6 +13,7 @@ from tiswarm.errors import InputError
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force import check_placed, directions, gains
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensingLogBuilder, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
@@ -90,7 +91,7 @@ class Localizer:
             InputError: the line is malformed, or there is no more room.
         """
         if self._count == len(self._position):
-            msg = f"there is room for {self._count} robots; make the Localizer with more capacity"
+            msg = f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
             raise InputError(msg)
         line = parse_robot(_text(robot))
         stance = self._builder.add(line)

@@ -151,8 +151,9 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
         found.append(f"Growth of {counted(len(ended), 'case')} ended early: {shown}.")
     if "unlocated" in summary and (lost := summary["unlocated"].fillna(0)).any():
         found.append(
-            f"{int(lost.sum())} robots in {(lost > 0).sum()} cases are tied to the anchor by no "
-            "chain of contacts; where they are is a guess."
+            f"No chain of final contacts ties {counted(int(lost.sum()), 'robot')} in "
+            f"{counted((lost > 0).sum(), 'case')} to the anchor; their positions rest on other "
+            "cues or are guesses."
         )
     found += _floppiness(summary[done])
     renders = manifest.get("renders", {}).values()

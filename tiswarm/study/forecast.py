@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.records.messages import counted
 from tiswarm.scenario import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
 
@@ -63,8 +64,9 @@ class Forecast:
         """Say it in a line, as the estimate it is."""
         total = self.grow_s + self.localize_s + self.rest_s
         return (
-            f"{self.cases} cases, {self.robots} robots in all; an estimate: {_time(total)} of "
-            f"processor time (growth {_time(self.grow_s)}, localization {_time(self.localize_s)}), "
+            f"{counted(self.cases, 'case')}, {counted(self.robots, 'robot')} in all; estimate: "
+            f"{_time(total)} of processor time (growth {_time(self.grow_s)}, localization "
+            f"{_time(self.localize_s)}), "
             f"{self.memory_mb:.0f} MB"
         )
 

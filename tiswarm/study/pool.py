@@ -21,6 +21,7 @@ from typing import IO, Any, cast
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.progress import Progress
+from tiswarm.records.messages import counted
 from tiswarm.study.slurm import Slurm, submitted
 from tiswarm.study.work import Job, Outcome, work_off
 
@@ -88,7 +89,7 @@ def opened(dispatch: Dispatch, threads: int | None, progress: Progress) -> Itera
     if dispatch.slurm is not None:
         slurm, each = dispatch.slurm, threads or 1
         with submitted(slurm, each) as cluster, _connected(cluster) as client:
-            progress.info(f"asked SLURM for {slurm.jobs} jobs; cases begin as these do")
+            progress.info(f"submitted {counted(slurm.jobs, 'SLURM job')}; cases start when jobs do")
             width = slurm.jobs * max(1, slurm.cores // each)
             yield Pool(submit=_submit(client, limit), width=width, threads=each)
     elif dispatch.scheduler is not None:
