@@ -1,23 +1,32 @@
-"""Reads text files line by line, and writes files that appear whole or not at all."""
+"""Reads text and tables with errors by line, and writes files that appear whole or not at all."""
 
+import csv
+import math
 import os
 import secrets
 from codecs import BOM_UTF8
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 MAX_LINE_BYTES = 64 * 2**20
+"""Longest line that is read [byte]."""
+
+_ID_LIMIT = 2**63
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield each line with its number, counted from 1; only one line is held at a time.
+    """Yield each line with its number, counted from 1; only one line is in memory at a time.
 
     Raises:
-        InputError: the file cannot be read, is not UTF-8, or has a line beyond all measure.
+        InputError: the file cannot be read, is not UTF-8, or has a line of more than 64 MiB.
     """
     try:
         with path.open("rb") as file:
@@ -35,7 +44,7 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def decode(raw: bytes, path: Path, first_line: int = 1) -> str:
-    """Turn bytes that start at a line of a file into text."""
+    """Decode bytes that start at a given line of a file."""
     try:
         return raw.decode()
     except UnicodeDecodeError as error:
@@ -45,7 +54,7 @@ def decode(raw: bytes, path: Path, first_line: int = 1) -> str:
 
 
 def unreadable(path: Path, error: OSError) -> InputError:
-    """Say why a file cannot be opened."""
+    """Explain why a file cannot be opened."""
     if isinstance(error, FileNotFoundError):
         return InputError("there is no such file; check the path", path=path)
     if isinstance(error, IsADirectoryError):
@@ -63,11 +72,108 @@ def at_line(path: Path, line: int) -> Iterator[None]:
         raise InputError(error.problem, path=path, line=line, key=error.key) from error
 
 
+class Table:
+    """A CSV file whose cells stay text until a column is read."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the header.
+
+        Raises:
+            InputError: the file cannot be read or its first line is malformed.
+        """
+        self.path = path
+        self._lines = numbered_lines(path)
+        self.columns = [name.strip() for name in self._split(*next(self._lines, (1, "")))]
+
+    @cached_property
+    def rows(self) -> dict[int, list[str]]:
+        """Cells of each robot, by line.
+
+        Raises:
+            InputError: a row is malformed, or there is none.
+        """
+        rows = {}
+        for line, text in self._lines:
+            cells = rows[line] = self._split(line, text)
+            if len(cells) != len(self.columns):
+                problem = f"has {len(cells)} cells; {len(self.columns)} are needed"
+                raise InputError(problem, path=self.path, line=line)
+        if not rows:
+            problem = "there are no robots; add a row for each"
+            raise InputError(problem, path=self.path, line=2)
+        return rows
+
+    def line(self, row: int) -> int:
+        """Line of a row that is counted from 0."""
+        return list(self.rows)[row]
+
+    def integers(self, column: str) -> NDArray[np.int64]:
+        """Read a column of whole numbers, shape (rows,).
+
+        Raises:
+            InputError: a cell is not a whole number of 64 bits.
+        """
+        wanted = f"a {column}; write a whole number"
+        return np.array(self._values(column, _integer, wanted), np.int64)
+
+    def numbers(self, column: str, *, empty: float | None = None) -> NDArray[np.float64]:
+        """Read a column of finite numbers, shape (rows,).
+
+        Args:
+            column: Name of the column.
+            empty: Value of an empty cell; None refuses empty cells.
+
+        Raises:
+            InputError: a cell is not a finite number.
+        """
+        wanted = "a finite number; write it like 0.5 or 1e-3"
+        return np.array(self._values(column, _finite, wanted, empty), np.float64)
+
+    def _values(
+        self,
+        column: str,
+        parse: Callable[[str], float],
+        wanted: str,
+        empty: float | None = None,
+    ) -> list[float]:
+        place, values = self.columns.index(column), []
+        for line, cells in self.rows.items():
+            cell = cells[place]
+            try:
+                values.append(parse(cell) if cell or empty is None else empty)
+            except ValueError:
+                problem = f"{cell[:40]!r} is not {wanted}"
+                raise InputError(problem, path=self.path, line=line, key=column) from None
+        return values
+
+    def _split(self, line: int, text: str) -> list[str]:
+        try:
+            return next(csv.reader([text], strict=True), [])
+        except csv.Error as error:
+            problem = f"not a row of a table: {error}; write numbers with commas between them"
+            raise InputError(problem, path=self.path, line=line) from error
+
+
+def _integer(cell: str) -> int:
+    """Parse a whole number of 64 bits, strictly: Python alone reads 1_0 as 10."""
+    number = int(cell)
+    if "_" in cell or not -_ID_LIMIT <= number < _ID_LIMIT:
+        raise ValueError
+    return number
+
+
+def _finite(cell: str) -> float:
+    number = float(cell)
+    if "_" in cell or not math.isfinite(number):
+        raise ValueError
+    return number
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that takes the place of `path` when the block ends without an exception.
+    """Open a file that replaces `path` when the block ends without an exception.
 
-    A reader, or a run that was killed, finds the old file or the new one, never a part.
+    A reader finds the old file or the new one, never a part, even if the writer is killed.
 
     Raises:
         EnvironmentTroubleError: the folder is missing or not writable, or the disk is full.
@@ -101,10 +207,10 @@ def write_text(path: Path, text: str) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, and those above it, unless it is there.
+    """Make a folder for results and its parents, unless they exist.
 
     Raises:
-        EnvironmentTroubleError: it cannot be made.
+        EnvironmentTroubleError: a folder cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +220,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Make the new name outlive a power cut, where the system lets a folder be flushed."""
+    """Make the new name survive a power cut, where the system can flush a folder."""
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

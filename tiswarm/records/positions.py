@@ -1,9 +1,13 @@
-"""Positions as a table: `robot,x_R,y_R,z_R` and, of an estimate, `sd_R`, `known`, `yaw_deg`."""
+"""True and estimated positions, and their tables `robot,x_R,y_R,z_R`.
+
+The table of an estimate may also have the columns `sd_R`, `known` and `yaw_deg`. No localizer may
+import this module, which holds the truth.
+"""
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +16,10 @@ from numpy.typing import NDArray
 
 from tiswarm.errors import InputError
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import at_line, numbered_lines, write_text
+from tiswarm.records.io import Table, write_text
 
 KNOWN = "known"
 YAW = "yaw_deg"
-_ID_LIMIT = 2**63
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +40,17 @@ def write_positions(
     path: Path,
     robot_id: NDArray[np.int64],
     position: NDArray[np.float64],
-    certainty: Mapping[str, Sequence[object]] | None = None,
+    further: Mapping[str, Sequence[object]] | None = None,
     *,
     length_unit: str = "R",
 ) -> None:
-    """Write a table of positions, every number in the shortest form that reads back exactly.
+    """Write a table of positions; each number has the shortest form that reads back exactly.
 
     Args:
-        path: Where to.
+        path: File to write.
         robot_id: Name of each robot, shape (N,).
         position: Centers, finite, shape (N, 3).
-        certainty: Further columns, by name.
+        further: Further columns, by name.
         length_unit: Unit of all lengths; part of the column names.
 
     Raises:
@@ -57,7 +60,7 @@ def write_positions(
         message = f"{path.name}: positions must be finite"
         raise ValueError(message)
     places = [robot_id.tolist(), *position.T.tolist()]
-    columns = dict(zip(_header(length_unit), places, strict=False)) | dict(certainty or {})
+    columns = dict(zip(_header(length_unit), places, strict=False)) | dict(further or {})
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -66,122 +69,59 @@ def write_positions(
 
 
 def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") -> None:
-    """Write an estimate with all that is known of its certainty."""
-    known: dict[str, Sequence[object]] = {}
+    """Write an estimate with its standard deviations, observability and yaw, where it has them."""
+    further: dict[str, Sequence[object]] = {}
     if estimate.sd is not None:
         sds = estimate.sd.tolist()
-        known[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
+        further[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
     if estimate.observability is not None:
-        known[KNOWN] = estimate.observability.known
+        further[KNOWN] = estimate.observability.known
     if estimate.yaw is not None:
-        known[YAW] = np.degrees(estimate.yaw).tolist()
-    write_positions(path, estimate.robot_id, estimate.position, known, length_unit=length_unit)
+        further[YAW] = np.degrees(estimate.yaw).tolist()
+    write_positions(path, estimate.robot_id, estimate.position, further, length_unit=length_unit)
 
 
 def read_positions(
     path: Path, *, length_unit: str = "R"
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read the names, shape (N,), and the positions, shape (N, 3), of such a table.
+    """Read the names, shape (N,), and the positions, shape (N, 3), in a table of positions.
 
     Raises:
-        InputError: the table cannot be read or a row is malformed; tells file and line.
+        InputError: the table cannot be read or a row is malformed; names file and line.
     """
-    lines = numbered_lines(path)
-    number, text = next(lines, (1, ""))
+    table = Table(path)
     columns = _header(length_unit)
-    with at_line(path, number):
-        header = read_cells(text)
-        if header != [name for name in columns if name in {*columns[:4], *header}]:
-            must, may = ",".join(columns[:4]), "".join(f"[,{name}]" for name in columns[4:])
-            problem = f"the columns are not {must}{may}; rename them"
-            raise InputError(problem)
-    rows = dict(_rows(lines, header, path))
-    if not rows:
-        problem = "there are no robots; add a row for each"
-        raise InputError(problem, path=path, line=2)
-    return np.array(list(rows), dtype=np.int64), np.array(list(rows.values()), dtype=np.float64)
+    required, optional = columns[:4], columns[4:]
+    if table.columns != [name for name in columns if name in {*required, *table.columns}]:
+        wanted = ",".join(required) + "".join(f"[,{name}]" for name in optional)
+        problem = f"the columns are not {wanted}; rename them"
+        raise InputError(problem, path=path, line=1)
+    robot = table.integers("robot")
+    position = np.column_stack([table.numbers(name) for name in required[1:]])
+    for name in table.columns[4:]:
+        if name != KNOWN:
+            table.numbers(name, empty=math.nan)
+    seen: set[int] = set()
+    for row, name in enumerate(robot.tolist()):
+        if name in seen:
+            problem = f"robot {name} has a row already; keep one"
+            raise InputError(problem, path=path, line=table.line(row), key="robot")
+        seen.add(name)
+    return robot, position
 
 
 def read_length_unit(path: Path) -> str:
-    """Read the unit of such a table from the names of its columns.
+    """Read the unit of a table of positions from the names of its columns.
 
     Raises:
-        InputError: the table cannot be read or names none.
+        InputError: the table cannot be read or its columns name no unit.
     """
-    number, text = next(numbered_lines(path), (1, ""))
-    with at_line(path, number):
-        place, _, unit = (read_cells(text)[1:2] or [""])[0].partition("_")
-        if place != "x" or not unit:
-            problem = "the columns name no unit of length; write them like robot,x_R,y_R,z_R"
-            raise InputError(problem)
+    axis, _, unit = [*Table(path).columns, "", ""][1].partition("_")
+    if axis != "x" or not unit:
+        problem = "the columns name no unit of length; write them like robot,x_R,y_R,z_R"
+        raise InputError(problem, path=path, line=1)
     return unit
 
 
 def _header(length_unit: str) -> list[str]:
     return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN, YAW]
-
-
-def read_cells(line: str, count: int | None = None) -> list[str]:
-    """Split a row of a table into so many cells.
-
-    Raises:
-        InputError: quotes do not match, or there are more or less; without file and line.
-    """
-    try:
-        cells = next(csv.reader([line], strict=True), [])
-    except csv.Error as error:
-        problem = f"not a row of a table: {error}; write numbers with commas between them"
-        raise InputError(problem) from error
-    if count is not None and len(cells) != count:
-        problem = f"has {len(cells)} cells; {count} are needed"
-        raise InputError(problem)
-    return cells
-
-
-def _rows(
-    lines: Iterable[tuple[int, str]], header: list[str], path: Path
-) -> Iterator[tuple[int, list[float]]]:
-    seen: set[int] = set()
-    for number, text in lines:
-        with at_line(path, number):
-            cells = read_cells(text, len(header))
-            robot = read_whole(cells[0], "robot")
-            if robot in seen:
-                problem = f"robot {robot} has a row already; keep one"
-                raise InputError(problem, key="robot")
-            seen.add(robot)
-            position = [read_number(cells[k], header[k]) for k in (1, 2, 3)]
-            for name, cell in zip(header[4:], cells[4:], strict=True):
-                if name != KNOWN and cell:
-                    read_number(cell, name)
-        yield robot, position
-
-
-def read_whole(cell: str, key: str) -> int:
-    """Read a whole number, such as the name of a robot.
-
-    Raises:
-        InputError: it is none; without file and line.
-    """
-    try:
-        if "_" not in cell and -_ID_LIMIT <= (whole := int(cell)) < _ID_LIMIT:
-            return whole
-    except ValueError:
-        pass
-    problem = f"{cell[:40]!r} is not a {key}; write a whole number"
-    raise InputError(problem, key=key)
-
-
-def read_number(cell: str, key: str) -> float:
-    """Read a finite number.
-
-    Raises:
-        InputError: it is none; without file and line.
-    """
-    try:
-        if "_" not in cell and math.isfinite(length := float(cell)):
-            return length
-    except ValueError:
-        pass
-    problem = f"{cell[:40]!r} is not a finite number; write it like 0.5 or 1e-3"
-    raise InputError(problem, key=key)
