@@ -1,7 +1,6 @@
 """Imports poses of other simulators as a sensing log and a truth."""
 
 import re
-import warnings
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.records.io import make_folder, unreadable
+from tiswarm.records.io import Table, make_folder
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import FAR_FROM_UNIT, write_sensing_log
@@ -144,49 +143,16 @@ def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: flo
 
 def _read_table(path: Path) -> tuple[pd.DataFrame, str]:
     """Read the columns of poses as numbers, and the line of each row; returns the unit too."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            text = pd.read_csv(
-                path, dtype=str, na_filter=False, skipinitialspace=True, skip_blank_lines=False,
-                index_col=False, encoding="utf-8-sig",
-            )  # fmt: skip
-    except OSError as error:
-        raise unreadable(path, error) from error
-    except (ValueError, pd.errors.ParserWarning) as error:
-        problem = f"not a table: {error}; write a header, and in each row a cell for each column"
-        raise InputError(problem, path=path) from error
-    text = text.rename(columns=str.strip)
+    text = Table(path)
     columns, unit = _columns(text.columns, path)
-    text = text.loc[(text != "").any(axis=1), list(columns.values())]
-    text = text.apply(lambda column: column.str.strip())
-    if text.empty:
-        problem = "there are no robots; add a row for each"
-        raise InputError(problem, path=path, line=2)
-    bad = pd.DataFrame({
-        name: ~text[column].map(_is_whole).astype(bool)
-        if name in WHOLE
-        else ~np.isfinite(pd.to_numeric(text[column], errors="coerce"))
-        for name, column in columns.items()
-    })  # fmt: skip
-    if bad.to_numpy().any():
-        row = int(bad.any(axis=1).idxmax())
-        name = str(bad.loc[row].idxmax())
-        kind = "a whole number" if name in WHOLE else "a finite number"
-        problem = f"{str(text.loc[row, columns[name]])[:40]!r} is not {kind}; correct it"
-        raise InputError(problem, path=path, line=row + 2, key=columns[name])
     table = pd.DataFrame({
-        name: text[column].to_numpy(str).astype(np.int64 if name in WHOLE else np.float64)
+        name: text.integers(column) if name in WHOLE else text.numbers(column)
         for name, column in columns.items()
     })  # fmt: skip
-    return table.assign(line=text.index + 2), unit
+    return table.assign(line=list(text.rows)), unit
 
 
-def _is_whole(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?\d{1,19}", cell)) and -(2**63) <= int(cell) < 2**63
-
-
-def _columns(header: pd.Index, path: Path) -> tuple[dict[str, str], str]:
+def _columns(header: list[str], path: Path) -> tuple[dict[str, str], str]:
     """Find the column of each quantity, and the unit of lengths."""
     units = [name[2:] for name in header if re.fullmatch(r"x_[A-Za-z]+", name)]
     for unit in ["", *units]:
@@ -204,10 +170,10 @@ def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     spheres = "sphere" in table
     repeated = table[table.duplicated(["robot", "sphere"] if spheres else ["robot"])]
     if len(repeated):
-        row = repeated.iloc[0]
-        what = f"sphere {row['sphere']:.0f} of robot" if spheres else "robot"
-        problem = f"{what} {row['robot']:.0f} has a row already; keep one"
-        raise InputError(problem, path=path, line=int(row["line"]))
+        robot, line = repeated["robot"].iloc[0], int(repeated["line"].iloc[0])
+        what = f"sphere {repeated['sphere'].iloc[0]} of robot" if spheres else "robot"
+        problem = f"{what} {robot} has a row already; keep one"
+        raise InputError(problem, path=path, line=line)
     if not spheres:
         return table
     robot, _ = pd.factorize(table["robot"])

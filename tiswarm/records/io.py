@@ -113,7 +113,7 @@ class Table:
         Raises:
             InputError: a cell is not a whole number of 64 bits.
         """
-        wanted = f"a {column}; write a whole number"
+        wanted = "a whole number; write it like 7"
         return np.array(self._values(column, _integer, wanted), np.int64)
 
     def numbers(self, column: str, *, empty: float | None = None) -> NDArray[np.float64]:
