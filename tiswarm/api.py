@@ -67,7 +67,7 @@ class Run:
         Raises:
             InputError: there is none of that name.
         """
-        from tiswarm.report.folder import read_table  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import read_table  # noqa: PLC0415 - slow to import
 
         folder = self.folder if case is None else self.folder / "cases" / case
         return read_table(folder / f"{name}.csv")

@@ -56,10 +56,10 @@ const acts = {
     await new Promise((done) => setTimeout(done, 500));
     found[name] = view.toDataURL();
   }
-  for (let x = 0; x < view.clientWidth && !found.told; x += 5)
-    for (let y = 0; y < view.clientHeight && !found.told; y += 5) {
+  for (let x = 0; x < view.clientWidth && !found.pointed; x += 5)
+    for (let y = 0; y < view.clientHeight && !found.pointed; y += 5) {
       view.dispatchEvent(event("pointermove", {buttons: 0, offsetX: x, offsetY: y}));
-      found.told = document.getElementById("told").textContent;
+      found.pointed = document.getElementById("pointed").textContent;
     }
   document.body.dataset.found = JSON.stringify(found);
 })();
@@ -82,9 +82,9 @@ def seen(small_run, tmp_path_factory):
         [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
         check=False,
     )  # fmt: skip
-    told = re.search(r'<body data-found="([^"]*)"', done.stdout)
-    assert told, done.stderr[-2000:]
-    return json.loads(told[1].replace("&quot;", '"').replace("&amp;", "&"))
+    found = re.search(r'<body data-found="([^"]*)"', done.stdout)
+    assert found, done.stderr[-2000:]
+    return json.loads(found[1].replace("&quot;", '"').replace("&amp;", "&"))
 
 
 def test_the_page_draws_without_a_complaint(seen):
@@ -98,7 +98,7 @@ def test_the_view_takes_the_structure_apart(seen):
     assert _colored(seen["part"]) < 0.7 * _colored(seen["whole"])
     assert seen["turned"] != seen["part"]
     assert _colored(seen["emptied"]) < 1e-4  # rims of letters
-    assert re.fullmatch(r"Robot \d+, join [0-3]: error [\d.]+ R\.", seen["told"])
+    assert re.fullmatch(r"Robot \d+, join index [0-3]: error [\d.]+ R\.", seen["pointed"])
 
 
 def _colored(picture: str) -> float:

@@ -1,4 +1,4 @@
-"""A structure is shown as it grew, whole at the end, and figures come as vectors too."""
+"""Animations show the growth of a structure, and figures exist as vectors too."""
 
 import sys
 
@@ -8,8 +8,9 @@ from PIL import Image
 
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
-from tiswarm.report.figures import FIGURES, draw_figures
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.render.animation import LAST_MS, animate_run
+from tiswarm.report.run_data import load_run
 
 
 def colored(frame):
@@ -21,7 +22,7 @@ def colored(frame):
 
 def test_robots_appear_one_after_the_other_and_stay(run_folder):
     """Twelve frames of twelve robots, under one camera; the last is shown for longest."""
-    drawn = animate_run(run_folder, "gif", progress=Progress(), renderer="taichi")
+    drawn = animate_run(load_run(run_folder), "gif", progress=Progress(), renderer="taichi")
 
     with Image.open(drawn.path) as movie:
         seen, shown = [], []
@@ -41,7 +42,9 @@ def test_a_movie_for_slides_holds_the_same(run_folder):
     """MP4 is read back frame by frame by the library that wrote it."""
     iio = pytest.importorskip("imageio.v3")
 
-    drawn = animate_run(run_folder, "mp4", progress=Progress(), renderer="taichi", case="0-no-z")
+    drawn = animate_run(
+        load_run(run_folder), "mp4", progress=Progress(), renderer="taichi", case="0-no-z"
+    )
 
     frames = iio.imread(drawn.path)
     assert drawn.path.name == "growth-0-no-z.mp4"
@@ -54,15 +57,19 @@ def test_a_movie_without_its_library_is_refused(run_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
 
     with pytest.raises(EnvironmentTroubleError, match=r"tiswarm\[video\]"):
-        animate_run(run_folder, "mp4", progress=Progress(), renderer="taichi")
+        animate_run(load_run(run_folder), "mp4", progress=Progress(), renderer="taichi")
 
 
 def test_vector_figures_hold_the_same_bytes_each_time(run_folder):
-    """One PDF beside each PNG, without the time of its making, its text as text."""
-    first = [path.read_bytes() for path in draw_figures(run_folder, Progress(), vector=True)]
+    """There is one PDF for each PNG, and it does not contain the time."""
+    first = [
+        path.read_bytes() for path in draw_figures(load_run(run_folder), Progress(), vector=True)
+    ]
 
     pdfs = sorted(run_folder.glob("figures/*.pdf"))
-    assert [path.stem for path in pdfs] == sorted(FIGURES)
+    assert [path.stem for path in pdfs] == ["convergence", "error-against-height"]
     assert all(path.read_bytes().startswith(b"%PDF") for path in pdfs)
     assert all(b"CreationDate" not in path.read_bytes() for path in pdfs)
-    assert [p.read_bytes() for p in draw_figures(run_folder, Progress(), vector=True)] == first
+    assert [
+        p.read_bytes() for p in draw_figures(load_run(run_folder), Progress(), vector=True)
+    ] == first

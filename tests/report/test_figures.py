@@ -9,20 +9,21 @@ from tests.report.conftest import is_blank, write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.report import figures
-from tiswarm.report.case_figures import draw_convergence
 from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_figures
-from tiswarm.report.folder import read_cases
+from tiswarm.report.figures import draw_convergence, draw_figures
+from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
 
 COLUMNS = "case,status,condition,series,point,kind"
 
+FIGURES = ["convergence", "error-against-height"]
+
 
 def test_every_figure_is_drawn(run_folder):
     """Each figure is a PNG file that shows something."""
-    written = draw_figures(run_folder, Progress())
+    written = draw_figures(load_run(run_folder), Progress())
 
-    assert {path.stem for path in written} == set(figures.FIGURES)
+    assert {path.stem for path in written} == set(FIGURES)
     for path in written:
         with Image.open(path) as image:
             assert not is_blank(image)
@@ -36,7 +37,7 @@ def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
     vector = stale.with_name("convergence.pdf")
     vector.touch()
 
-    written = draw_figures(run_folder, Progress())
+    written = draw_figures(load_run(run_folder), Progress())
 
     assert set(stale.parent.iterdir()) == set(written)
     assert vector.stat().st_size > 0
@@ -44,9 +45,9 @@ def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
 
 def test_the_same_tables_give_the_same_bytes(run_folder):
     """A figure holds neither the time nor the place of its making."""
-    first = [path.read_bytes() for path in draw_figures(run_folder, Progress())]
+    first = [path.read_bytes() for path in draw_figures(load_run(run_folder), Progress())]
 
-    assert [path.read_bytes() for path in draw_figures(run_folder, Progress())] == first
+    assert [path.read_bytes() for path in draw_figures(load_run(run_folder), Progress())] == first
 
 
 def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
@@ -54,9 +55,9 @@ def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkey
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    draw_figures(run_folder, Progress())
+    draw_figures(load_run(run_folder), Progress())
 
-    assert len(drawn) == len(figures.FIGURES)
+    assert len(drawn) == len(FIGURES)
     for figure in drawn:
         assert "1 of 4 cases failed" in " ".join(text.get_text() for text in figure.texts)
 
@@ -66,7 +67,7 @@ def test_a_run_without_results_has_no_figures(tmp_path):
     write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "failed"]])
     progress = Recorder()
 
-    assert draw_figures(tmp_path, progress) == []
+    assert draw_figures(load_run(tmp_path), progress) == []
     assert progress.lines == ["no figures: no case is done"]
 
 
@@ -80,7 +81,7 @@ def test_one_case_of_two_robots_is_enough(tmp_path):
     (folder / "robots.csv").write_text("\n".join([header, robots[0], ",".join(lost)]) + "\n")
     write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
 
-    assert len(draw_figures(tmp_path, Progress())) == len(figures.FIGURES)
+    assert len(draw_figures(load_run(tmp_path), Progress())) == len(FIGURES)
 
 
 def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
@@ -90,7 +91,7 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
     rows = [["0-baseline", "done"], ["1-baseline", "done"]]
     write_table(tmp_path / "summary.csv", "case,status", rows)
 
-    figure = draw_convergence({"baseline": read_cases(tmp_path)}, "")
+    figure = draw_convergence(load_run(tmp_path))
 
     held = np.array([*short, short[-1], short[-1]])
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + held) / 2.0)
@@ -104,7 +105,7 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
     rows = [[f"0-{name}", "done", name, name] for name in last]
     write_table(tmp_path / "summary.csv", "case,status,condition,series", rows)
 
-    figure = draw_convergence({case.series: [case] for case in read_cases(tmp_path)}, "")
+    figure = draw_convergence(load_run(tmp_path))
 
     (axes,) = figure.axes
     assert axes.get_xlim() == (0.0, 80.0)
@@ -126,13 +127,11 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    written = [path.stem for path in draw_figures(tmp_path, Progress())]
+    written = [path.stem for path in draw_figures(load_run(tmp_path), Progress())]
 
     assert written == [
         "convergence",
         "error-along-growth",
-        "positions-tower",
-        "positions-cantilever",
     ]
     titles = [axes.get_title() for axes in drawn[0].axes]
     assert titles == ["tower", "cantilever"]
@@ -154,9 +153,8 @@ def test_many_points_and_conditions_have_room(tmp_path):
     for name, *_ in rows:
         write_case(tmp_path / "cases" / name, seed=0)
     write_table(tmp_path / "summary.csv", COLUMNS, rows)
-    series = {case.series: [case] for case in read_cases(tmp_path)}
 
-    figure = draw_convergence(series, "")
+    figure = draw_convergence(load_run(tmp_path))
 
     assert png(figure)  # without a warning that axes have no room
     assert [axes.get_title() for axes in figure.axes] == [
@@ -178,8 +176,9 @@ def test_published_numbers_stand_beside_ours(tmp_path):
         ["back-propagation", "tower", 25, 2.4, 0.2, 0.04, 0.01, "", ""],
     ]
     write_table(tmp_path / "table.csv", header, rows)
+    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
 
-    figure = draw_accuracy(tmp_path, "")
+    figure = draw_accuracy(load_run(tmp_path))
 
     rmse, disparity = figure.axes
     open_markers = [line for line in rmse.lines if line.get_markerfacecolor() == "white"]
@@ -201,13 +200,13 @@ def test_a_damaged_run_is_refused_by_name(run_folder, damage):
         table.write_text("robot,x_R\n0,1.0\n")
 
     with pytest.raises(InputError, match=r"0-no-z.robots\.csv: cannot be read"):
-        draw_figures(run_folder, Progress())
+        draw_figures(load_run(run_folder), Progress())
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message says which folder is meant."""
     with pytest.raises(InputError, match="name a folder that"):
-        draw_figures(tmp_path, Progress())
+        draw_figures(load_run(tmp_path), Progress())
 
 
 @pytest.mark.parametrize(
@@ -231,8 +230,8 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
         run_folder / "profiles.csv", header if points else header.replace("swept,", ""), rows
     )
 
-    painters = profile_painters(run_folder, "")
-    drawn = next(iter(painters.values()))()
+    painters = profile_painters(load_run(run_folder))
+    drawn = next(iter(painters.values()))(load_run(run_folder))
 
     assert set(painters) == names
     np.testing.assert_allclose(

@@ -7,11 +7,10 @@ import pytest
 from tests.report.conftest import write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.report import page_view
-from tiswarm.report.folder import read_cases
-from tiswarm.report.page import write_page
+from tiswarm.report import page
+from tiswarm.report.page import build_view, write_page
 from tiswarm.report.page_tables import case_table, result_tables, warnings_of
-from tiswarm.report.page_view import build_view
+from tiswarm.report.run_data import load_run
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,unlocated"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
@@ -30,7 +29,7 @@ def odd_run(tmp_path):
 
 def test_a_run_without_results_has_a_page(odd_run):
     """It says why; there is nothing to look at in space, so no library is part of it."""
-    page = write_page(odd_run, Progress()).read_text()
+    page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
     assert 'id="view"' not in page
@@ -39,7 +38,7 @@ def test_a_run_without_results_has_a_page(odd_run):
 
 def test_texts_stay_texts(odd_run):
     """Descriptions and reasons cannot become part of the page."""
-    page = write_page(odd_run, Progress()).read_text()
+    page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "<script>boom" not in page
     assert "no &lt;b&gt;robot&lt;/b&gt; came" in page
@@ -51,16 +50,16 @@ def test_a_damaged_run_is_refused_by_name(odd_run, name):
     (odd_run / name).unlink()
 
     with pytest.raises(InputError, match=f"{name}: cannot be read"):
-        write_page(odd_run, Progress())
+        write_page(load_run(odd_run), Progress())
 
 
 def test_the_view_shows_each_series_once(run_folder):
     """The first case that is done of each, every robot in join order."""
-    view = build_view(read_cases(run_folder))
+    view = build_view(load_run(run_folder))
 
     names = [case["name"] for case in view.data["cases"]]
     assert names == ["0-baseline", "0-no-z"]
-    assert view.note == "2 of 3 cases are here."
+    assert view.note == "The view contains 2 of 3 cases."
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))
         assert case["worst"] == max(case["error"])
@@ -68,16 +67,16 @@ def test_the_view_shows_each_series_once(run_folder):
 
 def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
     """A page stays small, and says what it leaves out."""
-    monkeypatch.setattr(page_view, "MOST_ROBOTS", 5)
+    monkeypatch.setattr(page, "MOST_ROBOTS", 5)
 
-    view = build_view(read_cases(run_folder))
+    view = build_view(load_run(run_folder))
 
     assert [case["robot"] for case in view.data["cases"]] == [[0, 1, 2, 3, 4]]
-    assert "Of 12 robots, those that joined first are here" in view.note
+    assert "the first 5 of 12 robots" in view.note
 
 
 def test_warnings_count_what_limits_a_run():
-    """Failures, early ends, lost robots, floppy modes, and a renderer that stepped in."""
+    """Failures, early ends, disconnected robots, floppy modes, and a second-best renderer."""
     summary = pd.DataFrame(
         {
             "case": ["a", "b", "c"],
@@ -89,37 +88,39 @@ def test_warnings_count_what_limits_a_run():
     )
     manifest = {"renders": {"structure.png": {"renderer": "taichi", "reason": "open3d: died"}}}
 
-    told = " ".join(warnings_of(summary, manifest))
+    warnings = " ".join(warnings_of(summary, manifest))
 
-    assert "1 of 3 cases failed: too few robots" in told
-    assert "Growth of 1 case ended early: the gap is bridged" in told
-    assert "No chain of final contacts ties 3 robots in 1 case to the anchor" in told
-    assert "leaves 4 to 12 floppy modes" in told
-    assert "open3d: died" in told
-    assert [row[1].text for row in case_table(summary).rows] == ["done", "done", "failed"]
+    assert "1 of 3 cases failed: too few robots" in warnings
+    assert "Growth ended early in 1 case: the gap is bridged" in warnings
+    assert "No chain of final contacts ties 3 robots in 1 case to the anchor" in warnings
+    assert "leave 4 to 12 floppy modes" in warnings
+    assert "open3d: died" in warnings
+    assert case_table(summary).frame["status"].tolist() == ["done", "done", "failed"]
 
 
-def test_cases_that_did_not_converge_are_named_first():
-    """Unless every case of a method that tells did; others leave the column empty."""
+def test_cases_that_did_not_converge_are_named():
+    """Methods that do not report convergence leave the column empty."""
     summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "status": "done", "reason": None})
     lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])
 
-    told = warnings_of(lost, {})
+    warnings = warnings_of(lost, {})
 
-    assert told[0].startswith("1 of 3 cases did not converge (0-a): their best chain misses")
-    assert "148 sd" in told[0]
+    assert warnings[0].startswith("1 of 3 cases did not converge (0-a). The misfit")
+    assert "148 sd" in warnings[0]
     assert warnings_of(lost.assign(converged=[True, True, None]), {}) == []
     assert warnings_of(summary, {}) == []
 
 
-def test_what_a_method_says_of_its_estimate_is_held_against_the_truth():
-    """Only where one says anything, and only what it says."""
+def test_calibration_is_shown_where_a_method_reports_uncertainty():
+    """The table contains only the measures that the method reports."""
     silent = pd.DataFrame({"condition": ["a"], "cases": [2], "paper_rmse_radii": [None]})
     silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
-    told = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, doubted_recall_mean=np.nan)
+    frank = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, doubted_recall_mean=np.nan)
 
-    tables = [result_tables(t, pd.DataFrame()) for t in (silent, told)]
+    without, tables = [result_tables(table, pd.DataFrame()) for table in (silent, frank)]
 
-    assert len(tables[0]) + 1 == len(tables[1])
-    assert tables[1][-1].header == ["condition", "in the 50 % interval"]
-    assert [cell.text for cell in tables[1][-1].rows[0]] == ["a", "0.48 ± 0.02"]
+    assert len(without) + 1 == len(tables)
+    assert tables[-1].title == "Calibration"
+    assert tables[-1].frame.to_dict("records") == [
+        {"condition": "a", "robots in their 50 % interval": "0.48 ± 0.02"}
+    ]

@@ -10,9 +10,9 @@ from PIL import Image
 from tests.report.conftest import is_blank
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.progress import Progress
-from tiswarm.report.folder import read_cases
 from tiswarm.report.render.pictures import build_pictures, render_run
 from tiswarm.report.render.raycast import draw_scenes
+from tiswarm.report.run_data import load_run
 
 PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact-graph"]
 
@@ -20,7 +20,7 @@ PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    scene = build_pictures(read_cases(run_folder)[0])["structure"].scene
+    scene = build_pictures(load_run(run_folder).cases[0])["structure"].scene
     camera = scene.camera
     small = replace(camera, width=camera.width // 4, height=camera.height // 4)
     return replace(scene, camera=small)
@@ -42,7 +42,7 @@ def broken_open3d(monkeypatch):
 
 def test_the_next_renderer_steps_in(run_folder, broken_open3d):
     """Without open3d, our own kernel draws, and the reason names the remedy."""
-    drawn = render_run(run_folder, progress=Progress())
+    drawn = render_run(load_run(run_folder), progress=Progress())
 
     assert [picture.path.stem for picture in drawn] == PICTURES
     for picture in drawn:
@@ -58,7 +58,7 @@ def test_the_next_renderer_steps_in(run_folder, broken_open3d):
 def test_a_chosen_renderer_is_not_replaced(run_folder, broken_open3d):
     """It fails with advice, and nothing is drawn."""
     with pytest.raises(EnvironmentTroubleError, match=r"libodd\.so\.1.*`tiswarm doctor`"):
-        render_run(run_folder, progress=Progress(), renderer="open3d")
+        render_run(load_run(run_folder), progress=Progress(), renderer="open3d")
 
     assert not [*run_folder.glob("renders/*")]
 
@@ -74,12 +74,12 @@ def test_a_chosen_renderer_is_not_replaced(run_folder, broken_open3d):
 def test_an_unknown_choice_is_refused(run_folder, choice, problem):
     """The message lists what there is; a failed case is not among it."""
     with pytest.raises(InputError, match=problem):
-        render_run(run_folder, progress=Progress(), **choice)
+        render_run(load_run(run_folder), progress=Progress(), **choice)
 
 
 def test_pictures_of_a_chosen_case_carry_its_name(run_folder):
     """They do not replace those of the run."""
-    drawn = render_run(run_folder, progress=Progress(), renderer="taichi", case="0-no-z")
+    drawn = render_run(load_run(run_folder), progress=Progress(), renderer="taichi", case="0-no-z")
 
     assert all(picture.path.name.endswith("-0-no-z.png") for picture in drawn)
 

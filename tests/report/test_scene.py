@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tiswarm.report.folder import read_cases
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.render.raycast import taichi_tracer
 from tiswarm.report.render.scene import fit_camera
+from tiswarm.report.run_data import load_run
 
 
 @pytest.fixture
 def scene(run_folder):
     """Truth and estimate of twelve robots."""
-    return build_pictures(read_cases(run_folder)[0])["truth-and-estimate"].scene
+    return build_pictures(load_run(run_folder).cases[0])["truth-and-estimate"].scene
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 30), (40, 1, 1), (1, 40, 1), (0, 0, 0)])
@@ -36,7 +36,7 @@ def test_every_ball_is_inside_the_picture(shape):
 
 def test_robots_without_an_estimate_are_drawn_once(run_folder):
     """A robot that was never located appears among the true ones only."""
-    case = read_cases(run_folder)[0]
+    case = load_run(run_folder).cases[0]
     whole = build_pictures(case)["truth-and-estimate"].scene
     table = case.folder / "robots.csv"
     header, *robots = table.read_text().splitlines()

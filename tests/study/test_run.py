@@ -17,7 +17,7 @@ from tests.runs import MEASURED, REPOSITORY
 from tiswarm import study
 from tiswarm.localization import virtual_force
 from tiswarm.progress import Progress
-from tiswarm.report.folder import read_cases
+from tiswarm.report.run_data import load_run
 from tiswarm.scenario import load_scenario
 from tiswarm.study import storage, tables, work
 from tiswarm.study.cases import chunks, plan
@@ -339,7 +339,7 @@ def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
 
     folder = study.run(small, tmp_path, progress=Progress()).folder
 
-    cases = read_cases(folder)
+    cases = load_run(folder).cases
     assert max(len(case.name) for case in cases) > 150
     assert [case.kind for case in cases] == ["tower"] * 4 + ["chain"] * 4
     assert [case.point[-10:] for case in cases] == [", robots=4"] * 2 + [", robots=5"] * 2 + (

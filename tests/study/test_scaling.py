@@ -9,8 +9,8 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.progress import Progress
-from tiswarm.report.folder import choose_case, read_cases
-from tiswarm.report.scaling_figure import PANELS, draw_scaling
+from tiswarm.report.run_data import load_run
+from tiswarm.report.table_figures import SCALING_PANELS, draw_scaling
 from tiswarm.scenario import load_scenario
 
 pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
@@ -79,9 +79,9 @@ def test_the_figure_shows_every_series(scaled):
     table = pd.read_csv(scaled / "scaling.csv").set_index(["measure", "series"])["mean"]
     table = table.sort_index(kind="stable")
 
-    panels = draw_scaling(scaled, "").axes
+    panels = draw_scaling(load_run(scaled)).axes
 
-    for axes, measure in zip(panels, PANELS, strict=True):
+    for axes, measure in zip(panels, SCALING_PANELS, strict=True):
         drawn = {line.get_label().partition(":")[0]: line.get_ydata() for line in axes.lines}
         assert set(drawn) == {"paper", "joint"}
         for name, values in drawn.items():
@@ -90,7 +90,7 @@ def test_the_figure_shows_every_series(scaled):
 
 def test_the_largest_structure_is_shown(scaled):
     """Renders are of the first case of the largest size."""
-    shown = choose_case(read_cases(scaled), None, scaled)
+    shown = load_run(scaled).choose(None)
 
     assert shown.name == f"0-robots={SIZES[-1]},paper"
 

@@ -18,11 +18,13 @@ def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> Non
     from tiswarm import study
     from tiswarm.report.figures import draw_figures
     from tiswarm.report.page import write_page
+    from tiswarm.report.run_data import load_run
 
     progress = ConsoleProgress(quiet=quiet)
     study.tabulate(run)
-    draw_figures(run, progress, vector=pdf)
-    write_page(run, progress)
+    data = load_run(run)
+    draw_figures(data, progress, vector=pdf)
+    write_page(data, progress)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -45,12 +47,14 @@ def render(
     from tiswarm.drawing import draw_renders
     from tiswarm.report.page import write_page
     from tiswarm.report.render.animation import animate_run
+    from tiswarm.report.run_data import load_run
 
     progress = ConsoleProgress(quiet=quiet)
-    draw_renders(run, progress, renderer=renderer, case=case)
+    data = load_run(run)
+    draw_renders(data, progress, renderer=renderer, case=case)
     if animate:
-        animate_run(run, movie, progress=progress, renderer=renderer, case=case)
-    write_page(run, progress)
+        animate_run(data, movie, progress=progress, renderer=renderer, case=case)
+    write_page(data, progress)
 
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")

@@ -13,10 +13,10 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.report.figure_style import ERROR_COLORS, colors_along
-from tiswarm.report.folder import choose_case, read_cases
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.pictures import POSE, TRUE_SIZE, CaseView, read_case_view
 from tiswarm.report.render.scene import Robots, build_scene
+from tiswarm.report.run_data import load_run
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
 SIDES = 10
@@ -37,7 +37,7 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, progress: 
         InputError: the run is damaged, or the case does not exist.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
     """
-    view = read_case_view(choose_case(read_cases(run), case, run))
+    view = read_case_view(load_run(run).choose(case))
     files: dict[str, bytes] = {}
     if form == "gltf":
         files["case.glb"] = _gltf(shapes_of(view, gamma=2.2))

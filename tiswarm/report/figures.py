@@ -1,58 +1,80 @@
-"""The figures of a run, by file name."""
+"""Draws the figures of a run: convergence and errors here, tables in `table_figures`."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.report.case_figures import (
-    by_kind,
-    draw_convergence,
-    draw_error_against_height,
-    draw_error_along_growth,
+from tiswarm.records.messages import counted
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    JOIN_COLORS,
+    PAGE_WIDTH,
+    STYLE,
+    Array,
+    add_note,
+    dot_area,
+    line_style,
+    new_figure,
+    panel_grid,
+    pdf,
+    png,
+    shortened,
 )
-from tiswarm.report.figure_style import STYLE, pdf, png
-from tiswarm.report.folder import Series, has_table, read_cases, subfolder
-from tiswarm.report.positions_figure import draw_positions
-from tiswarm.report.scaling_figure import draw_scaling, has_scaling
-from tiswarm.report.table_figures import draw_accuracy, profile_painters
+from tiswarm.report.run_data import Case, RunData, Series
+from tiswarm.report.table_figures import draw_accuracy, draw_scaling, profile_painters
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
+Painter = Callable[[RunData], "Figure"]
 
-def draw_figures(folder: Path, progress: Progress, *, vector: bool = False) -> list[Path]:
+MAX_PANELS = 9
+LEGEND_LINE = 0.14
+"""Height of a line of a legend or title [inch]."""
+
+MAX_POINTS = 20_000
+"""Points drawn in one panel; of more, a fixed random choice."""
+
+MAX_KINDS = 4
+GROWS = {
+    "tower": ("z_R", "True height [R]"),
+    "cantilever": ("x_R", "True distance out from the edge [R]"),
+    "bridge": ("x_R", "True distance along the gap [R]"),
+    "chain": ("z_R", "True height [R]"),
+}
+"""Along which column of `robots.csv` a kind of structure grows, and its name."""
+
+
+def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
 
-    Cases that failed are left out, and a note on each figure says how many. A figure that an
-    earlier call drew and that the run no longer has is removed; a PDF that is there is redrawn.
+    Cases that failed are left out, and a note on each figure states their number. A figure of an
+    earlier call that the run no longer has is removed; an existing PDF is redrawn.
 
     Returns:
         The files written; empty where no case is done.
 
     Raises:
-        InputError: where the folder holds no run or a table is damaged.
+        InputError: a table of the run is damaged.
     """
     from matplotlib import style
 
-    cases = read_cases(folder)
-    series: Series = {}
-    for case in cases:
-        if case.done:
-            series.setdefault(case.series, []).append(case)
-    if not series:
+    if not run.series:
         progress.info("no figures: no case is done")
-        _remove_others(folder / "figures", [])
+        _remove_others(run.folder / "figures", [])
         return []
-    failed = sum(not case.done for case in cases)
-    note = f"{failed} of {len(cases)} cases failed and are left out" if failed else ""
-    place = subfolder(folder, "figures")
+    place = run.subfolder("figures")
     written = []
-    for name, draw in _painters(folder, series, note).items():
+    for name, draw in _painters(run).items():
         with style.context(["default", STYLE]):
-            figure = draw()
+            figure = draw(run)
             for suffix, encode in (("png", png), ("pdf", pdf)):
                 path = place / f"{name}.{suffix}"
                 if suffix == "png" or vector or path.exists():
@@ -68,28 +90,182 @@ def _remove_others(place: Path, written: list[Path]) -> None:
         path.unlink()
 
 
-def _painters(folder: Path, series: Series, note: str) -> dict[str, Callable[[], "Figure"]]:
-    """By file name, what draws each figure that a run has."""
-    painters: dict[str, Callable[[], Figure]] = {
-        name: partial(draw, series, note) for name, draw in FIGURES.items()
-    }
-    if kinds := by_kind(series):
-        painters = {
-            "convergence": painters["convergence"],
-            "error-along-growth": partial(draw_error_along_growth, kinds, note),
-        }
-        for kind, of_kind in kinds.items():
-            painters[f"positions-{kind}"] = partial(draw_positions, of_kind, note)
-    if has_scaling(folder):
-        painters["scaling"] = partial(draw_scaling, folder, note)
-    if has_table(folder, "table.csv"):
-        painters["accuracy"] = partial(draw_accuracy, folder, note)
-    return painters | profile_painters(folder, note)
+def _painters(run: RunData) -> dict[str, "Painter"]:
+    """List the figures that a run has, by file name."""
+    painters: dict[str, Painter] = {"convergence": draw_convergence}
+    if by_kind(run.series):
+        painters["error-along-growth"] = draw_error_along_growth
+    else:
+        painters["error-against-height"] = draw_error_against_height
+    if (run.folder / "scaling.csv").is_file():
+        painters["scaling"] = draw_scaling
+    if (run.folder / "table.csv").is_file():
+        painters["accuracy"] = draw_accuracy
+    return painters | profile_painters(run)
 
 
-FIGURES: dict[str, Callable[[Series, str], "Figure"]] = {
-    "convergence": draw_convergence,
-    "error-against-height": draw_error_against_height,
-    "positions": draw_positions,
-}
-"""File name and painter of each figure."""
+def draw_convergence(run: RunData) -> "Figure":
+    """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
+
+    Each point of a sweep has its panel with a line for each condition.
+    """
+    points = _by_point(run.series)
+    shown = dict(list(points.items())[:MAX_PANELS])
+    names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
+    columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
+    rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
+    figure = new_figure(
+        COLUMN_WIDTH if columns == 1 else PAGE_WIDTH,
+        0.8 + 1.9 * rows + LEGEND_LINE * (len(names) // in_line),
+    )
+    panels = panel_grid(figure, len(shown), columns, sharey=True)
+    legend: dict[str, Artist] = {}
+    top = 0.0
+    for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
+        top = max(top, _plot_convergence(axes, of_point, names))
+        axes.set_title(title, fontsize=8.0)
+        legend |= {str(line.get_label()): line for line in axes.lines}
+    panels[0].set_ylim(0.0, 1.05 * top or 1.0)
+    figure.supylabel("RMSE [R]", fontsize=8.0)
+    seeds = max(map(len, run.series.values()))
+    figure.legend(
+        legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
+        title="mean ± std, " * (seeds > 1) + counted(seeds, "structure"), title_fontsize=7.0,
+    )  # fmt: skip
+    left = len(points) - len(shown)
+    add_note(
+        figure, "; ".join(filter(None, [f"{left} more points not shown" * (left > 0), run.note]))
+    )
+    return figure
+
+
+def _by_point(series: Series) -> dict[str, Series]:
+    """Conditions by point of the sweep; all in one where points have one condition each."""
+    points: dict[str, Series] = {}
+    for name, cases in series.items():
+        points.setdefault(shortened(cases[0].point), {})[cases[0].condition or name] = cases
+    if len(points) == len(series) > 1:
+        return {"": {shortened(name): cases for name, cases in series.items()}}
+    return points
+
+
+def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
+    """Draw mean and band of each series, colored by its place in `names`; returns the top [R]."""
+    top = 0.0
+    for name, cases in series.items():
+        style = line_style(names.index(name))
+        iteration, rmse = _traces(cases)
+        if not iteration.size:
+            continue
+        mean, spread = rmse.mean(axis=0), rmse.std(axis=0)
+        axes.plot(iteration, mean, label=name, **style)
+        axes.fill_between(
+            iteration, mean - spread, mean + spread, color=style["color"], alpha=0.2, linewidth=0.0
+        )
+        top = max(top, float((mean + spread).max()))
+    axes.set_xlabel("Iteration")
+    axes.margins(x=0.0)
+    _cut_long_lines(axes)
+    return top
+
+
+def _cut_long_lines(axes: "Axes") -> None:
+    """Let lines that go on for much longer than most leave the frame, not squeeze the others."""
+    ends = [float(np.max(line.get_xdata())) for line in axes.lines]
+    drawn = 2.0 * float(np.median(ends or [0.0]))
+    if max(ends, default=0.0) > drawn > 0.0:
+        axes.set_xlim(right=drawn)
+        axes.set_xlabel(f"Iteration (drawn to {drawn:.0f} of {max(ends):.0f})")
+
+
+def _traces(cases: list[Case]) -> tuple[Array, Array]:
+    """Put every case's RMSE on one axis of iterations; a case that ended early holds its last."""
+    names = ["iteration", "rmse_R"]
+    tables = [case.columns("convergence.csv", names) for case in cases]
+    tables = [table for table in tables if len(table)]
+    if not tables:
+        return np.empty(0), np.empty((0, 0))
+    iteration = np.unique(np.concatenate([table[:, 0] for table in tables]))
+    return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
+
+
+def draw_error_against_height(run: RunData) -> "Figure":
+    """Draw each robot's error against its true height, colored by when it joined."""
+    shown = list(run.series.items())[:MAX_PANELS]
+    columns = min(3, len(shown))
+    width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
+    lines = max(name.count(", ") for name, _ in shown)
+    figure = new_figure(width, 0.5 + (2.0 + LEGEND_LINE * lines) * -(-len(shown) // columns))
+    panels = panel_grid(figure, len(shown), columns, sharex=True, sharey=True)
+    tables = [_errors_at(cases, "z_R") for _, cases in shown]
+    _scatter(panels, tables)
+    notes = [run.note] if run.note else []
+    for axes, (name, _), table in zip(panels, shown, tables, strict=True):
+        if len(table) > MAX_POINTS:
+            notes.append(f"{name}: {MAX_POINTS} of {len(table)} robots drawn")
+        axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
+    figure.supxlabel("True height [R]", fontsize=8.0)
+    figure.supylabel("Error [R]", fontsize=8.0)
+    if len(shown) < len(run.series):
+        notes.append(f"{len(run.series) - len(shown)} more conditions are not shown")
+    add_note(figure, "; ".join(notes))
+    return figure
+
+
+def by_kind(series: Series) -> dict[str, Series]:
+    """Conditions by kind of structure; empty unless all a run sweeps is a few kinds."""
+    kinds: dict[str, Series] = {}
+    for cases in series.values():
+        kinds.setdefault(cases[0].kind, {})[cases[0].condition] = cases
+    points = {cases[0].point for cases in series.values()}
+    few = 1 < len(kinds) == len(points) <= MAX_KINDS
+    return kinds if few and set(kinds) <= set(GROWS) else {}
+
+
+def draw_error_along_growth(run: RunData) -> "Figure":
+    """Draw each robot's error against how far along the structure it is, by join index.
+
+    Each kind of structure has its panel; of several conditions the first is drawn.
+    """
+    kinds = by_kind(run.series)
+    figure = new_figure(PAGE_WIDTH, 2.6)
+    panels = panel_grid(figure, len(kinds), len(kinds), sharey=True)
+    first = {kind: next(iter(series.values())) for kind, series in kinds.items()}
+    _scatter(panels, [_errors_at(cases, GROWS[kind][0]) for kind, cases in first.items()])
+    for axes, (kind, cases) in zip(panels, first.items(), strict=True):
+        many = counted(len(cases), "structure")
+        axes.set_xlabel(GROWS[kind][1])
+        axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
+    panels[0].set_ylabel("Error [R]")
+    add_note(figure, run.note)
+    return figure
+
+
+def _errors_at(cases: list[Case], column: str) -> Array:
+    """Gather a column, error and join index of every located robot, shape (robots, 3)."""
+    tables = []
+    for case in cases:
+        values = case.columns("robots.csv", [column, "error_R"])
+        tables.append(np.column_stack([values, np.arange(len(values))]))
+    table = np.concatenate(tables)
+    finite: Array = table[np.isfinite(table).all(axis=1)]
+    return finite
+
+
+def _scatter(panels: "list[Axes]", tables: list[Array]) -> None:
+    """Draw rows of `_errors_at`, a table a panel, in colors of the join index; of many, some."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
+    dots: PathCollection
+    colors = LinearSegmentedColormap.from_list("join", JOIN_COLORS)
+    for axes, table in zip(panels, tables, strict=True):
+        points = np.random.default_rng(0).permutation(table)[:MAX_POINTS]
+        dots = axes.scatter(
+            points[:, 0], points[:, 1], c=points[:, 2], s=dot_area(len(points)),
+            cmap=colors, vmin=0.0, vmax=last, linewidths=0.0, clip_on=False,
+        )  # fmt: skip
+    panels[0].set_ylim(bottom=0.0)
+    figure = panels[0].figure
+    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=25, pad=0.02)
+    bar.ax.spines["outline"].set_visible(False)

@@ -1,4 +1,4 @@
-"""`report.html`: one self-contained page that shows a run, made from its files alone."""
+"""Writes `report.html`: one self-contained page that shows a run, made from its files alone."""
 
 import base64
 import io
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 import yaml
 from PIL import Image
 
@@ -16,24 +16,29 @@ from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.messages import counted
-from tiswarm.report.folder import read_cases, read_table
-from tiswarm.report.page_tables import (
-    case_table,
-    machine_table,
-    result_tables,
-    warnings_of,
-)
-from tiswarm.report.page_view import build_view
+from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
+from tiswarm.report.page_tables import case_table, machine_table, result_tables, warnings_of
+from tiswarm.report.render.pictures import CaseView, read_case_view
+from tiswarm.report.run_data import RunData
 
 LARGEST = 7_900_000
-"""Largest page [bytes]; pictures that do not fit are named instead."""
+"""Largest page [bytes]; pictures beyond it remain in files of their own."""
 
 PHOTO_QUALITY = 85
 ON_PAGE = {"figures": 0.42, "renders": 0.36}
-"""Pixels on the page for each of a picture's own, which are many for print."""
+"""Width on the page over the width of the picture, which has the resolution of print."""
 
 SMALL_ON_PAGE = 0.72
-"""The same for animations, which are small to begin with."""
+"""The same ratio for animations, which have the resolution of a screen."""
+
+MOST_CASES = 12
+"""Cases in the 3D view."""
+
+MOST_ROBOTS = 10_000
+"""Robots in the 3D view, in all cases together."""
+
+DIGITS = 4
+"""Decimals of positions in the 3D view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +46,7 @@ class Shown:
     """A picture within the page; sizes in pixels."""
 
     source: str
-    """The picture itself, as a data URL, or its file."""
+    """The picture as a data URL, or the path of its file."""
 
     caption: str
     width: int
@@ -50,11 +55,21 @@ class Shown:
     """Width on the page."""
 
 
-def write_page(folder: Path, progress: Progress) -> Path:
-    """Write `report.html` into a run's folder.
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The cases of the 3D view."""
+
+    data: dict[str, Any]
+    """Dock offsets [R], and for each case poses and errors [R] in join order."""
+
+    note: str
+
+
+def write_page(run: RunData, progress: Progress) -> Path:
+    """Write `report.html` into the folder of a run.
 
     Raises:
-        InputError: where the folder holds no run or a file is damaged.
+        InputError: a file of the run is damaged.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
 
@@ -66,35 +81,33 @@ def write_page(folder: Path, progress: Progress) -> Path:
         lstrip_blocks=True,
     )
     template = environment.get_template("report.html")
-    page = _gather(folder)
+    page = _gather(run)
     room = LARGEST - len(template.render(page=page).encode())
-    page["figures"] = list(_pictures(folder / "figures", room, lossless=True))
+    page["figures"] = list(_pictures(run.folder / "figures", room, lossless=True))
     room -= sum(len(picture.source) for picture in page["figures"])
-    page["renders"] = list(_pictures(folder / "renders", room, lossless=False))
-    path = folder / "report.html"
+    page["renders"] = list(_pictures(run.folder / "renders", room, lossless=False))
+    path = run.folder / "report.html"
     write_text(path, template.render(page=page) + "\n")
     progress.info(path.name)
     return path
 
 
-def _gather(folder: Path) -> dict[str, Any]:
-    """Gather what the template puts on the page, but for the pictures."""
-    cases = read_cases(folder)
-    scenario, manifest = _read_text(folder / "scenario.yaml"), _manifest(folder)
-    summary = read_table(folder / "summary.csv")
-    table = read_table(folder / "table.csv")
-    said = yaml.safe_load(scenario)
+def _gather(run: RunData) -> dict[str, Any]:
+    """Gather what the template shows, except for the pictures."""
+    scenario, manifest = _read_text(run.folder / "scenario.yaml"), _manifest(run.folder)
+    stated = yaml.safe_load(scenario)
     arch = manifest.get("backend", {}).get("arch", "cpu")
     return {
-        "name": said.get("name", folder.name),
-        "description": said.get("description", ""),
-        "what": _in_words(summary, manifest),
-        "warnings": warnings_of(summary, manifest),
-        "tables": result_tables(table, *_optional(folder, "paired.csv")),
-        "view": build_view(cases),
+        "name": stated.get("name", run.folder.name),
+        "description": stated.get("description", ""),
+        "what": _in_words(run, manifest),
+        "warnings": warnings_of(run.summary, manifest),
+        "tables": result_tables(run.table("table.csv"), run.table("paired.csv", optional=True)),
+        "view": build_view(run),
+        "colors": {"true": TRUE_BLUE, "estimate": ESTIMATE_ORANGE, "errors": ERROR_COLORS},
         "figures": [],
         "renders": [],
-        "cases": case_table(summary),
+        "cases": case_table(run.summary),
         "version": manifest.get("tiswarm", "of the same version"),
         "command": f"tiswarm run scenario.yaml --out again --arch {arch}",
         "machine": machine_table(manifest),
@@ -102,22 +115,67 @@ def _gather(folder: Path) -> dict[str, Any]:
     }
 
 
-def _in_words(summary: pd.DataFrame, manifest: dict[str, Any]) -> str:
-    """Say in a line what was computed, and in what time."""
-    counts = [counted(len(summary), "case")]
-    counts += [counted(summary[noun].nunique(), noun) for noun in ("seed", "condition")]
-    if "robots" in summary:
-        least, most = summary["robots"].min(), summary["robots"].max()
-        alike = counted(int(least), "robot")
-        counts += [alike if least == most else f"{least:g} to {most:g} robots"]
+def _in_words(run: RunData, manifest: dict[str, Any]) -> str:
+    """State in a line what was computed, and in what time."""
+    counts = [counted(len(run.summary), "case")]
+    counts += [counted(run.summary[noun].nunique(), noun) for noun in ("seed", "condition")]
+    if "robots" in run.summary:
+        least, most = run.summary["robots"].min(), run.summary["robots"].max()
+        equal = counted(int(least), "robot") if least == most else ""
+        counts += [equal or f"{least:g} to {most:g} robots"]
     spent = sum(stage["wall_s"] for stage in manifest.get("stages", {}).values())
     time = f", computed in {spent:.1f} s" if spent else ""
-    each = " each" if len(summary) > 1 else ""
+    each = " each" if len(run.summary) > 1 else ""
     return f"{', '.join(counts)}{each}{time}."
 
 
+def build_view(run: RunData) -> View | None:
+    """Take the first case of each series, within the limits; None if no case is done.
+
+    Raises:
+        InputError: a table of a case is missing or damaged.
+    """
+    if not run.series:
+        return None
+    first = [cases[0] for cases in run.series.values()]
+    view = read_case_view(first[0])
+    shown = [_data(view)]
+    for case in first[1:MOST_CASES]:
+        data = _data(read_case_view(case))
+        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
+            break
+        shown.append(data)
+    done, robots = sum(case.done for case in run.cases), len(view.pose)
+    notes = [f"The view contains {len(shown)} of {done} cases."] if len(shown) < done else []
+    if robots > MOST_ROBOTS:
+        notes.append(f"It contains the first {MOST_ROBOTS} of {robots} robots.")
+    return View(
+        data={"offsets": view.dock_offset_body.round(DIGITS).tolist(), "cases": shown},
+        note=" ".join(notes),
+    )
+
+
+def _data(view: CaseView) -> dict[str, Any]:
+    """List poses and errors of the robots that have an estimate, the first ones if too many."""
+    table = np.column_stack([view.error, view.pose, view.estimated_pose])
+    known = np.flatnonzero(np.isfinite(table).all(axis=1))[:MOST_ROBOTS]
+    error, true, turn, estimate, sensed = np.split(
+        table[known].round(DIGITS), [1, 4, 8, 11], axis=1
+    )
+    return {
+        "name": view.case.name,
+        "robot": view.robot[known].tolist(),
+        "error": error[:, 0].tolist(),
+        "worst": max(float(error.max(initial=0.0)), 1e-3),
+        "true": true.tolist(),
+        "turn": turn.tolist(),
+        "estimate": estimate.tolist(),
+        "sensed": sensed.tolist(),
+    }
+
+
 def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
-    """Embed the pictures of a folder, as far as there is room for them [bytes]."""
+    """Embed the pictures of a folder that fit into the room [bytes]; link the others."""
     for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
         with Image.open(path) as image:
             width, height = image.size
@@ -132,10 +190,10 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
         room -= len(source)
         fits = room > 0
         where = f"{folder.name}/{path.name}"
-        said = f"{path.stem.replace('-', ' ').capitalize()}: {where}"
+        caption = f"{path.stem.replace('-', ' ').capitalize()}: {where}"
         yield Shown(
             source=source if fits else where,
-            caption=said if fits else f"{said} (beside this page, for want of room in it)",
+            caption=caption if fits else f"{caption} (separate file: page size limit)",
             width=width,
             height=height,
             wide=round(width * (ON_PAGE[folder.name] if kind == "webp" else SMALL_ON_PAGE)),
@@ -151,7 +209,7 @@ def _read_text(path: Path) -> str:
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest; nothing where there is none."""
+    """Read the manifest; empty where there is none."""
     path = folder / "manifest.json"
     if not path.exists():
         return {}
@@ -161,10 +219,3 @@ def _manifest(folder: Path) -> dict[str, Any]:
         problem = f"is not JSON: {error}; run the scenario again to restore it"
         raise InputError(problem, path=path) from error
     return content
-
-
-def _optional(folder: Path, *names: str) -> list[pd.DataFrame]:
-    """Read tables that not every run has; empty where there is none."""
-    return [
-        read_table(folder / name) if (folder / name).exists() else pd.DataFrame() for name in names
-    ]

@@ -1,4 +1,4 @@
-"""Figures of tables: accuracy and profiles of a run, and runs side by side."""
+"""Draws the figures of tables: accuracy, profiles, scaling, and the comparison of runs."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from tiswarm.report.figure_style import (
     png,
     shortened,
 )
-from tiswarm.report.folder import has_table, read_table, swept_columns
+from tiswarm.report.run_data import RunData, read_table, swept_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,6 @@ MOST_COLUMNS = 4
 LEGEND_MARK, LEGEND_LETTER = 0.5, 0.055
 """Width of an entry's marker with the space around it, and of a letter [inch]."""
 
-PROFILES = "profiles.csv"
 PROFILED = {
     "join": "Join",
     "height_R": "True height [R]",
@@ -51,8 +50,19 @@ PROFILED = {
 MOST_POINTS = 4
 """Points of a sweep that have a figure of profiles each."""
 
+SCALING_PANELS = {
+    "rmse_R": "RMSE [R]",
+    "procrustes_disparity": "Procrustes disparity",
+    "grow_cpu_s": "Growth, processor time [s]",
+    "localize_cpu_s": "Localization, processor time [s]",
+    "localize_wall_s": "Localization, wall time [s]",
+    "localize_peak_memory_MB": "Localization, peak memory [MB]",
+}
+SCALING_COLUMNS = ["series", "measure", "robots", "mean", "exponent", "slope"]
+THOUSAND = 1000
 
-def draw_accuracy(folder: Path, note: str) -> "Figure":
+
+def draw_accuracy(run: RunData) -> "Figure":
     """Draw means over structures with 95 % confidence intervals, a row a condition.
 
     Points of the sweep share a row and differ in color and marker. Open markers are published
@@ -62,7 +72,7 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
         InputError: where the table is damaged.
     """
     published = [column for _, column in MEASURES.values()]
-    table = read_table(folder / "table.csv", ["condition", "cases", *published])
+    table = run.table("table.csv", ["condition", "cases", *published])
     told = [f"{name}=" + table[name].astype(str) for name in swept_columns(table)[1:]]
     points = pd.Series([shortened(", ".join(point)) for point in zip(*told, strict=True)])
     points = points if told else pd.Series("", table.index)
@@ -95,7 +105,7 @@ def draw_accuracy(folder: Path, note: str) -> "Figure":
         columns = max(1, min(MOST_COLUMNS, int(PAGE_WIDTH / width)))
         figure.legend(handles, labels, loc="outside upper right", ncols=columns)
     left = len(set(points)) - len(shown)
-    notes = [f"{left} more points are in table.csv" if left else "", note]
+    notes = [f"{left} more points are in table.csv" if left else "", run.note]
     add_note(figure, "; ".join(text for text in notes if text))
     return figure
 
@@ -106,7 +116,7 @@ def draw_comparison(folder: Path, progress: Progress) -> Path:
 
     path = folder / "comparison.png"
     with style.context(["default", STYLE]):
-        write_bytes(path, png(comparison_figure(pd.read_csv(folder / "comparison.csv"))))
+        write_bytes(path, png(comparison_figure(read_table(folder / "comparison.csv"))))
     progress.info(path.name)
     return path
 
@@ -149,7 +159,7 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
     panels[0].set_ylim(len(names) - 0.5, -0.5)
 
 
-def profile_painters(folder: Path, note: str) -> dict[str, Callable[[], "Figure"]]:
+def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     """By file name, what draws the profiles of a run: a figure for each of a few sweep points.
 
     Of many points, or of none, all conditions share a figure; without the table there is none.
@@ -157,22 +167,20 @@ def profile_painters(folder: Path, note: str) -> dict[str, Callable[[], "Figure"
     Raises:
         InputError: where the table is damaged.
     """
-    if not has_table(folder, PROFILES):
-        return {}
-    table = read_table(folder / PROFILES, ["by"])
+    table = run.table("profiles.csv", optional=True)
     if "rmse_R" not in table:  # no case was finished
         return {}
     swept = swept_columns(table, before="by")[1:]
     points = dict(list(table.groupby(swept, sort=False))) if swept else {}
     if not 1 < len(points) <= MOST_POINTS:
-        return {"profiles": partial(draw_profiles, table, note)}
+        return {"profiles": partial(draw_profiles, table=table)}
     return {
-        f"profiles-{_slug(point)}": partial(draw_profiles, part.drop(columns=swept), note)
+        f"profiles-{_slug(point)}": partial(draw_profiles, table=part.drop(columns=swept))
         for point, part in points.items()
     }
 
 
-def draw_profiles(table: pd.DataFrame, note: str) -> "Figure":
+def draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops apart."""
     swept = swept_columns(table, before="by")
     figure = new_figure(PAGE_WIDTH, 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10))
@@ -191,7 +199,7 @@ def draw_profiles(table: pd.DataFrame, note: str) -> "Figure":
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
-    add_note(figure, note)
+    add_note(figure, run.note)
     return figure
 
 
@@ -199,3 +207,56 @@ def _slug(point: object) -> str:
     """A file name for values of the sweep."""
     values = point if isinstance(point, tuple) else (point,)
     return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, values))).strip("-")
+
+
+def draw_scaling(run: RunData) -> "Figure":
+    """Draw means over structures against N on logarithmic axes; p is the exponent of N^p.
+
+    That of all sizes is followed by that of the two largest.
+
+    Raises:
+        InputError: where the table is damaged.
+    """
+    table = run.table("scaling.csv", SCALING_COLUMNS)
+    figure = new_figure(PAGE_WIDTH, 4.4)
+    names = list(dict.fromkeys(table["series"]))
+    for axes, (measure, label) in zip(
+        figure.subplots(2, 3).flat, SCALING_PANELS.items(), strict=True
+    ):
+        rows = table[table["measure"] == measure]
+        for place, name in enumerate(names):
+            part = rows[(rows["series"] == name) & (rows["mean"] > 0.0)]
+            axes.plot(
+                part["robots"],
+                part["mean"],
+                f"{MARKERS[place % len(MARKERS)]}-",
+                color=PALETTE[place % len(PALETTE)],
+                markersize=3.0,
+                label=name + _powers(part),
+            )
+        axes.set(xscale="log", xlabel="Robots N", ylabel=label)
+        sizes = sorted(set(table["robots"]))
+        axes.set_xticks(sizes, [f"{n:g}" if n < THOUSAND else f"{n / THOUSAND:g}k" for n in sizes])
+        axes.minorticks_off()
+        if not measure.endswith("_MB"):
+            _show_decades(axes, rows["mean"])
+        if len(rows):
+            axes.legend(fontsize=5.5, loc="upper left")
+    add_note(figure, run.note)
+    return figure
+
+
+def _powers(part: "pd.DataFrame") -> str:
+    """Exponents of a series as a label says them."""
+    if part.empty or pd.isna(part["exponent"].iloc[0]):
+        return ""
+    return f": p = {part['exponent'].iloc[0]:.2f}, {part['slope'].iloc[-1]:.2f} at the end"
+
+
+def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
+    """Make the y axis logarithmic, from one power of ten to another, with room for a legend."""
+    positive = means[means > 0.0]
+    if len(positive):
+        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+        above = max(1.0, np.ceil((high - low) / 3.5))
+        axes.set(yscale="log", ylim=(10.0**low, 10.0 ** (high + above)))

@@ -14,7 +14,6 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.figure_style import JOIN_COLORS
-from tiswarm.report.folder import choose_case, read_cases, subfolder
 from tiswarm.report.render.pictures import (
     TRUE_SIZE,
     CaseView,
@@ -25,6 +24,7 @@ from tiswarm.report.render.pictures import (
 )
 from tiswarm.report.render.raycast import draw_scenes
 from tiswarm.report.render.scene import Robots, Scene, build_scene
+from tiswarm.report.run_data import RunData
 
 Movie = Literal["gif", "mp4"]
 
@@ -43,7 +43,7 @@ COLORS = 192
 
 
 def animate_run(
-    folder: Path,
+    run: RunData,
     form: Movie,
     *,
     progress: Progress,
@@ -55,7 +55,7 @@ def animate_run(
     Every frame has the camera and the ground of the whole structure.
 
     Args:
-        folder: Folder of the run.
+        run: The run.
         form: File format.
         progress: Receives progress.
         renderer: Name of the renderer; the best that works if None.
@@ -65,7 +65,7 @@ def animate_run(
         InputError: the renderer or the case is unknown, or the run is damaged.
         EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
     """
-    view = read_case_view(choose_case(read_cases(folder), case, folder))
+    view = read_case_view(run.choose(case))
     joined = _joins(len(view.pose))
     pictures, used, reason = draw_scenes(_scenes(view, joined), renderer)
     frames = [
@@ -73,7 +73,7 @@ def animate_run(
         for picture, count in zip(pictures, joined, strict=True)
     ]
     suffix = "" if case is None else f"-{case}"
-    path = subfolder(folder, "renders") / f"growth{suffix}.{form}"
+    path = run.subfolder("renders") / f"growth{suffix}.{form}"
     write_bytes(path, _gif(frames) if form == "gif" else _mp4(frames))
     because = f" ({reason})" if reason else ""
     progress.info(f"renders/{path.name}: {len(frames)} frames, drawn by {used}{because}")

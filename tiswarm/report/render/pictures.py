@@ -25,9 +25,9 @@ from tiswarm.report.figure_style import (
     colors_along,
     rgb,
 )
-from tiswarm.report.folder import Case, choose_case, read_cases, read_columns, subfolder
 from tiswarm.report.render.raycast import draw_scenes
 from tiswarm.report.render.scene import Array, Look, Robots, Rods, Scene, build_scene
+from tiswarm.report.run_data import Case, RunData
 
 POSITION = ["x_R", "y_R", "z_R"]
 POSE = [*POSITION, "qw", "qx", "qy", "qz"]
@@ -153,7 +153,7 @@ def read_case_view(case: Case) -> CaseView:
     Raises:
         InputError: a file of the case is missing or damaged.
     """
-    table = read_columns(case.folder / "robots.csv", [*POSE, *ESTIMATED_POSE, *RELATED])
+    table = case.columns("robots.csv", [*POSE, *ESTIMATED_POSE, *RELATED])
     return CaseView(
         case=case,
         pose=table[:, :7],
@@ -244,12 +244,12 @@ class Rendered:
 
 
 def render_run(
-    folder: Path, *, progress: Progress, renderer: str | None = None, case: str | None = None
+    run: RunData, *, progress: Progress, renderer: str | None = None, case: str | None = None
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
     Args:
-        folder: Folder of the run.
+        run: The run.
         progress: Receives progress.
         renderer: Name of the renderer; the best that works if None.
         case: Name of the case, which file names then contain; the first of the largest if None.
@@ -258,11 +258,11 @@ def render_run(
         InputError: the renderer or the case is unknown, or the run is damaged.
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
-    planned = build_pictures(choose_case(read_cases(folder), case, folder))
+    planned = build_pictures(run.choose(case))
     suffix = "" if case is None else f"-{case}"
     pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
     progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
-    place = subfolder(folder, "renders")
+    place = run.subfolder("renders")
     drawn = []
     for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()

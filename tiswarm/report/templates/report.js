@@ -7,7 +7,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows[0].cells];
   const key = (row, column) => {
     const cell = row.cells[column];
-    return cell.dataset.value === undefined ? cell.textContent : Number(cell.dataset.value);
+    return cell.className === "text" || !cell.textContent ? cell.textContent : Number(cell.textContent);
   };
   const compare = (a, b) => {
     if (typeof a === typeof b) return a < b ? -1 : a > b ? 1 : 0;
@@ -35,8 +35,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
 
 // --- truth and estimate in space ---
 
-const ERROR_COLORS = [[0, [252, 240, 195]], [0.35, [249, 182, 76]], [0.7, [228, 87, 46]], [1, [140, 13, 47]]];
-const TRUE_COLOR = [106, 169, 216], ESTIMATE_ARM = [176, 128, 48];
+const BLACK = [0, 0, 0], WHITE = [255, 255, 255];
 const SOLID = 3000; // robots that are drawn with docks and arms at all
 const SHADES = 48; // colors of errors
 const NEARBY = 12; // a robot is pointed at from so far [pixels]
@@ -46,19 +45,27 @@ const START = { turn: -1.0, tilt: 0.22, zoom: 1 };
 const rgb = (color) => `rgb(${color.map(Math.round).join(" ")})`;
 const mixed = (a, b, share) => a.map((value, k) => value + share * (b[k] - value));
 
+// The colors of a CSS variable such as --errors: #fcf0c3, #8c0d2f.
+function colorsOf(variable) {
+  const text = getComputedStyle(document.documentElement).getPropertyValue(variable);
+  return text.split(",").map((color) => [1, 3, 5].map((k) => parseInt(color.trim().slice(k, k + 2), 16)));
+}
+
+const ERROR_COLORS = colorsOf("--errors"), [TRUE_COLOR] = colorsOf("--true");
+const ESTIMATE_ARM = mixed(colorsOf("--estimate")[0], BLACK, 0.3);
+
 function errorColor(share) {
-  const n = Math.max(1, ERROR_COLORS.findIndex(([end]) => share <= end));
-  const [[low, a], [high, b]] = ERROR_COLORS.slice(n - 1, n + 1);
-  return mixed(a, b, (share - low) / (high - low));
+  const place = share * (ERROR_COLORS.length - 1), n = Math.min(Math.floor(place), ERROR_COLORS.length - 2);
+  return mixed(ERROR_COLORS[n], ERROR_COLORS[n + 1], place - n);
 }
 
 // A picture of a ball that light falls on from the upper left.
 function ball(color) {
   const picture = new OffscreenCanvas(64, 64), pen = picture.getContext("2d");
   const light = pen.createRadialGradient(23, 20, 2, 32, 32, 32);
-  light.addColorStop(0, rgb(mixed(color, [255, 255, 255], 0.5)));
+  light.addColorStop(0, rgb(mixed(color, WHITE, 0.5)));
   light.addColorStop(0.5, rgb(color));
-  light.addColorStop(1, rgb(mixed(color, [0, 0, 0], 0.45)));
+  light.addColorStop(1, rgb(mixed(color, BLACK, 0.45)));
   pen.fillStyle = light;
   pen.arc(32, 32, 31, 0, 7);
   pen.fill();
@@ -147,7 +154,7 @@ function drawBox(pen, box, { eye, place }) {
 function drawScale(pen, worst, width) {
   const [left, top, wide, tall] = [width - 62, 44, 14, 220];
   const colors = pen.createLinearGradient(0, top + tall, 0, top);
-  ERROR_COLORS.forEach(([share, color]) => colors.addColorStop(share, rgb(color)));
+  ERROR_COLORS.forEach((color, n) => colors.addColorStop(n / (ERROR_COLORS.length - 1), rgb(color)));
   pen.fillStyle = colors;
   pen.fillRect(left, top, wide, tall);
   pen.fillStyle = "#1c2430";
@@ -199,7 +206,7 @@ function showSpace(view) {
   const data = JSON.parse(document.getElementById("data").textContent);
   const [picker, slider, joined] = ["case", "joins", "joined"].map((id) => document.getElementById(id));
   const boxes = ["truth", "estimate", "error"].map((id) => [id, document.getElementById(`show-${id}`)]);
-  const told = document.getElementById("told"), pen = view.getContext("2d");
+  const pointed = document.getElementById("pointed"), pen = view.getContext("2d");
   const shades = Array.from({ length: SHADES }, (_, n) => ball(errorColor(n / (SHADES - 1))));
   const balls = { truth: ball(TRUE_COLOR), errors: shades };
   let look = { ...START }, shown, box, place, due = 0;
@@ -230,17 +237,17 @@ function showSpace(view) {
     draw();
   };
   // The robot whose true or estimated center is nearest to the pointer.
-  const tell = ({ offsetX, offsetY }) => {
+  const point = ({ offsetX, offsetY }) => {
     let found = -1, nearest = NEARBY;
     for (let n = 0; n < slider.value; n++) for (const poses of [shown.true, shown.estimate]) {
       const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
       if (distance < nearest) [found, nearest] = [n, distance];
     }
-    told.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join ${found}: error ${shown.error[found]} R.`;
+    pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: error ${shown.error[found]} R.`;
   };
   view.addEventListener("pointerdown", (event) => view.setPointerCapture(event.pointerId));
   view.addEventListener("pointermove", (event) => {
-    if (!event.buttons) { tell(event); return; }
+    if (!event.buttons) { point(event); return; }
     look.turn -= 0.008 * event.movementX;
     look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt + 0.008 * event.movementY));
     soon();

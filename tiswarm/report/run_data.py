@@ -1,0 +1,177 @@
+"""Reads a run folder once: its cases and its tables."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tiswarm.errors import EnvironmentTroubleError, InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One row of `summary.csv`."""
+
+    name: str
+    """Name of its folder."""
+
+    folder: Path
+    done: bool
+    condition: str
+    series: str
+    """Point of the sweep and condition, which cases of other seeds share."""
+
+    point: str
+    """Values of the sweep, which cases of other seeds and conditions share; may be empty."""
+
+    kind: str
+    """Kind of its structure."""
+
+    robots: int
+    """Robots of its structure; 0 where unknown."""
+
+    def columns(self, file: str, names: Sequence[str]) -> NDArray[np.float64]:
+        """Read columns of numbers of a file of the case, shape (rows, names).
+
+        Raises:
+            InputError: the table or a column is missing or damaged.
+        """
+        return read_table(self.folder / file, numbers=names)[list(names)].to_numpy()
+
+
+Series = dict[str, list[Case]]
+"""Cases that are done, by the name of their series."""
+
+
+@dataclass(frozen=True)
+class RunData:
+    """The folder of a run, and its summary."""
+
+    folder: Path
+    summary: pd.DataFrame
+    """All cases, `summary.csv`."""
+
+    @cached_property
+    def cases(self) -> list[Case]:
+        """All cases, in the order of the summary."""
+        words = ["condition", "series", "point", "kind"]
+        table = self.summary.reindex(columns=["case", "status", "robots", *words])
+        table = table.fillna({"robots": 0} | dict.fromkeys(words, ""))
+        return [
+            Case(
+                name=str(row["case"]),
+                folder=self.folder / "cases" / str(row["case"]),
+                done=row["status"] == "done",
+                robots=int(row["robots"]),
+                **{word: str(row[word]) for word in words},
+            )
+            for row in table.to_dict("records")
+        ]
+
+    @cached_property
+    def series(self) -> Series:
+        """The cases that are done, by series."""
+        series: Series = {}
+        for case in self.cases:
+            if case.done:
+                series.setdefault(case.series, []).append(case)
+        return series
+
+    @property
+    def note(self) -> str:
+        """How many cases failed; empty if none did."""
+        failed = sum(not case.done for case in self.cases)
+        return f"{failed} of {len(self.cases)} cases failed and are left out" if failed else ""
+
+    def choose(self, name: str | None) -> Case:
+        """Find a case that is done by its name; the first of those with most robots if None.
+
+        Raises:
+            InputError: there is no such case.
+        """
+        done = [case for case in self.cases if case.done]
+        found = done if name is None else [case for case in done if case.name == name]
+        if found:
+            return max(found, key=lambda case: case.robots)
+        if not done:
+            problem = "no case of this run is done; there is nothing to draw"
+            raise InputError(problem, path=self.folder)
+        some = ", ".join(case.name for case in done[:9])
+        problem = f"no case {name!r} is done; choose one of {some}"
+        raise InputError(problem, path=self.folder, key="--case")
+
+    def table(
+        self, name: str, columns: Sequence[str] = (), *, optional: bool = False
+    ) -> pd.DataFrame:
+        """Read a table of the run.
+
+        Args:
+            name: Name of the file.
+            columns: Columns that it must have.
+            optional: Whether a missing table is empty instead of an error.
+
+        Raises:
+            InputError: the table or a column is missing or damaged.
+        """
+        path = self.folder / name
+        if optional and not path.exists():
+            return pd.DataFrame()
+        return read_table(path, columns)
+
+    def subfolder(self, name: str) -> Path:
+        """Make a folder within the run's folder, unless it exists.
+
+        Raises:
+            EnvironmentTroubleError: the run's folder is not writable.
+        """
+        place = self.folder / name
+        try:
+            place.mkdir(exist_ok=True)
+        except OSError as error:
+            problem = f"{place}: cannot be made: {error.strerror}; check the rights of its folder"
+            raise EnvironmentTroubleError(problem) from error
+        return place
+
+
+def load_run(folder: Path) -> RunData:
+    """Read the summary of a run.
+
+    Raises:
+        InputError: the folder is not one of a run.
+    """
+    try:
+        return RunData(folder, read_table(folder / "summary.csv", ["case", "status"]))
+    except InputError as error:
+        problem = "contains no summary of a run; name a folder that `tiswarm run` made"
+        raise InputError(problem, path=folder) from error
+
+
+def read_table(
+    path: Path, columns: Sequence[str] = (), numbers: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Read a table.
+
+    Args:
+        path: The file.
+        columns: Columns that it must have.
+        numbers: Columns of numbers that it must have; empty cells become NaN.
+
+    Raises:
+        InputError: the table or a column is missing or damaged.
+    """
+    try:
+        table = pd.read_csv(path).astype(dict.fromkeys(numbers, float))
+        table[list(columns)]
+    except (OSError, ValueError, KeyError) as error:
+        problem = f"cannot be read: {error}; run the scenario again to restore it"
+        raise InputError(problem, path=path) from error
+    return table
+
+
+def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:
+    """List the columns that identify a row: the condition and the swept keys."""
+    return list(table.columns[: table.columns.get_loc(before)])
