@@ -14,7 +14,8 @@ from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force import check_placed, directions, gains
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_file import SensingLogBuilder, parse_header, parse_robot
+from tiswarm.records.sensing_file import SensingLogBuilder
+from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
 Line = str | Mapping[str, object]

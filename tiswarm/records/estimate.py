@@ -1,4 +1,4 @@
-"""What a localizer returns."""
+"""The estimate that a localizer returns, with its convergence and observability."""
 
 from dataclasses import dataclass
 
@@ -7,44 +7,45 @@ from numpy.typing import NDArray
 
 HALF_WITHIN = 0.85
 MOST_WITHIN = 1.6
-"""Standard deviations within which half and nine tenths of the robots should be; fitted on training
-structures, for distances are not normal: robots of an arm share their error."""
+"""Distances from the estimate, in standard deviations, that should contain 50 % and 90 % of the
+robots. They are fitted on training structures: robots of an arm share their error, so distances
+are not normally distributed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """One of several ways to satisfy what was sensed, about as good as the others."""
+    """One of several distinct configurations that fit the measurements about equally well."""
 
     chains: int
-    """How many of the method's chains ended there."""
+    """Number of chains that ended in this configuration."""
 
     residual: float
-    """Least residual of these, in the log's unit."""
+    """Smallest residual of these chains [log unit]."""
 
     residual_sd: float
-    """The same in standard deviations."""
+    """Smallest residual of these chains, in standard deviations."""
 
     position: NDArray[np.float64]
-    """Centers in the chain that has it, in the log's unit, shape (N, 3)."""
+    """Centers in the chain with the smallest residual [log unit], shape (N, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Whether a method that anneals several chains found an estimate that fits what was sensed."""
+    """Convergence of a method that anneals several chains."""
 
     converged: bool
-    """Whether the best chain misses its measurements by no more than chance allows."""
+    """Whether the misfit of the best chain is within what noise explains."""
 
     misfit_sd: float
-    """How far the chi-square of the best chain's measurements exceeds their count, in standard
-    deviations of a chi-square; contacts judged wrong do not count."""
+    """Excess of the best chain's chi-square over its number of measurements, in standard deviations
+    of a chi-square; outliers are left out."""
 
     chains: int
-    """Chains that the estimate is made of."""
+    """Number of chains that enter the estimate."""
 
     restarted: int
-    """Annealings that were repeated with smaller steps, because a robot was farther away than its
-    contacts reach or the chain's temperature ran away."""
+    """Number of annealings that were repeated with smaller steps, because a robot was beyond the
+    reach of its contacts or the chain's temperature diverged."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,55 +87,55 @@ class Observability:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Estimated positions of N robots, in join order, and how they were reached."""
+    """Estimated positions of N robots in join order, with the trace of the iterations."""
 
     robot_id: NDArray[np.int64]
     """Name of each robot, shape (N,)."""
 
     position: NDArray[np.float64]
-    """Estimated centers, in the log's unit, shape (N, 3)."""
+    """Estimated centers [log unit], shape (N, 3)."""
 
     located: NDArray[np.bool_]
     """Whether a chain of contacts ties the robot to the anchor, shape (N,)."""
 
     sd: NDArray[np.float64] | None = None
-    """Standard deviation of each position where the method knows it, shape (N,); half of the robots
-    should be within `HALF_WITHIN` of it, nine of ten within `MOST_WITHIN`."""
+    """Standard deviation of each position [log unit], shape (N,); None where the method has none.
+
+    Half of the robots should be within `HALF_WITHIN` sd, nine of ten within `MOST_WITHIN` sd."""
 
     yaw: NDArray[np.float64] | None = None
-    """Turn about the vertical to be added to each sensed orientation [rad], shape (N,); None where
-    the method takes them as they are."""
+    """Correction of each robot's sensed yaw [rad], shape (N,); None where the method solves for
+    none."""
 
     convergence: Convergence | None = None
-    """Whether the estimate fits what was sensed; None where the method does not judge it."""
+    """Convergence; None where the method does not assess it."""
 
     doubted: NDArray[np.int64] | None = None
     """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method
     does not judge them, or did not converge."""
 
     solutions: tuple[Solution, ...] = ()
-    """Distinct solutions that the method found, of less residual before those of more; `position`
-    is the mean over all of their chains, or follows from it. Empty where the method looks for one
-    only."""
+    """Distinct configurations that the method found, by ascending residual. `position` follows from
+    the mean over all their chains. Empty where the method looks for one only."""
 
     observability: Observability | None = None
-    """What the cues in use cannot tell; filled in after the method has run."""
+    """What the cues in use determine; filled in after the method has run."""
 
     iteration: NDArray[np.int64]
-    """Iterations at which the trace was recorded, ascending, shape (K,)."""
+    """Iterations of the trace, ascending, shape (K,)."""
 
     trace: NDArray[np.float64]
-    """Estimated centers at those iterations, shape (K, N, 3)."""
+    """Estimated centers at each iteration of the trace [log unit], shape (K, N, 3)."""
 
     residual_sd: float | None = None
-    """Residual of the estimate in standard deviations, root mean square over the contacts; None
-    where the method has none."""
+    """RMS residual of the estimate's contacts in standard deviations; None where the method has
+    none."""
 
     residual: NDArray[np.float64]
-    """What the method drives to zero, at those iterations, shape (K,).
+    """Quantity that the method minimizes, at each iteration of the trace, shape (K,).
 
-    For virtual-force: root mean square step of the robots [log unit per iteration]. For joint and
-    least-squares: root mean square by which docks in contact are not D apart [log unit].
+    For virtual-force: RMS step of the robots [log unit per iteration]. For joint and least-squares:
+    RMS deviation from D of the distance between docks in contact [log unit].
     """
 
     @property

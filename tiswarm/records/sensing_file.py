@@ -1,36 +1,36 @@
 """The interchange file `sensing.jsonl`: from a log to a file and back.
 
-A header comes first, then one robot a line, the anchor first; each line is a JSON object, and an
-optional key may be left out or null. Numbers are written in the shortest form that reads back as
-the same float64, so a log comes back bit for bit, and a file that we wrote, read and write again
-keeps its bytes. Reader and writer need memory for the log and one line.
-
-A new optional key takes three declarations: its type in `RobotLine` or `StanceEntry`, its array in
-`SensingLog` or `Stances`, and its entry in `ROBOT_NUMBERS` or `STANCE_LISTS`.
+Numbers are written in the shortest form that reads back as the same float64, so a log comes back
+bit for bit, and a file that we wrote, read and write again keeps its bytes. Reader and writer need
+memory for the log and one line.
 """
 
 import json
 import math
 from array import array
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, ValidationError
 
 from tiswarm.errors import InputError
-from tiswarm.params import STRICT
 from tiswarm.records.io import at_line, numbered_lines, replacing
-from tiswarm.records.messages import dotted, explain, shown
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
-
-FORMAT = "tiswarm-sensing"
-VERSION = 1
+from tiswarm.records.sensing_format import (
+    FORMAT,
+    ROBOT_NUMBERS,
+    STANCE_LISTS,
+    VERSION,
+    HeaderLine,
+    RobotLine,
+    StanceEntry,
+    parse_header,
+    parse_robot,
+)
+from tiswarm.records.sensing_log import SensingLog, Stances, canonical_contacts
 
 FAR_FROM_UNIT = 1e-3
 """Deviation of a quaternion's length from 1 above which the quaternion is refused."""
@@ -38,68 +38,6 @@ FAR_FROM_UNIT = 1e-3
 CLOSE_TO_UNIT = 1e-9
 """Deviation below which a quaternion is not scaled to 1, so that our own quaternions keep their
 bits."""
-
-RobotName = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
-Contacts = Annotated[list[Contact], Field(fail_fast=True)]
-Docks = Annotated[list[int], Field(fail_fast=True)]
-
-
-class HeaderLine(BaseModel):
-    """Values that hold for all robots; keys in the order in which they are written."""
-
-    model_config = STRICT
-
-    format: Literal["tiswarm-sensing"]
-    version: Literal[1]
-    dock_radius: Annotated[float, Field(gt=0.0)]
-    dock_offsets: Annotated[list[Vector], Field(min_length=1, fail_fast=True)]
-    anchor_position: Vector
-    ground_z: float | None
-    length_unit: Annotated[str, Field(min_length=1)]
-    noise: SensingNoise | None = None
-
-
-class StanceEntry(BaseModel):
-    """One stance before the final one."""
-
-    model_config = STRICT
-
-    orientation_wxyz: Quaternion
-    pivot_dock: int
-    contacts: Contacts = []
-    ground_docks: Docks | None = None
-
-
-class RobotLine(BaseModel):
-    """One robot: its final stance, and the stances before."""
-
-    model_config = STRICT
-
-    robot: RobotName
-    orientation_wxyz: Quaternion
-    contacts: Contacts
-    ground_docks: Docks | None = None
-    flip_height: float | None = None
-    spawn_position: Vector | None = None
-    stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
-
-
-STANCE_LISTS: dict[str, tuple[Literal["dock", "robot"], ...]] = {
-    "contacts": ("dock", "robot", "dock"),
-    "ground_docks": ("dock",),
-}
-"""Lists of every stance, in the order in which they are written, and the numbers in an item.
-
-The log has an array for each list: a row for each item, after a column that names the stance."""
-
-ROBOT_NUMBERS: dict[str, float | list[float]] = {
-    "flip_height": math.nan,
-    "spawn_position": [math.nan] * 3,
-}
-"""Optional numbers of a robot, with the value that stands in the log where a line has none."""
 
 
 class SensedStance(NamedTuple):
@@ -111,10 +49,20 @@ class SensedStance(NamedTuple):
 
 
 def read_sensing_log(path: Path) -> SensingLog:
-    """Read a sensing file.
+    r"""Read a sensing file.
 
     Raises:
         InputError: the file cannot be read or a line is malformed; names file, line and key.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> header = {"format": FORMAT, "version": 1, "dock_radius": 1.0, "dock_offsets": [[1.5, 0, 0]]}
+    >>> header |= {"anchor_position": [0, 0, 1], "ground_z": None, "length_unit": "R"}
+    >>> anchor = {"robot": 7, "orientation_wxyz": [1, 0, 0, 0], "contacts": []}
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "sensing.jsonl"
+    ...     _ = path.write_text(f"{json.dumps(header)}\n{json.dumps(anchor)}")
+    ...     read_sensing_log(path).robot_id
+    array([7])
     """
     lines = numbered_lines(path)
     number, text = next(lines, (0, ""))
@@ -132,36 +80,33 @@ def read_sensing_log(path: Path) -> SensingLog:
     return builder.log()
 
 
-def parse_header(text: str) -> HeaderLine:
-    """Read the first line.
+def write_sensing_log(log: SensingLog, path: Path) -> None:
+    """Write a sensing file.
 
     Raises:
-        InputError: with the key at fault, but without file and line.
+        ValueError: a number that must be known is not finite.
+        EnvironmentTroubleError: the file cannot be written.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> log = SensingLog(
+    ...     robot_id=np.array([7]),
+    ...     dock_radius=1.0,
+    ...     dock_offset_body=np.eye(3),
+    ...     anchor_position=np.zeros(3),
+    ...     orientation_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]]),
+    ...     contacts=np.empty((0, 4), np.int32),
+    ...     ground_docks=np.empty((0, 2), np.int32),
+    ...     flip_height=np.array([5.31]),
+    ...     spawn_position=np.full((1, 3), np.nan),
+    ... )
+    >>> with TemporaryDirectory() as folder:
+    ...     write_sensing_log(log, Path(folder) / "sensing.jsonl")
+    ...     print((Path(folder) / "sensing.jsonl").read_text().splitlines()[1])
+    {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": [], "flip_height": 5.31}
     """
-    entries = _parse_json(text)
-    if entries.get("format") != FORMAT:
-        problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
-        raise InputError(problem, key="format")
-    version = entries.get("version")
-    if type(version) is not int or version != VERSION:
-        problem = f"{shown(version)} is not supported; this program reads version {VERSION}"
-        raise InputError(problem, key="version")
-    try:
-        return HeaderLine.model_validate_json(text)  # Python values would be no SensingNoise
-    except ValidationError as found:
-        raise _first_mistake(found, HeaderLine) from found
-
-
-def parse_robot(text: str) -> RobotLine:
-    """Read any line but the first.
-
-    Raises:
-        InputError: with the key at fault, but without file and line.
-    """
-    try:
-        return RobotLine.model_validate(_parse_json(text))
-    except ValidationError as found:
-        raise _first_mistake(found, RobotLine) from found
+    with replacing(path) as file:
+        for entries in chain([_header_entries(log)], _robot_entries(log)):
+            file.write(f"{json.dumps(entries, allow_nan=False)}\n".encode())
 
 
 class SensingLogBuilder:
@@ -311,59 +256,6 @@ def _refuse_repeated(items: Sequence[tuple[int, ...]], key: str) -> None:
         if first.setdefault(item, place) != place:
             problem = f"says the same as {key}[{first[item]}]; list it once"
             raise InputError(problem, key=f"{key}[{place}]")
-
-
-def _first_mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
-    error = found.errors(include_url=False)[0]
-    path = error["loc"]
-    nested = {
-        "stances": StanceEntry.model_fields,
-        "noise": [field.name for field in fields(SensingNoise)],
-    }
-    allowed = nested.get(str(path[0]), model.model_fields) if len(path) > 1 else model.model_fields
-    return InputError(explain(error, allowed), key=dotted(path))
-
-
-def _parse_json(text: str) -> dict[str, object]:
-    if not text.strip():
-        problem = "the line is empty; delete it"
-        raise InputError(problem)
-    try:
-        entries = _DECODER.decode(text)
-    except json.JSONDecodeError as error:
-        problem = f"not JSON at column {error.colno}: {error.msg}; write one JSON object a line"
-        raise InputError(problem) from error
-    except (ValueError, RecursionError) as error:
-        problem = "nested too deep, or a number of thousands of digits; write one robot a line"
-        raise InputError(problem) from error
-    if not isinstance(entries, dict):
-        problem = f"{shown(entries)} is not a JSON object; write the line as {{...}}"
-        raise InputError(problem)
-    return entries
-
-
-def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    entries = dict(pairs)
-    if len(entries) < len(pairs):
-        repeated = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        problem = "the key stands twice in one object; keep one of the two"
-        raise InputError(problem, key=dotted([repeated]))
-    return entries
-
-
-_DECODER = json.JSONDecoder(object_pairs_hook=_without_duplicates)
-
-
-def write_sensing_log(log: SensingLog, path: Path) -> None:
-    """Write a sensing file.
-
-    Raises:
-        ValueError: a number that must be known is not finite.
-        EnvironmentTroubleError: the file cannot be written.
-    """
-    with replacing(path) as file:
-        for entries in chain([_header_entries(log)], _robot_entries(log)):
-            file.write(f"{json.dumps(entries, allow_nan=False)}\n".encode())
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:

@@ -14,7 +14,8 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
 from tiswarm.records.io import at_line, numbered_lines, write_bytes
-from tiswarm.records.sensing_file import HeaderLine, parse_header, read_sensing_log
+from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_format import HeaderLine, parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import (
     ERROR_COLORS,

@@ -1,0 +1,158 @@
+"""The keys of the interchange file `sensing.jsonl`, and checks of one line at a time.
+
+A header comes first, then one robot a line, the anchor first. Each line is a JSON object, and an
+optional key may be left out or null. A new optional key takes three declarations: its type in
+`RobotLine` or `StanceEntry`, its entry in `ROBOT_NUMBERS` or `STANCE_LISTS`, and its array in
+`SensingLog` or `Stances`. Reader and writer loop over the entries.
+"""
+
+import json
+import math
+from collections import Counter
+from dataclasses import fields
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field, ValidationError
+
+from tiswarm.errors import InputError
+from tiswarm.params import STRICT
+from tiswarm.records.messages import dotted, explain, shown
+from tiswarm.records.sensing_log import SensingNoise
+
+FORMAT = "tiswarm-sensing"
+VERSION = 1
+
+RobotName = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
+Contacts = Annotated[list[Contact], Field(fail_fast=True)]
+Docks = Annotated[list[int], Field(fail_fast=True)]
+
+
+class HeaderLine(BaseModel):
+    """Values that hold for all robots; keys in the order in which they are written."""
+
+    model_config = STRICT
+
+    format: Literal["tiswarm-sensing"]
+    version: Literal[1]
+    dock_radius: Annotated[float, Field(gt=0.0)]
+    dock_offsets: Annotated[list[Vector], Field(min_length=1, fail_fast=True)]
+    anchor_position: Vector
+    ground_z: float | None
+    length_unit: Annotated[str, Field(min_length=1)]
+    noise: SensingNoise | None = None
+
+
+class StanceEntry(BaseModel):
+    """One stance before the final one."""
+
+    model_config = STRICT
+
+    orientation_wxyz: Quaternion
+    pivot_dock: int
+    contacts: Contacts = []
+    ground_docks: Docks | None = None
+
+
+class RobotLine(BaseModel):
+    """One robot: its final stance, and the stances before."""
+
+    model_config = STRICT
+
+    robot: RobotName
+    orientation_wxyz: Quaternion
+    contacts: Contacts
+    ground_docks: Docks | None = None
+    flip_height: float | None = None
+    spawn_position: Vector | None = None
+    stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
+
+
+STANCE_LISTS: dict[str, tuple[Literal["dock", "robot"], ...]] = {
+    "contacts": ("dock", "robot", "dock"),
+    "ground_docks": ("dock",),
+}
+"""Lists of every stance, in the order in which they are written, and the numbers in an item.
+
+The log has an array for each list: a row for each item, after a column that names the stance."""
+
+ROBOT_NUMBERS: dict[str, float | list[float]] = {
+    "flip_height": math.nan,
+    "spawn_position": [math.nan] * 3,
+}
+"""Optional numbers of a robot, with the value that stands in the log where a line has none."""
+
+
+def parse_header(text: str) -> HeaderLine:
+    """Read the first line.
+
+    Raises:
+        InputError: with the key at fault, but without file and line.
+    """
+    entries = _parse_json(text)
+    if entries.get("format") != FORMAT:
+        problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
+        raise InputError(problem, key="format")
+    version = entries.get("version")
+    if type(version) is not int or version != VERSION:
+        problem = f"{shown(version)} is not supported; this program reads version {VERSION}"
+        raise InputError(problem, key="version")
+    try:
+        return HeaderLine.model_validate_json(text)  # Python values would be no SensingNoise
+    except ValidationError as found:
+        raise _first_mistake(found, HeaderLine) from found
+
+
+def parse_robot(text: str) -> RobotLine:
+    """Read any line but the first.
+
+    Raises:
+        InputError: with the key at fault, but without file and line.
+    """
+    try:
+        return RobotLine.model_validate(_parse_json(text))
+    except ValidationError as found:
+        raise _first_mistake(found, RobotLine) from found
+
+
+def _first_mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
+    error = found.errors(include_url=False)[0]
+    path = error["loc"]
+    nested = {
+        "stances": StanceEntry.model_fields,
+        "noise": [field.name for field in fields(SensingNoise)],
+    }
+    allowed = nested.get(str(path[0]), model.model_fields) if len(path) > 1 else model.model_fields
+    return InputError(explain(error, allowed), key=dotted(path))
+
+
+def _parse_json(text: str) -> dict[str, object]:
+    if not text.strip():
+        problem = "the line is empty; delete it"
+        raise InputError(problem)
+    try:
+        entries = _DECODER.decode(text)
+    except json.JSONDecodeError as error:
+        problem = f"not JSON at column {error.colno}: {error.msg}; write one JSON object a line"
+        raise InputError(problem) from error
+    except (ValueError, RecursionError) as error:
+        problem = "nested too deep, or a number of thousands of digits; write one robot a line"
+        raise InputError(problem) from error
+    if not isinstance(entries, dict):
+        problem = f"{shown(entries)} is not a JSON object; write the line as {{...}}"
+        raise InputError(problem)
+    return entries
+
+
+def _without_duplicates(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        repeated = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        problem = "the key stands twice in one object; keep one of the two"
+        raise InputError(problem, key=dotted([repeated]))
+    return entries
+
+
+_DECODER = json.JSONDecoder(object_pairs_hook=_without_duplicates)
