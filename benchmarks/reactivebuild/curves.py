@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tiswarm.evaluation.statistics import power_law_exponent
+from tiswarm.evaluation.metrics import power_law_exponent
 
 Array = NDArray[np.float64]
 

@@ -218,8 +218,8 @@ def test_contacts_judged_wrong_are_listed_with_their_line(tiswarm, tmp_path):
     found = re.findall(
         r"jsonl:(\d+): (?:stances\[(\d+)\].)?contacts: robot (\d+)'s contact (.*) is judged", told
     )
-    assert len(found) == scores["doubted_contacts"] > 0
-    assert scores["doubted_precision"] > 0.8
+    assert len(found) == scores["outliers"] > 0
+    assert scores["outlier_precision"] > 0.8
     assert scores["wrong_contacts"] > 5
     lines = [json.loads(line) for line in (case / "sensing.jsonl").read_text().splitlines()]
     for line, stance, robot, contact in found:

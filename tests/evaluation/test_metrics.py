@@ -81,7 +81,7 @@ def test_more_freedom_never_fits_worse(seed, robots, rank):
 
 
 def test_straight_and_flat_shapes_are_handled():
-    """Points on a line or a plane align without complaint."""
+    """Points on a line or a plane align without a warning."""
     line = np.outer(np.arange(5.0), [0.0, 0.0, 1.0])
 
     assert metrics.procrustes_disparity(line + 3.0, line) < 1e-12
@@ -89,5 +89,37 @@ def test_straight_and_flat_shapes_are_handled():
 
 
 def test_a_shape_without_extent_has_no_disparity():
-    """Robots all in one place have no shape to compare; that is told, not made up."""
+    """Robots that are all in one place have no shape to compare: the disparity is NaN."""
     assert np.isnan(metrics.procrustes_disparity(np.ones((3, 3)), np.zeros((3, 3))))
+
+
+def test_intervals_hold_the_mean_as_often_as_they_say():
+    """Of 2,000 samples of five normal numbers, 95 % within four standard errors."""
+    samples = np.random.default_rng(0).normal(size=(2000, 5))
+
+    held = np.mean([abs(s["mean"]) <= s["ci95"] for s in map(metrics.mean_std_ci95, samples)])
+
+    assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
+
+
+def test_paired_differences_see_through_what_structures_share():
+    """A small gain on very different structures is certain, and missing ones are left out."""
+    rng = np.random.default_rng(3)
+    structure = 100.0 * rng.normal(size=21)
+    gain = 1.0 + 0.1 * rng.normal(size=21)
+    second = structure - gain
+    second[20] = np.nan
+
+    difference = metrics.paired_difference(structure, second)
+
+    assert (difference["structures"], difference["smaller"]) == (20, 20)
+    assert difference["difference_mean"] == pytest.approx(-gain[:20].mean())
+    assert difference["difference_ci95"] < 0.1
+    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**20)
+
+
+def test_too_few_structures_have_no_interval():
+    """Statistics of none or one structure, and of two that agree, are NaN where undefined."""
+    assert np.isnan(metrics.mean_std_ci95(np.array([]))["mean"])
+    assert np.isnan(metrics.mean_std_ci95(np.array([2.0]))["ci95"])
+    assert np.isnan(metrics.paired_difference(np.ones(2), np.ones(2))["wilcoxon_p"])

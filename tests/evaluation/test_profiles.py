@@ -4,14 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.evaluation.profiles import (
     BINS,
     by_hops_apart,
     error_profile,
-    relative_errors,
     relative_profile,
 )
-from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.evaluation.tables import by_robot, score
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
@@ -127,34 +126,3 @@ def test_tiny_structures_are_scored(towers, robots):
     assert unknown == (alone if robots == 1 else set())
     assert scores["rmse_rigid_aligned_R"] == pytest.approx(0.0, abs=1e-9)
     assert error_profile(table).groupby("by")["count"].sum().eq(robots).all()
-
-
-def test_intervals_hold_the_mean_as_often_as_they_say():
-    """Of 2,000 samples of five normal numbers, 95 % within four standard errors."""
-    samples = np.random.default_rng(0).normal(size=(2000, 5))
-
-    held = np.mean([abs(s["mean"]) <= s["ci95"] for s in map(spread, samples)])
-
-    assert held == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / 2000))
-
-
-def test_paired_differences_see_through_what_structures_share():
-    """A small gain on very different structures is certain, and missing ones are left out."""
-    structure = 100.0 * RNG.normal(size=21)
-    gain = 1.0 + 0.1 * RNG.normal(size=21)
-    second = structure - gain
-    second[20] = np.nan
-
-    difference = paired_difference(structure, second)
-
-    assert (difference["structures"], difference["smaller"]) == (20, 20)
-    assert difference["difference_mean"] == pytest.approx(-gain[:20].mean())
-    assert difference["difference_ci95"] < 0.1
-    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**20)
-
-
-def test_too_few_structures_have_no_spread():
-    """None, one, or two that agree: unknown is NaN, and no test is made up."""
-    assert np.isnan(spread(np.array([]))["mean"])
-    assert np.isnan(spread(np.array([2.0]))["ci95"])
-    assert np.isnan(paired_difference(np.ones(2), np.ones(2))["wilcoxon_p"])

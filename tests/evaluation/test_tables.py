@@ -3,13 +3,17 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
-from tiswarm.evaluation.tables import score
+from tiswarm.errors import InputError
+from tiswarm.evaluation.tables import score, score_files
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN
-from tiswarm.records.positions import Truth
+from tiswarm.records.positions import Truth, write_positions
 from tiswarm.sensing import SensingParams, observe
+
+SHAPE = np.random.default_rng(1).normal(size=(6, 3)) * [1.0, 2.0, 6.0]
 
 
 def test_intervals_cover_whom_they_cover(towers):
@@ -30,3 +34,40 @@ def test_intervals_cover_whom_they_cover(towers):
     assert "coverage_50" not in silent
     assert told["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
     assert told["coverage_90"] == 1.0 - 1.0 / (count - 1)
+
+
+def test_robots_are_matched_by_name(tmp_path):
+    """Rows may come in any order; a turn about the vertical is told from a wrong shape."""
+    order = np.array([3, 1, 4, 0, 5, 2])
+    turned = SHAPE @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    write_positions(tmp_path / "truth.csv", np.arange(6), SHAPE, length_unit="mm")
+    write_positions(tmp_path / "estimate.csv", order, turned[order], length_unit="mm")
+
+    unit, scores = score_files(tmp_path / "truth.csv", tmp_path / "estimate.csv")
+
+    assert unit == "mm"
+    assert scores["RMSE"] > 1.0
+    assert scores["RMSE, yaw and place aligned"] == pytest.approx(0.0, abs=1e-9)
+    assert scores["Procrustes disparity"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("robots", "unit", "problem"),
+    [([0, 1], "R", "robot 2 is in one of the two tables only"), ([0, 1, 2], "cm", "rename them")],
+)
+def test_what_does_not_match_is_refused(tmp_path, robots, unit, problem):
+    """Neither missing robots nor another unit pass for errors."""
+    write_positions(tmp_path / "truth.csv", np.arange(3), SHAPE[:3])
+    path = tmp_path / "estimate.csv"
+    write_positions(path, np.array(robots), SHAPE[: len(robots)], length_unit=unit)
+
+    with pytest.raises(InputError, match=problem):
+        score_files(tmp_path / "truth.csv", path)
+
+
+def test_a_table_without_a_unit_is_refused(tmp_path):
+    """The message shows what the columns should be."""
+    (tmp_path / "truth.csv").write_text("robot,x,y,z\n0,0,0,0\n")
+
+    with pytest.raises(InputError, match="write them like robot,x_R,y_R,z_R"):
+        score_files(tmp_path / "truth.csv", tmp_path / "truth.csv")

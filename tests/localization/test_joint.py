@@ -9,7 +9,7 @@ import pytest
 from tests import oracle
 from tests.localization.test_joint_equations import true_yaw
 from tiswarm.compute import backend
-from tiswarm.evaluation.doubts import judgement
+from tiswarm.evaluation.outliers import outlier_scores
 from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
 from tiswarm.localization.joint.branches import branches, weights
 from tiswarm.localization.joint.equations import equations
@@ -350,7 +350,7 @@ def test_wrong_contacts_are_given_up(towers):
     assert total(robust) < 0.7 * total(trusting)
     taken, right, wanted = 0, 0, 0
     for log, history, estimate in zip(logs, towers, robust, strict=True):
-        judged = judgement(history, log, estimate, cues=params.cues)
+        judged = outlier_scores(history, log, estimate, cues=params.cues)
         true = _touched(history)
         felt = [tuple(row) for row in felt_contacts(log, CUES).tolist()]
         doubted = [tuple(row) for row in estimate.doubted.tolist()]
@@ -358,8 +358,8 @@ def test_wrong_contacts_are_given_up(towers):
         hits = [row for row in doubted if row in wrong]
         assert set(doubted) <= set(felt)
         assert judged["wrong_contacts"] == len(wrong) > 5
-        assert judged["doubted_precision"] == len(hits) / len(doubted)
-        assert judged["doubted_recall"] == len(hits) / len(wrong) > 0.5
+        assert judged["outlier_precision"] == len(hits) / len(doubted)
+        assert judged["outlier_recall"] == len(hits) / len(wrong) > 0.5
         taken, right, wanted = taken + len(doubted), right + len(hits), wanted + len(wrong)
     assert right / taken > 0.95
     assert right / wanted > 0.85

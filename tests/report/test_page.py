@@ -115,7 +115,7 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     """The table contains only the measures that the method reports."""
     silent = pd.DataFrame({"condition": ["a"], "cases": [2], "paper_rmse_radii": [None]})
     silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
-    frank = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, doubted_recall_mean=np.nan)
+    frank = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, outlier_recall_mean=np.nan)
 
     without, tables = [result_tables(table, pd.DataFrame()) for table in (silent, frank)]
 

@@ -111,7 +111,7 @@ def score(
     estimate: Annotated[Path, typer.Argument(help="Where they are thought to be.")],
 ) -> None:
     """Say how far an estimate is from a truth, as it is and after alignment."""
-    from tiswarm.evaluation.scoring import score_files
+    from tiswarm.evaluation.tables import score_files
 
     unit, scores = score_files(truth, estimate)
     for name, value in scores.items():

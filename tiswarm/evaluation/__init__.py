@@ -1,1 +1,1 @@
-"""How far an estimate is from the truth. The only room where the word is *error*."""
+"""Accuracy of estimates: metrics, tables, error profiles, outliers, the paper's numbers."""

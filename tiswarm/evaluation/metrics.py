@@ -1,7 +1,9 @@
-"""Accuracy of estimated positions, Eqs. (4) to (7) of the paper.
+"""Accuracy of estimated positions, Eqs. (4) to (7) of the paper, and statistics of structures.
 
-The alignments take any number of robots in any arrangement: where points on a line, or in one
-place, leave a turn open, any turn fits equally well and one of them is taken.
+The absolute position error (the translation part of the absolute pose error, APE) is that of each
+robot in the world frame. The relative position error (RPE) is that of one robot as seen from
+another. The alignments accept any number of robots in any arrangement: if points on a line or in
+one place do not determine a rotation, they choose one of the best.
 """
 
 import math
@@ -10,39 +12,93 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import stdtrit
+
+CONFIDENCE = 0.95
+"""Share of the intervals that contain the true mean."""
+
+FEWEST_FOR_STD = 2
+FEWEST_FOR_EXPONENT = 3
+"""Fewest different places for an exponent: a power law fits any two points."""
 
 
 def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of each robot's estimate from its true place [R], shape (N,).
+    """Return the absolute position error of each robot [R], shape (N,).
 
     Args:
         estimate: Estimated centers [R], shape (N, 3).
         truth: True centers [R], shape (N, 3).
+
+    >>> robot_errors(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
+    array([5.])
     """
     distance: NDArray[np.float64] = np.linalg.norm(estimate - truth, axis=1)
     return distance
 
 
+def relative_errors(
+    estimate: NDArray[np.float64], truth: NDArray[np.float64], pairs: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Return the relative position error of each pair of robots [R], shape (P,).
+
+    Args:
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
+        pairs: Indices of two robots each, shape (P, 2).
+
+    >>> shift = np.array([[2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    >>> relative_errors(shift, np.zeros((2, 3)), np.array([[0, 1]]))
+    array([0.])
+    """
+    off = estimate - truth
+    distance: NDArray[np.float64] = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
+    return distance
+
+
 def sse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Sum of squared errors [R^2], Eq. (4); arguments as for `robot_errors`."""
+    """Return the sum of squared position errors [R^2], Eq. (4).
+
+    >>> sse(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
+    25.0
+    """
     return float(np.sum((estimate - truth) ** 2))
 
 
 def rmse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Root mean square error [R], Eq. (5); arguments as for `robot_errors`."""
+    """Return the root mean square position error (RMSE) [R], Eq. (5).
+
+    >>> rmse(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
+    5.0
+    """
     return float(np.sqrt(sse(estimate, truth) / len(truth)))
 
 
 def rms_radius(position: NDArray[np.float64]) -> float:
-    """Root mean square distance of N centers from their centroid [R]."""
+    """Return the root mean square distance of N centers from their centroid [R].
+
+    >>> rms_radius(np.array([[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    2.0
+    """
     return float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
 
 
 def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn the estimate about the vertical and shift it onto the truth, the best way there is.
+    """Align the estimate with the truth by yaw and translation, in the least-squares sense.
 
-    What remains is what robots that feel gravity can be blamed for. Arguments and result as for
-    `rigidly_aligned`.
+    Robots that sense gravity do not know their common yaw and position; this alignment removes
+    errors of these four degrees of freedom only.
+
+    Args:
+        estimate: Estimated centers [R], shape (N, 3).
+        truth: True centers [R], shape (N, 3).
+
+    Returns:
+        The aligned estimate [R], shape (N, 3).
+
+    >>> truth = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 1.0]])
+    >>> turned = np.array([[5.0, 0.0, 0.0], [5.0, 2.0, 1.0]])
+    >>> bool(np.allclose(yaw_aligned(turned, truth), truth))
+    True
     """
     mean = estimate.mean(axis=0)
     (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
@@ -55,14 +111,21 @@ def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> ND
 def rigidly_aligned(
     estimate: NDArray[np.float64], truth: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Turn and shift the estimate onto the truth, Eq. (6): no scaling, no reflection.
+    """Align the estimate with the truth by rotation and translation, Eq. (6).
+
+    This is the Kabsch algorithm: Procrustes analysis without scaling and reflection.
 
     Args:
         estimate: Estimated centers [R], shape (N, 3).
         truth: True centers [R], shape (N, 3).
 
     Returns:
-        The moved estimate [R], shape (N, 3).
+        The aligned estimate [R], shape (N, 3).
+
+    >>> truth = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    >>> lying = np.array([[5.0, 0.0, 0.0], [7.0, 0.0, 0.0]])
+    >>> bool(np.allclose(rigidly_aligned(lying, truth), truth))
+    True
     """
     mean = estimate.mean(axis=0)
     if len(truth) == 1:
@@ -75,12 +138,12 @@ def rigidly_aligned(
 
 
 def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Share of the shape left unexplained after a rigid alignment, Eq. (7) [1].
+    """Return the Procrustes disparity: squared error after rigid alignment, Eq. (7) [1].
 
-    Zero means congruent. Unlike `scipy.spatial.procrustes` this neither rescales nor
-    reflects, so there is no upper bound of 1, whatever the paper says: an estimate twice
-    the true size scores 1, three times scores 4. NaN where all true centers coincide, for then
-    there is no shape.
+    It is relative to the squared extent of the truth; zero means congruent. Unlike
+    `scipy.spatial.procrustes`, the alignment neither rescales nor reflects. So the disparity is
+    not bounded by 1, contrary to the paper: an estimate of twice the true size scores 1, of
+    three times 4. It is NaN if all true centers coincide.
 
     Args:
         estimate: Estimated centers [R], shape (N, 3).
@@ -96,3 +159,77 @@ def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float6
     if spread == 0.0:
         return math.nan
     return sse(rigidly_aligned(estimate, truth), truth) / spread
+
+
+def mean_std_ci95(values: NDArray[np.float64]) -> dict[str, float]:
+    """Return mean, standard deviation and half width of the 95 % confidence interval of the mean.
+
+    The interval is Student's. A result that needs more values is NaN.
+
+    Args:
+        values: One number for each structure, NaN if it has none, shape (n,).
+
+    >>> mean_std_ci95(np.array([1.0, 2.0, 3.0, math.nan]))["std"]
+    1.0
+    """
+    known = values[np.isfinite(values)]
+    count = len(known)
+    mean = float(known.mean()) if count else math.nan
+    if count < FEWEST_FOR_STD:
+        return {"mean": mean, "std": math.nan, "ci95": math.nan}
+    std = float(known.std(ddof=1))
+    width = float(stdtrit(count - 1, 0.5 + CONFIDENCE / 2.0)) * std / math.sqrt(count)
+    return {"mean": mean, "std": std, "ci95": width}
+
+
+def paired_difference(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> dict[str, float | int]:
+    """Compare two conditions on the same structures, pair by pair.
+
+    Structures differ more than conditions do, so paired differences are more certain than the
+    difference of two means.
+
+    Args:
+        first: One number for each structure under the first condition, NaN if none, shape (n,).
+        second: One number for each structure under the second condition, shape (n,).
+
+    Returns:
+        Number of pairs; mean, std and ci95 of second minus first; number of pairs in which the
+        second is smaller; p-value of Wilcoxon's signed-rank test, NaN if no pair differs.
+
+    >>> paired_difference(np.array([1.0, 2.0, 5.0]), np.array([0.5, 1.5, 4.5]))["smaller"]
+    3
+    """
+    difference = second - first
+    difference = difference[np.isfinite(difference)]
+    p_value = math.nan
+    if difference.any():
+        from scipy import stats  # noqa: PLC0415 - slow to import
+
+        p_value = float(stats.wilcoxon(difference).pvalue)
+    return {
+        "structures": len(difference),
+        **{f"difference_{name}": value for name, value in mean_std_ci95(difference).items()},
+        "smaller": int((difference < 0.0).sum()),
+        "wilcoxon_p": p_value,
+    }
+
+
+def power_law_exponent(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+    """Fit p of y ~ x^p by least squares of log y over log x [1].
+
+    Args:
+        x: Places, shape (n,).
+        y: Values, shape (n,).
+
+    Returns:
+        The exponent; NaN with fewer than three different places, or a value that is not positive.
+
+    >>> x = np.array([1.0, 4.0, 9.0])
+    >>> round(power_law_exponent(x, 7.0 * x**1.5), 9)
+    1.5
+    """
+    if len(np.unique(x)) < FEWEST_FOR_EXPONENT or min(x.min(), y.min()) <= 0.0:
+        return math.nan
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])

@@ -1,47 +1,36 @@
-"""Where in a structure errors are large, and how they grow from robot to robot."""
+"""Error profiles: position errors by variables of the robots, and relative errors by hops."""
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 
 WHOLE = ("join", "hops_from_anchor", "contacts")
-"""What errors are told by that is counted."""
+"""Variables that are counts."""
 
 HEIGHT = "height_R"
 BINS = 10
-"""Most ranges that a quantity is cut into."""
+"""Largest number of ranges of a variable."""
 
 HOPS_APART = (1, 2, 4, 8, 16, 32, 64)
-PAIRS_LOOKED_AT = 2_000_000
-"""Of larger swarms, pairs that start at every so many robots only, to bound time and memory."""
-
-
-def relative_errors(
-    estimate: NDArray[np.float64], truth: NDArray[np.float64], pairs: NDArray[np.integer]
-) -> NDArray[np.float64]:
-    """How far each robot's estimate is off as seen from another's [R], shape (P,).
-
-    Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
-        pairs: Two robots each, shape (P, 2).
-    """
-    off = estimate - truth
-    distance: NDArray[np.float64] = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
-    return distance
+MOST_PAIRS = 2_000_000
+"""Pairs that a profile uses at most, to bound time and memory; larger swarms are subsampled."""
 
 
 def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
-    """One row a number of contacts between two robots: relative errors of all pairs so far apart.
+    """Tabulate relative position errors of pairs of robots by the hops between them.
 
-    A chain of contacts that adds up errors shows as growth with the number.
+    If errors add up along contacts, the relative error grows with the hops.
+
+    Returns:
+        Columns hops_apart, pairs, mean_error_R, rmse_R.
     """
-    start = np.arange(0, log.robot_count, max(1, log.robot_count**2 // PAIRS_LOOKED_AT))
+    start = np.arange(0, log.robot_count, max(1, log.robot_count**2 // MOST_PAIRS))
     apart = hops(log, start)
     rows = []
     for count in HOPS_APART:
@@ -54,13 +43,18 @@ def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataF
 
 
 def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
-    """Errors by join, height, hops from the anchor and contacts, each cut into ranges.
+    """Tabulate position errors by join, height, hops from the anchor and contacts, in ranges.
 
     Args:
-        robots: Rows of `robots.csv`, of any number of structures, with the column `join`.
+        robots: Rows of `robots.csv` of any number of structures, with a column `join`.
 
     Returns:
-        Columns by, low, high (both ends included), count (of robots), mean_error_R and rmse_R.
+        Columns by, low, high (both ends included), count (of robots), mean_error_R, rmse_R.
+
+    >>> robots = pd.DataFrame({"join": [0, 1], "z_R": [1.0, 3.0], "error_R": [0.0, 2.0]})
+    >>> profile = error_profile(robots.assign(hops_from_anchor=[0, 1], contacts=1))
+    >>> profile.loc[profile["by"] == "join", "rmse_R"].tolist()
+    [0.0, 2.0]
     """
     robots = robots.assign(**{HEIGHT: robots["z_R"]})
     parts = [_ranges(robots, name) for name in (*WHOLE, HEIGHT)]
@@ -68,10 +62,13 @@ def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
 
 
 def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
-    """Relative errors by hops apart, in the columns of `error_profile`; counts are of pairs.
+    """Combine the relative position errors of structures, weighted by their pairs.
 
     Args:
-        relative: Rows of `relative.csv`, of any number of structures.
+        relative: Rows of `relative.csv` of any number of structures.
+
+    Returns:
+        Columns by, low, high, count (of pairs), mean_error_R, rmse_R.
     """
     rows = []
     for count, part in relative.groupby("hops_apart"):
@@ -90,7 +87,7 @@ def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
 
 
 def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Rows of one quantity's ranges, empty ones left out."""
+    """Return a row for each range of a variable that is not empty."""
     known = robots[[name, "error_R"]].dropna()
     value = known[name].to_numpy(np.float64)
     least, most = value.min(), value.max()

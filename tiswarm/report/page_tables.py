@@ -34,8 +34,8 @@ ALIGNED = [
 CALIBRATION = [
     ("robots in their 50 % interval", "coverage_50", 2),
     ("robots in their 90 % interval", "coverage_90", 2),
-    ("precision of outliers", "doubted_precision", 2),
-    ("recall of outliers", "doubted_recall", 2),
+    ("precision of outliers", "outlier_precision", 2),
+    ("recall of outliers", "outlier_recall", 2),
     ("converged estimates", "converged", 2),
 ]
 PUBLISHED = [

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from tiswarm.errors import InputError
-from tiswarm.evaluation.statistics import paired_difference
+from tiswarm.evaluation.metrics import paired_difference
 from tiswarm.records.io import make_folder
 from tiswarm.study.storage import DONE, CaseRecord, RunFolder, write_table
 from tiswarm.study.tables import ACCURACY

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from tiswarm.evaluation.statistics import power_law_exponent
+from tiswarm.evaluation.metrics import power_law_exponent
 from tiswarm.study.cases import Case, series_text, structures
 from tiswarm.study.costs import Cost
 from tiswarm.study.storage import CaseRecord, RunFolder, write_table

@@ -15,9 +15,9 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 
+from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference
+from tiswarm.evaluation.paper import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
-from tiswarm.evaluation.published import PAPER, PAPER_ROBOTS, Published
-from tiswarm.evaluation.statistics import paired_difference, spread
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
@@ -42,8 +42,8 @@ AVERAGED = (
     "floppy_modes",
     "coverage_50",
     "coverage_90",
-    "doubted_precision",
-    "doubted_recall",
+    "outlier_precision",
+    "outlier_recall",
     "converged",
     *ACCURACY,
 )
@@ -194,7 +194,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
     full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
     for name in AVERAGED:
         column = scores[name] if name in scores else pd.Series(dtype=float)
-        values = spread(column.to_numpy(np.float64))
+        values = mean_std_ci95(column.to_numpy(np.float64))
         full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
     return full
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.evaluation import growth
 from tiswarm.evaluation import tables as scores
-from tiswarm.evaluation.doubts import judgement
+from tiswarm.evaluation.outliers import outlier_scores
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.params import Arch, Precision
@@ -172,16 +171,16 @@ class _Bench:
             history.robot,
             cues=case.settings.localization.cues,
         )
-        scored |= judgement(history, log, estimate, cues=case.settings.localization.cues)
+        scored |= outlier_scores(history, log, estimate, cues=case.settings.localization.cues)
         return self.job.folder.store(
-            _record(case, DONE, history.ended, _json_numbers(scored | growth.totals(history))),
+            _record(case, DONE, history.ended, _json_numbers(scored | scores.totals(history))),
             truth=truth,
             log=log,
             estimate=estimate,
             tables={
                 "robots": scores.by_robot(truth, log, estimate, history.sensed),
                 "convergence": scores.by_iteration(truth, estimate),
-                "growth": growth.by_join(history),
+                "growth": scores.by_join(history),
                 "relative": by_hops_apart(truth, log, estimate),
             },
             cost=self.costs.of(case.name),

@@ -1,8 +1,8 @@
 """Table II of *Contact-Driven Localization in a Freeform Robotic Self-Assembled Structure*.
 
-M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. Lengths are in
-its "robot radii", which it does not define: the radius R of a dock sphere, or the distance rho of
-a dock from the center, 1.506 R. The disparity has no unit.
+M. Rashidioun, M. Sosa, P. Swissler (2026); means over 25 structures of 100 robots. The paper does
+not define its length unit, the "robot radius". It may be the radius R of a dock sphere, or the
+distance rho of a dock from the center, 1.506 R. The disparity has no unit.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """One cell of the table."""
+    """The two numbers of one kind of structure and setting."""
 
     rmse_radii: float
     """Root mean square error ["robot radii"]."""
@@ -20,7 +20,7 @@ class Published:
 
 
 PAPER_ROBOTS = 100
-"""Robots in each of its structures."""
+"""Robots in each structure of the paper."""
 
 PAPER = {
     ("tower", True, True): Published(rmse_radii=1.64, disparity=0.045),
@@ -30,4 +30,8 @@ PAPER = {
     ("cantilever", False, True): Published(rmse_radii=5.26, disparity=0.219),
     ("cantilever", False, False): Published(rmse_radii=5.12, disparity=0.251),
 }
-"""By kind of structure, height cue, and whether docks that are not in contact repel."""
+"""Cells by kind of structure, `z_correction` and `undocked_repulsion`.
+
+>>> PAPER["tower", True, True].rmse_radii
+1.64
+"""
