@@ -1,4 +1,4 @@
-"""Poses of any simulator become what their robots would have felt."""
+"""Imported poses become the log that their robots would sense at rest."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def poses_of(history):
 
 
 def named_contacts(log):
-    """Contacts by name, whatever the order of the robots."""
+    """Contacts by name, independent of the order of the robots."""
     names = log.robot_id
     return {frozenset([(names[i], a), (names[j], b)]) for i, a, j, b in log.contacts.tolist()}
 
@@ -48,15 +48,15 @@ def named_contacts(log):
 def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
     """From poses alone, with the order of joining in a column, even if rows are shuffled."""
     history = towers[0]
-    felt = observe(history, SensingParams())
+    sensed = observe(history, SensingParams())
     rows = [[*row, join] for join, row in enumerate(poses_of(history))]
     np.random.default_rng(0).shuffle(rows)
 
     log, position = bring_in(tmp_path, f"{POSES},join", rows, ground_z=0.0)
 
     np.testing.assert_array_equal(log.robot_id, np.arange(100, 130))
-    np.testing.assert_array_equal(log.contacts, felt.contacts)
-    np.testing.assert_array_equal(log.ground_docks, felt.ground_docks)
+    np.testing.assert_array_equal(log.contacts, sensed.contacts)
+    np.testing.assert_array_equal(log.ground_docks, sensed.ground_docks)
     np.testing.assert_array_equal(position, history.position)
 
 
@@ -76,7 +76,7 @@ def test_without_an_order_robots_join_outward_from_the_anchor(towers, tmp_path):
 
 
 def test_spheres_say_the_same_as_poses(towers, tmp_path):
-    """Docks are where they were, whatever frame the first robot's shape defines."""
+    """Docks keep their positions in the frame that the first robot's shape defines."""
     history = towers[0]
     docks = history.position[:, None] + dock_offsets(history.orientation_wxyz, BODY)
     rows = [

@@ -1,4 +1,4 @@
-"""Positions survive their table; malformed tables are refused with file and line."""
+"""Positions come back from their table; malformed tables are refused with file and line."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_positions_come_back_bit_for_bit(scratch, position, first):
 
 
 def test_the_table_looks_as_documented(tmp_path):
-    """Units are in the column names; an unknown deviation is an empty cell, words come last."""
+    """Column names state the unit; an unknown standard deviation is an empty cell."""
     path = tmp_path / "estimate.csv"
     position = np.array([[0.0, 1.0, -2.5], [1e-9, 1 / 3, 1e22]])
 
@@ -60,7 +60,7 @@ def test_the_table_looks_as_documented(tmp_path):
 
 
 def test_another_unit_is_not_taken_for_ours(tmp_path):
-    """A table in mm is read as mm or not at all."""
+    """The reader refuses a table in another unit than the expected one."""
     path = tmp_path / "truth.csv"
     write_positions(path, np.array([0]), np.zeros((1, 3)), length_unit="mm")
 
@@ -75,7 +75,7 @@ def test_another_unit_is_not_taken_for_ours(tmp_path):
 
 
 def test_a_position_that_is_not_finite_is_not_written(tmp_path):
-    """Nobody is handed a table with NaN in it."""
+    """The writer refuses a position that is not finite."""
     with pytest.raises(ValueError, match="finite"):
         write_positions(tmp_path / "t.csv", np.array([0]), np.full((1, 3), np.nan))
 

@@ -41,7 +41,7 @@ def table(rows, dtype, width):
     return np.array(list(rows), dtype=dtype).reshape(-1, width)
 
 
-def touches(earlier_robots):
+def sensed(earlier_robots):
     """Contacts of one robot at one stance: (own dock, other robot, other dock), sorted."""
     if earlier_robots == 0:
         return st.just([])
@@ -59,7 +59,7 @@ def stances_of(draw, robots, *, ground):
         orientation_wxyz=table([draw(orientation) for _ in owner], np.float64, 4),
         pivot_dock=np.array([draw(dock) for _ in owner], dtype=np.int32),
         contacts=table(
-            [(row, *touch) for row, i in enumerate(owner) for touch in draw(touches(i))],
+            [(row, *contact) for row, i in enumerate(owner) for contact in draw(sensed(i))],
             np.int32,
             4,
         ),
@@ -77,7 +77,7 @@ def logs(draw):
         st.integers(-(2**63), 2**63 - 1), min_size=robots, max_size=robots, unique=True
     )
     ground_z = draw(st.none() | number)
-    contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(touches(i))]
+    contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(sensed(i))]
     unknown = (np.nan,) * 3
     return SensingLog(
         robot_id=np.array(draw(names), dtype=np.int64),
@@ -152,7 +152,7 @@ def written(path, *lines):
 @settings(deadline=None, max_examples=60)
 @given(log=logs())
 def test_a_log_comes_back_bit_for_bit(scratch, log):
-    """Whatever a log holds, its file holds too; written again, the file keeps its bytes."""
+    """A file stores every array of a log; written again, the file keeps its bytes."""
     write_sensing_log(log, scratch)
     first = scratch.read_bytes()
 
@@ -187,8 +187,8 @@ def test_names_become_numbers_in_join_order(tmp_path):
     assert log.stances.start.tolist() == [0, 0, 1]
 
 
-def test_what_is_missing_or_null_is_unknown(tmp_path):
-    """Optional keys may be left out or null, with the same meaning."""
+def test_a_missing_key_means_the_same_as_null(tmp_path):
+    """Optional keys may be left out or null; their values are unknown."""
     header = {key: value for key, value in HEADER.items() if key != "noise"}
     optional = dict.fromkeys(["ground_docks", "flip_height", "spawn_position", "stances"])
     without = read_sensing_log(written(tmp_path / "a", header, ANCHOR))
@@ -203,7 +203,7 @@ def test_what_is_missing_or_null_is_unknown(tmp_path):
 
 
 def test_a_rounded_quaternion_is_scaled_to_one(tmp_path):
-    """Four decimals are no offence, and give a unit quaternion."""
+    """A quaternion of four decimals becomes a unit quaternion."""
     rounded = {**ANCHOR, "orientation_wxyz": [0.5774, 0.5774, 0.5774, 0.0]}
 
     log = read_sensing_log(written(tmp_path / "log", HEADER, rounded))
@@ -236,8 +236,8 @@ def test_a_number_that_is_not_finite_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_missing_folder_is_told(tmp_path):
-    """Writing where there is no folder names the file and says what to check."""
+def test_a_missing_folder_is_named(tmp_path):
+    """The message names the file and what to check."""
     log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR))
 
     with pytest.raises(EnvironmentTroubleError, match=r"gone.log: cannot be written: .*; check"):

@@ -128,7 +128,7 @@ REFUSED = [
         joiner(contacts=[[0, 10, 1], [2, 10, 1], [0, 10, 1]]),
         3,
         "contacts[2]",
-        "says the same as contacts[0]; list it once",
+        "repeats contacts[0]; list it once",
     ),
     (
         [HEADER, {**ANCHOR, "contacts": [[0, 11, 0]]}, JOINER],
@@ -138,7 +138,7 @@ REFUSED = [
     ),
     # the ground
     (joiner(ground_docks=[0, 5]), 3, "ground_docks[1]", "no dock 5; the header has docks 0 to 2"),
-    (joiner(ground_docks=[1, 1]), 3, "ground_docks[1]", "same as ground_docks[0]; list it once"),
+    (joiner(ground_docks=[1, 1]), 3, "ground_docks[1]", "repeats ground_docks[0]; list it once"),
     (
         [{**HEADER, "ground_z": None}, {**ANCHOR, "ground_docks": [0]}],
         2,
@@ -162,7 +162,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("file", "line", "key", "problem"), REFUSED)
-def test_a_malformed_line_is_told_with_its_place_and_remedy(tmp_path, file, line, key, problem):
+def test_a_malformed_line_is_refused_with_its_place(tmp_path, file, line, key, problem):
     """The message reads `file:line: key: what is wrong; what to do`."""
     path = tmp_path / "log.jsonl"
     path.write_text("".join(f"{json.dumps(entries)}\n" for entries in file))
@@ -191,8 +191,8 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("raw", "line", "problem"), BROKEN)
-def test_what_is_not_json_is_told_with_its_line(tmp_path, raw, line, problem):
-    """Bytes that are no JSON object end in one line that names the file and the line."""
+def test_bytes_that_are_not_json_are_refused_with_their_line(tmp_path, raw, line, problem):
+    """The message names the file and the line."""
     path = tmp_path / "log.jsonl"
     path.write_bytes(raw)
 
@@ -204,7 +204,7 @@ def test_what_is_not_json_is_told_with_its_line(tmp_path, raw, line, problem):
 
 
 def test_a_line_without_end_is_not_read_whole(tmp_path, monkeypatch):
-    """Beyond a limit the line is refused before it fills the memory."""
+    """The reader refuses a line beyond the limit before the line fills the memory."""
     monkeypatch.setattr(io, "MAX_LINE_BYTES", 1000)
     path = tmp_path / "log.jsonl"
     path.write_bytes(FIRST + b" " * 1001)
@@ -214,7 +214,7 @@ def test_a_line_without_end_is_not_read_whole(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "problem"), [("gone", "no such file; "), (".", "a folder; ")])
-def test_a_file_that_cannot_be_opened_is_told(tmp_path, name, problem):
-    """A missing file and a folder are named, with what to do."""
+def test_a_file_that_cannot_be_opened_is_named(tmp_path, name, problem):
+    """The message names the missing file or the folder, and what to do."""
     with pytest.raises(InputError, match=problem):
         read_sensing_log(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Robots sense what is there, and nothing that would give their place away."""
+"""The log of a structure: its fields, its noise, and agreement with the true history."""
 
 import dataclasses
 
@@ -22,8 +22,8 @@ def test_a_log_holds_only_what_robots_sense():
     assert {field.name for field in dataclasses.fields(SensingLog)} == allowed
 
 
-def test_flips_give_the_true_height_to_perfect_senses(towers):
-    """Without noise the height implied by the flips is the true one, to rounding."""
+def test_noiseless_flips_imply_the_true_height(towers):
+    """Without noise the flips imply the true height, up to rounding."""
     for history in towers:
         log = observe(history, SensingParams())
 
@@ -32,7 +32,7 @@ def test_flips_give_the_true_height_to_perfect_senses(towers):
 
 
 def test_the_flip_history_leads_from_the_spawn_to_the_final_place(towers):
-    """Walking a robot's stances by its pivots alone ends where the robot really is."""
+    """Odometry along the stances and pivots ends at the true position."""
     history = towers[0]
     log = observe(history, SensingParams())
 
@@ -48,7 +48,7 @@ def test_the_flip_history_leads_from_the_spawn_to_the_final_place(towers):
 
 
 def test_noise_has_the_stated_size(towers):
-    """Tilt about each horizontal axis and yaw are as wide as asked, in every stance."""
+    """Tilt and yaw noise have the standard deviations of the settings."""
     turns = []
     for history in towers:
         perfect = observe(history, SensingParams()).stances.orientation_wxyz
@@ -61,7 +61,7 @@ def test_noise_has_the_stated_size(towers):
 
 
 def test_noise_depends_on_the_seed_alone(towers):
-    """Sensing twice gives the same log; another seed's noise is another."""
+    """The same seed gives the same log; another seed gives other noise."""
     first, again = observe(towers[0], NOISY), observe(towers[0], NOISY)
     other = observe(dataclasses.replace(towers[0], seed=99), NOISY)
 
@@ -70,7 +70,7 @@ def test_noise_depends_on_the_seed_alone(towers):
 
 
 def test_a_yaw_bias_stays_with_its_robot(towers):
-    """A robot's bias turns all its stances alike, and is as wide as asked among robots."""
+    """A bias turns all stances of a robot equally; its spread is that of the settings."""
     params = SensingParams(yaw_bias_deg=10.0)
     biases = []
     for seed in range(20):
@@ -94,8 +94,8 @@ def _turn(sensed, true):
     return np.degrees((turn * Rotation.from_quat(true, scalar_first=True).inv()).as_rotvec())
 
 
-def test_robots_know_their_spawn_only_where_asked(towers):
-    """By default they do not; else to the stated width, and the header says which."""
+def test_robots_sense_their_spawn_only_if_set(towers):
+    """By default the log has no spawns; otherwise their noise is that of the settings."""
     history = towers[0]
     start = np.array([walk.center[0] for walk in history.walks])
 
@@ -110,8 +110,8 @@ def test_robots_know_their_spawn_only_where_asked(towers):
     assert [log.noise.spawn for log in (silent, exact, vague)] == [None, 0.0, 0.5]
 
 
-def _felt(history, **noise):
-    """Every contact that a log holds, as (robot, stance, own dock, other robot, other dock)."""
+def _sensed(history, **noise):
+    """Return all contacts of a log as (robot, stance, own dock, other robot, other dock)."""
     log = observe(history, SensingParams(**noise))
     start = log.stances.start
     robot = np.searchsorted(start, log.stances.contacts[:, 0], side="right") - 1
@@ -122,33 +122,33 @@ def _felt(history, **noise):
     return rows | rest
 
 
-def test_contacts_are_missed_mistaken_and_made_up_as_often_as_asked(towers):
-    """Missed ones are gone, wrong ones name another dock, false ones come on top."""
+def test_shares_of_wrong_contacts_match_the_settings(towers):
+    """The shares of missed, wrong and false contacts are those of the settings."""
     missed = wrong = false = total = 0
     for seed in range(5):
         history = dataclasses.replace(towers[2], seed=seed)
-        true = _felt(history)
-        fewer = _felt(history, missed_contacts=0.1)
-        assert _felt(history, missed_contacts=0.2) < fewer < true
+        true = _sensed(history)
+        fewer = _sensed(history, missed_contacts=0.1)
+        assert _sensed(history, missed_contacts=0.2) < fewer < true
         total += len(true)
         missed += len(true - fewer)
 
-        mistaken = _felt(history, wrong_docks=0.1)
+        mistaken = _sensed(history, wrong_docks=0.1)
         assert {row[:4] for row in mistaken} == {row[:4] for row in true}
         wrong += len(true - mistaken)
 
-        more = _felt(history, false_contacts=0.1)
+        more = _sensed(history, false_contacts=0.1)
         assert true < more
         assert all(other < robot for robot, _, _, other, _ in more)
         false += len(more - true)
 
     # Some 5,000 contacts: five standard errors of a tenth are 0.021.
     np.testing.assert_allclose([missed, wrong, false], 0.1 * total, atol=0.021 * total)
-    assert _felt(history, missed_contacts=1.0) == set()
+    assert _sensed(history, missed_contacts=1.0) == set()
 
 
 def test_one_noise_does_not_change_another(towers):
-    """Each has random numbers of its own, and the header states them all."""
+    """Each kind of noise has its own random numbers, and the header states them all."""
     everything = {
         "yaw_bias_deg": 3.0,
         "spawn_noise": 0.1,
@@ -177,8 +177,8 @@ def test_one_noise_does_not_change_another(towers):
     )
 
 
-def test_stances_feel_what_the_walk_felt(towers):
-    """Contacts of every stance but the last are in the flip history, the last's in contacts."""
+def test_stances_sense_the_contacts_of_the_walk(towers):
+    """The flip history has the contacts of every stance except the last."""
     history = towers[1]
     log = observe(history, SensingParams())
 

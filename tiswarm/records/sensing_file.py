@@ -8,8 +8,9 @@ memory for the log and one line.
 import json
 import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -183,25 +184,23 @@ class SensingLogBuilder:
             problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
             raise InputError(problem, key=f"{prefix}ground_docks")
         orientation = _unit(entry.orientation_wxyz, f"{prefix}orientation_wxyz")
+        check: dict[str, Callable[[int, str], int]] = {
+            "dock": self._check_dock,
+            "robot": partial(self._robot_index, robot),
+        }
         lists = {}
         for name, kinds in STANCE_LISTS.items():
             key, items = f"{prefix}{name}", []
             for place, numbers in enumerate(getattr(entry, name) or []):
                 item = [numbers] if len(kinds) == 1 else numbers
                 here = f"{key}[{place}]"
-                items.append(
-                    tuple(
-                        self._robot_index(number, robot, here)
-                        if kind == "robot"
-                        else self._check_dock(number, here)
-                        for kind, number in zip(kinds, item, strict=True)
-                    )
-                )
+                pairs = zip(kinds, item, strict=True)
+                items.append(tuple(check[kind](number, here) for kind, number in pairs))
             _refuse_repeated(items, key)
             lists[name] = sorted(items)
         return SensedStance(orientation, lists)
 
-    def _robot_index(self, name: int, myself: int, key: str) -> int:
+    def _robot_index(self, myself: int, name: int, key: str) -> int:
         if name == myself:
             problem = "the robot touches itself; name another robot or delete the contact"
             raise InputError(problem, key=key)
@@ -254,7 +253,7 @@ def _refuse_repeated(items: Sequence[tuple[int, ...]], key: str) -> None:
     first: dict[tuple[int, ...], int] = {}
     for place, item in enumerate(items):
         if first.setdefault(item, place) != place:
-            problem = f"says the same as {key}[{first[item]}]; list it once"
+            problem = f"repeats {key}[{first[item]}]; list it once"
             raise InputError(problem, key=f"{key}[{place}]")
 
 
