@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.inspection import MOST_SHOWN, ambiguities, outcome
+from tiswarm.inspection import MOST_SHOWN, describe_residual, describe_solutions
 from tiswarm.records.estimate import Solution
 from tiswarm.sensing import SensingParams, observe
 
@@ -27,7 +27,7 @@ def _told(log, *solutions):
                 chains=chains, residual=residual, residual_sd=10.0 * residual, position=position
             )
         )
-    return list(ambiguities(log, SimpleNamespace(solutions=tuple(found))))
+    return list(describe_solutions(log, SimpleNamespace(solutions=tuple(found))))
 
 
 def test_each_solution_is_told_with_its_gap(log):
@@ -38,7 +38,7 @@ def test_each_solution_is_told_with_its_gap(log):
             "solution 2 of 2: 1 of 3 chains, residual 0.25 R (2.5 sd), "
             "0.15 R more than solution 1; up to 5 R from there: 2 robots (7, 4)"
         ),
-        "the estimate follows from the mean of all 3 chains and is none of these",
+        "the estimate averages all 3 chains",
     ]
 
 
@@ -74,6 +74,6 @@ def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
     )
 
     told = "30 robots, residual 0.25 R rms (31 sd), of the best chain 0.0042 R (0.7 sd)"
-    assert outcome(log, found) == told
+    assert describe_residual(log, found) == told
     found.solutions, found.residual_sd = (), None
-    assert outcome(log, found) == "30 robots, residual 0.25 R rms"
+    assert describe_residual(log, found) == "30 robots, residual 0.25 R rms"

@@ -1,4 +1,4 @@
-"""tiswarm: large swarms of modular robots that find out where they are by touch."""
+"""tiswarm: grow large swarms of modular robots and localize them by their contacts."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> object:
-    """Load what is asked for, so that `import tiswarm` alone starts no kernel compiler."""
+    """Import a name when it is used; `import tiswarm` alone loads no kernel compiler."""
     if name not in _HOME:
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)

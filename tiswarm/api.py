@@ -1,9 +1,9 @@
-"""tiswarm from Python: a log in, an estimate out; a scenario in, data frames and figures out.
+"""Functions of `import tiswarm`: localize a log, run a scenario.
 
 import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
-estimate = tiswarm.localize(log, "least-squares", cues=["contacts", "height"], rounds=3)
+estimate = tiswarm.localize(log, "joint", cues=["contacts", "height"], chains=4)
 estimate.position, estimate.observability.known
 
 run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
@@ -23,7 +23,7 @@ import numpy as np
 from tiswarm.compute import backend
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
-from tiswarm.inspection import failed_to_converge
+from tiswarm.inspection import convergence_warning
 from tiswarm.localization import registry
 from tiswarm.params import Arch, Precision
 from tiswarm.records.estimate import Estimate
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of a run, which notebooks show."""
+    """A picture of a run; notebooks show it."""
 
     path: Path
 
@@ -47,7 +47,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Run:
-    """A run as data frames and figures; a row of `summary` says of each case how it went."""
+    """Results of a run, as data frames and figures."""
 
     folder: Path
 
@@ -58,14 +58,14 @@ class Run:
 
     @property
     def summary(self) -> "pd.DataFrame":
-        """Results by case, `summary.csv`."""
+        """Results by case, with the reason of each failure, `summary.csv`."""
         return self.frame("summary")
 
     def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
         """Read another table of the run, or one of a case.
 
         Raises:
-            InputError: there is none of that name.
+            InputError: the run has no table of that name.
         """
         from tiswarm.report.run_data import read_table  # noqa: PLC0415 - slow to import
 
@@ -74,19 +74,19 @@ class Run:
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """Figures and renders by name; none where the run was told to draw none."""
+        """Figures and renders by name; none after a run without pictures."""
         drawn = [*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")]
         return {path.stem: Figure(path) for path in sorted(drawn)}
 
 
 def _plain(values: Mapping[str, object]) -> dict[str, object]:
-    """Turn values into what a file could hold; arrays and scalars of NumPy into plain numbers."""
+    """Convert values to plain data, with lists and numbers for arrays and scalars of NumPy."""
     found: dict[str, object] = {}
     for key, value in values.items():
         try:
             found[key] = json.loads(json.dumps(value, default=_from_numpy))
         except TypeError as error:
-            problem = f"{error}; give numbers, texts, lists or dictionaries"
+            problem = f"{error}; give numbers, strings, lists or dictionaries"
             raise InputError(problem, key=key) from error
     return found
 
@@ -102,7 +102,7 @@ def read_log(path: str | PathLike[str]) -> SensingLog:
     """Read a sensing log, `sensing.jsonl`.
 
     Raises:
-        InputError: the file cannot be read or a line is malformed; tells file, line and key.
+        InputError: the file cannot be read or a line is malformed, with file, line and key.
     """
     return read_sensing_log(Path(path))
 
@@ -117,31 +117,30 @@ def localize(
     precision: Precision = "f64",
     **settings: object,
 ) -> Estimate:
-    """Work out where the robots of a log are, as `tiswarm localize` does.
+    """Estimate the robots' positions from a log, as `tiswarm localize` does.
 
     Args:
-        log: What the swarm sensed, or the file with it.
+        log: Sensing log, or its file.
         method: Name of the method.
-        cues: What of the log to use, and no more; what the method does by itself if None.
-        arch: Device; it computes there or an error is raised.
+        cues: Cues to use; the method's own choice if None.
+        arch: Compute device.
         threads: CPU threads; all that this process may use if None.
-        precision: Real type of the kernels.
+        precision: Floating-point type of the kernels.
         settings: Settings of the method by name, nested ones as dictionaries.
 
     Returns:
-        The estimate; a warning is issued where it did not converge.
+        The estimate; a warning is issued if it did not converge.
 
     Raises:
-        InputError: for a bad log, method, cue or setting.
-        EnvironmentTroubleError: where the machine lacks the device.
+        InputError: the log, method, a cue or a setting is invalid.
+        EnvironmentTroubleError: the machine lacks the device.
     """
     params = localization_params(method, cues=cues, values=_plain(settings))
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
-    problem = failed_to_converge(sensed, estimate)
-    if problem is not None:
-        warnings.warn(problem, stacklevel=2)
+    if warning := convergence_warning(sensed, estimate):
+        warnings.warn(warning, stacklevel=2)
     return estimate
 
 
@@ -156,23 +155,23 @@ def run(
     pictures: bool = True,
     quiet: bool = False,
 ) -> Run:
-    """Grow, sense, localize, score and draw every case of a scenario, as `tiswarm run` does.
+    """Grow, sense, localize, evaluate and draw all cases of a scenario, as `tiswarm run` does.
 
-    What an earlier call has finished is not computed again. Cases that fail are warned of.
+    Cases that an earlier call finished are not computed again. A warning names failed cases.
 
     Args:
         scenario: YAML file.
         overrides: Values by dotted key that replace the file's.
-        out: Folder for the run's own folder.
-        arch: Device; it computes there or an error is raised.
+        out: Parent of the run folder.
+        arch: Compute device.
         threads: CPU threads; all that this process may use if None.
-        workers: Processes to compute in, side by side; this one if None.
+        workers: Number of worker processes; none if None.
         pictures: Whether to draw figures, renders and report.html.
-        quiet: Whether to say nothing of progress.
+        quiet: Whether to hide progress.
 
     Raises:
-        InputError: for a mistake in the scenario.
-        EnvironmentTroubleError: where the machine lacks the device.
+        InputError: the scenario has a mistake.
+        EnvironmentTroubleError: the machine lacks the device.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.drawing import draw_all  # noqa: PLC0415 - slow to import

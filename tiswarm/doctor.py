@@ -1,4 +1,4 @@
-"""What works on this machine, and what to install for what does not."""
+"""Examines devices and renderers of this machine, and lists missing system packages."""
 
 import ctypes
 import importlib.util
@@ -52,7 +52,7 @@ except TiswarmError as e:
 
 
 class Finding(NamedTuple):
-    """One thing that was examined, and the result or what to do."""
+    """Result of one examination."""
 
     subject: str
     works: bool
@@ -103,7 +103,7 @@ def draw_test_picture(renderer: str) -> float:
 
 
 def missing_packages() -> list[str]:
-    """Name the Debian packages without which open3d cannot be imported; none off Linux."""
+    """List missing Debian packages that open3d needs; none on other systems than Linux."""
     if sys.platform != "linux" or importlib.util.find_spec("open3d") is None:
         return []
     try:

@@ -1,4 +1,4 @@
-"""What is drawn of a run folder, and noted in its manifest."""
+"""Draws the figures, pictures and page of a run folder."""
 
 from tiswarm.progress import Progress
 from tiswarm.report.figures import draw_figures
@@ -18,7 +18,7 @@ def draw_all(
     pdf: bool = False,
     movie: Movie | None = None,
 ) -> None:
-    """Draw what a run came to, unless nothing is new and it was drawn before."""
+    """Draw the results of a run, unless the drawings are current."""
     some_done = len(result.failed) < result.computed + result.found
     there = (result.folder / "report.html").exists()
     drawn = pictures and (pdf or result.computed > 0 or not there)
@@ -37,7 +37,7 @@ def draw_all(
 def draw_renders(
     run: RunData, progress: Progress, *, renderer: str | None = None, case: str | None = None
 ) -> None:
-    """Draw the 3D pictures of a run, and note in its manifest what drew them."""
+    """Draw the 3D pictures of a run, and record their renderer in the manifest."""
     drawn = render_run(run, progress=progress, renderer=renderer, case=case)
     notes = {p.path.name: {"renderer": p.renderer, "reason": p.reason} for p in drawn}
     write_manifest(run.folder, {"renders": notes})

@@ -1,28 +1,28 @@
-"""The errors a user can cause or must hear about, each with the exit status it ends in."""
+"""Errors for users, each with its exit status."""
 
 from pathlib import Path
 
 
 class TiswarmError(Exception):
-    """Base of every error that is told in one line instead of a traceback."""
+    """Base of all errors that users see in one line, without a traceback."""
 
     exit_status = 1
 
 
 class InputError(TiswarmError):
-    """A file, option or value given by the user cannot be used; nothing was written."""
+    """A file, option or value of the user is invalid; nothing was written."""
 
     exit_status = 2
 
     def __init__(
         self, problem: str, *, path: Path | None = None, line: int | None = None, key: str = ""
     ) -> None:
-        """Compose `file:line: key: problem`, leaving out what is not known.
+        """Compose `file:line: key: problem` from the known parts.
 
         Args:
-            problem: What is wrong, a semicolon, and what to do about it.
-            path: The file at fault.
-            line: Line in that file, counted from 1.
+            problem: What is wrong, a semicolon, and how to fix it.
+            path: File at fault.
+            line: Line in the file, counted from 1.
             key: Dotted key at fault.
         """
         place = "" if path is None else str(path) if line is None else f"{path}:{line}"
@@ -38,10 +38,10 @@ class EnvironmentTroubleError(TiswarmError):
 
 
 NOT_CONVERGED = 4
-"""Exit status of `tiswarm localize` where it wrote an estimate that did not converge."""
+"""Exit status of `tiswarm localize` if the estimate that it wrote did not converge."""
 
 
 class CasesFailedError(TiswarmError):
-    """Some cases of a study failed; the others are kept."""
+    """Cases of a study failed; the results of all others are kept."""
 
     exit_status = 3

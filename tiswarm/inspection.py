@@ -1,4 +1,4 @@
-"""Looks for mistakes in what a user hands in, and for what a log cannot tell."""
+"""Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -22,33 +22,54 @@ MOST_SHOWN = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What was found in one file."""
+    """Result for one file."""
 
     mistakes: tuple[InputError, ...] = ()
-    """Everything wrong with it; a log is read up to its first mistake."""
+    """All mistakes of a scenario, or the first of a log."""
 
     summary: str = ""
-    """What it holds, where nothing is wrong."""
+    """Description of a file without mistakes."""
 
 
 def inspect(path: Path) -> Inspection:
-    """Look at a scenario, or at a sensing log where the name ends in .jsonl."""
+    """Inspect a scenario, or a sensing log if the name ends in .jsonl."""
     return _inspect_log(path) if path.suffix == ".jsonl" else _inspect_scenario(path)
 
 
-def doubts(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
-    """Say line by line what a log cannot tell."""
+def convergence_warning(log: SensingLog, estimate: Estimate) -> str:
+    """Return a warning if an estimate did not converge, else an empty text."""
+    found = estimate.convergence
+    if found is None or found.converged:
+        return ""
+    residual = f"residual of the best chain {estimate.solutions[0].residual:.2g} {log.length_unit}"
+    return (
+        f"not converged: chi-square exceeds its expectation by {found.misfit_sd:.0f} sd "
+        f"({residual}); positions and sd may be far off. Try twice the steps or chains; if that "
+        "does not help, look for wrong contacts or state the log's noise"
+    )
+
+
+def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
+    """Describe in lines what the log leaves unknown, outliers, solutions and the residual."""
+    yield from unknowns(log, path, filter(None, [estimate.observability]))
+    yield from _outliers(log, path, estimate)
+    yield from describe_solutions(log, estimate)
+    yield describe_residual(log, estimate)
+
+
+def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
+    """Describe in lines what a log leaves unknown, and contacts that contradict each other."""
     if (lost := np.flatnonzero(~located(log))).size:
-        yield f"tied to the anchor by no chain of contacts: {_robots(log, lost)}"
+        yield f"no chain of final contacts to the anchor: {_robots(log, lost)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
-        yield f"in one contact only: {_robots(log, single)}"
+        yield f"one contact only: {_robots(log, single)}"
     swing = None
     for known in found:
         yield _left_open(known)
         swing = known.swing if known.turning else swing
     if swing is not None:
-        held = f"only the mean of all compasses does, to {math.degrees(swing):.2g} degrees"
-        yield f"nothing sensed holds the swarm against turning about the anchor; {held}"
+        fixed = f"the mean compass fixes it to {math.degrees(swing):.2g} deg (1 sd)"
+        yield f"global yaw is unobservable; {fixed}"
     impossible = contradictions(log)
     for line, problem in impossible[:MOST_SHOWN]:
         yield f"{path}:{line}: contacts: {problem}"
@@ -56,77 +77,61 @@ def doubts(log: SensingLog, path: Path, found: Iterable[Observability]) -> Itera
         yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
 
 
-def failed_to_converge(log: SensingLog, estimate: Estimate) -> str | None:
-    """Warn of an estimate that cannot be trusted; None where there is nothing to warn of."""
-    found = estimate.convergence
-    if found is None or found.converged:
-        return None
-    residual = f"residual of its best chain {estimate.solutions[0].residual:.2g} {log.length_unit}"
-    return (
-        f"not converged: misses what was sensed by {found.misfit_sd:.0f} sd more than its count of "
-        f"measurements explains ({residual}); positions and sd may be far off. Try twice the steps "
-        "or chains; if that does not help, look for wrong contacts or state the log's noise"
-    )
-
-
-def judged_wrong(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
-    """Say line by line which contacts a method did not believe."""
+def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     rows = estimate.doubted
     name = log.robot_id.tolist()
     flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
     for robot, stance, own, other, dock in [] if rows is None else rows.tolist():
         key = "contacts" if stance == flips[robot] else f"stances[{stance}].contacts"
-        told = f"robot {name[robot]}'s contact [{own}, {name[other]}, {dock}] is judged wrong"
-        yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {told}"
+        contact = f"robot {name[robot]}'s contact [{own}, {name[other]}, {dock}]"
+        yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {contact} is an outlier"
 
 
-def ambiguities(log: SensingLog, estimate: Estimate) -> Iterator[str]:
-    """Say line by line which solutions a method found, where these are several."""
+def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Describe the solutions that a method found, if there are several."""
     found, unit = estimate.solutions, log.length_unit
     if len(found) <= 1:
         return
     chains = sum(solution.chains for solution in found)
     for number, solution in enumerate(found[:MOST_SHOWN], start=1):
-        told = f"solution {number} of {len(found)}: {solution.chains} of {chains} chains"
-        told += f", residual {solution.residual:.3g} {unit} ({solution.residual_sd:.2g} sd)"
+        text = f"solution {number} of {len(found)}: {solution.chains} of {chains} chains"
+        text += f", residual {solution.residual:.3g} {unit} ({solution.residual_sd:.2g} sd)"
         if number > 1:
             away = np.linalg.norm(solution.position - found[0].position, axis=1)
             farthest = np.argsort(-away, kind="stable")
             elsewhere = farthest[away[farthest] > log.spacing]
-            told += f", {solution.residual - found[0].residual:.2g} {unit} more than solution 1"
-            told += f"; up to {away.max():.3g} {unit} from there: {_robots(log, elsewhere)}"
-        yield told
+            text += f", {solution.residual - found[0].residual:.2g} {unit} more than solution 1"
+            text += f"; up to {away.max():.3g} {unit} from there: {_robots(log, elsewhere)}"
+        yield text
     if (more := len(found) - MOST_SHOWN) > 0:
         yield counted(more, "more solution")
-    yield f"the estimate follows from the mean of all {chains} chains and is none of these"
+    yield f"the estimate averages all {chains} chains"
 
 
-def outcome(log: SensingLog, estimate: Estimate) -> str:
-    """Say in one line what a method came to, and beside a mean of chains what the best one did."""
+def describe_residual(log: SensingLog, estimate: Estimate) -> str:
+    """Describe an estimate in one line: its residual, and that of its best chain if it has one."""
     unit, residual = log.length_unit, estimate.residual[-1]
-    told = [counted(estimate.robot_count, "robot"), f"residual {residual:.2g} {unit} rms"]
+    parts = [counted(estimate.robot_count, "robot"), f"residual {residual:.2g} {unit} rms"]
     if estimate.residual_sd is not None:
-        told[-1] += f" ({estimate.residual_sd:.2g} sd)"
-    told += [
+        parts[-1] += f" ({estimate.residual_sd:.2g} sd)"
+    parts += [
         f"of the best chain {each.residual:.2g} {unit} ({each.residual_sd:.2g} sd)"
         for each in estimate.solutions[:1]
     ]
-    return ", ".join(told)
+    return ", ".join(parts)
 
 
 def _left_open(known: Observability) -> str:
-    """Count what some cues leave unknown."""
+    cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.turning}"
     modes = known.floppy_modes
-    untold = "too many robots to count the floppy modes"
-    told = (
-        f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.turning}: "
-        f"{untold if modes is None else counted(modes, 'floppy mode')} of {known.unknowns}"
-    )
-    return told if known.loose is None else f"{told}, {counted(known.loose.sum(), 'robot')} loose"
+    if modes is None:
+        return f"{cues}: too many robots to count floppy modes of {known.unknowns} unknowns"
+    text = f"{cues}: {counted(modes, 'floppy mode')} of {known.unknowns} unknowns"
+    return text if known.loose is None else f"{text}, {counted(known.loose.sum(), 'floppy robot')}"
 
 
 def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:
-    """Count robots, and name the first."""
+    """Count robots, and list the first."""
     names = ", ".join(map(str, log.robot_id[rows[:MOST_SHOWN]].tolist()))
     more = ", ..." if len(rows) > MOST_SHOWN else ""
     return f"{counted(len(rows), 'robot')} ({names}{more})"
@@ -139,12 +144,12 @@ def _inspect_log(path: Path) -> Inspection:
         return Inspection(mistakes=(mistake,))
     stances = 0 if log.stances is None else len(log.stances.pivot_dock)
     sizes = {"robot": log.robot_count, "contact": len(log.contacts), "stance": stances}
-    held = ", ".join(counted(number, noun) for noun, number in sizes.items())
-    return Inspection(summary="\n".join([held, *doubts(log, path, by_cue(log))]))
+    summary = ", ".join(counted(number, noun) for noun, number in sizes.items())
+    return Inspection(summary="\n".join([summary, *unknowns(log, path, by_cue(log))]))
 
 
 def _inspect_scenario(path: Path) -> Inspection:
-    # Slow to import, and no business of a log's.
+    # slow to import
     from tiswarm.scenario import find_mistakes, load_scenario  # noqa: PLC0415
     from tiswarm.study.cases import plan  # noqa: PLC0415
     from tiswarm.study.forecast import forecast  # noqa: PLC0415

@@ -1,45 +1,67 @@
 """The `tiswarm` command: parse, call, print.
 
-What a command needs is imported when it runs, so that `tiswarm --help` stays quick.
+A command imports its dependencies when it runs, so that `tiswarm --help` stays fast.
 """
 
-import sys
-from typing import Any
+import json
+from pathlib import Path
+from typing import Annotated
 
 import typer
-from typer.exceptions import TyperException
 
-from tiswarm.cli.options import app
+from tiswarm.cli.app import app, main
 from tiswarm.console import fail
-from tiswarm.errors import InputError, TiswarmError
+from tiswarm.errors import InputError
 
 # Each module adds its commands, in the order of the help.
 # isort: off
-from tiswarm.cli import runs, logs, folders, advice  # noqa: F401
+from tiswarm.cli import run, log, folder  # noqa: F401
 # isort: on
 
-INTERRUPTED = 130
+__all__ = ["main"]
 
 
-def main() -> None:
-    """Run the command line; errors that a user can mend end in one line, not a traceback."""
-    sys.exit(_status(sys.argv[1:]))
+@app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
+) -> None:
+    """Check scenarios and sensing logs for mistakes, without running anything."""
+    from tiswarm.inspection import inspect
+
+    mistakes: list[InputError] = []
+    for path in files:
+        finding = inspect(path)
+        mistakes += finding.mistakes
+        if not finding.mistakes:
+            typer.echo(f"{path}: {finding.summary}")
+    for mistake in mistakes[:-1]:
+        fail(str(mistake))
+    if mistakes:
+        raise mistakes[-1]
 
 
-def _status(arguments: list[str]) -> int:
-    """Run a command and return its exit status."""
-    try:
-        status: Any = app(arguments, standalone_mode=False)
-    except TiswarmError as error:
-        fail(str(error))
-        return error.exit_status
-    except TyperException as error:
-        fail(" ".join(error.format_message().split()))
-        return InputError.exit_status
-    except (KeyboardInterrupt, typer.Abort):
-        fail("interrupted; what was finished is kept, and the same command goes on from there")
-        return INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 1
-    return status if isinstance(status, int) else 0
+@app.command(epilog="Example: tiswarm schema > scenario.schema.json")
+def schema() -> None:
+    """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
+    from tiswarm.scenario import scenario_schema
+
+    typer.echo(json.dumps(scenario_schema(), indent=2))
+
+
+@app.command(epilog="Example: tiswarm doctor")
+def doctor(
+    *,
+    only_packages: Annotated[
+        bool,
+        typer.Option("--missing-packages", help="Print only the missing system packages."),
+    ] = False,
+) -> None:
+    """List which devices and renderers work on this machine, and what to install for others."""
+    from tiswarm.doctor import examine, missing_packages
+
+    if only_packages:
+        typer.echo(" ".join(missing_packages()))
+        return
+    for finding in examine():
+        mark = "ok" if finding.works else "--"
+        typer.echo(f"{mark}  {finding.subject:<24} {finding.detail}")

@@ -1,4 +1,4 @@
-"""Commands that compute: a scenario's cases, and the gains of a method."""
+"""Commands on scenarios: run all cases, fit gains."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tiswarm.cli.options import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
+from tiswarm.cli.app import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
 from tiswarm.records.messages import counted
@@ -19,12 +19,10 @@ if TYPE_CHECKING:
 def run(
     scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("reports"),
+    out: Annotated[Path, typer.Option(help="Parent of the run folder.")] = Path("reports"),
     arch: OneArch = "cpu",
     threads: Threads = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes to compute in, side by side.")
-    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of worker processes.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
     ] = None,
@@ -32,31 +30,31 @@ def run(
         str | None,
         typer.Option(
             metavar="KEY=VALUE,...",
-            help="SLURM jobs to compute in: jobs, cores, memory, and if need be walltime, queue, "
-            "account, interface.",
+            help="SLURM jobs to submit: jobs, cores, memory; optional: walltime, queue, account, "
+            "interface.",
         ),
     ] = None,
-    shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Compute the I-th of N parts only.")
-    ] = "1/1",
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Compute part I of N only.")] = "1/1",
     case_limit: Annotated[
         float | None,
-        typer.Option(min=0.001, metavar="SECONDS", help="Give a case up that takes longer."),
+        typer.Option(min=0.001, metavar="SECONDS", help="Abort a case after this time."),
     ] = None,
     *,
     only_plan: Annotated[
-        bool, typer.Option("--plan", help="Say what it would take, and run nothing.")
+        bool, typer.Option("--plan", help="Print an estimate of time and memory, and run nothing.")
     ] = False,
-    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at a failed case.")] = False,
+    fail_fast: Annotated[
+        bool, typer.Option("--fail-fast", help="Stop at the first failed case.")
+    ] = False,
     pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
     pdf: Pdf = False,
     animate: Animate = False,
     movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
-    """Grow, sense, localize, score and draw every case of a scenario.
+    """Grow, sense, localize, evaluate and draw all cases of a scenario.
 
-    A run that was interrupted goes on where it was.
+    An interrupted run continues where it stopped.
     """
     from tiswarm import study
     from tiswarm.scenario import load_scenario
@@ -70,8 +68,8 @@ def run(
             typer.echo(study.job_script(jobs, threads or 1))
         return
     if len([place for place in (workers, scheduler, slurm) if place is not None]) > 1:
-        msg = "are different places to compute in; give one of them"
-        raise InputError(msg, key="--workers, --scheduler, --slurm")
+        msg = "choose only one of --workers, --scheduler, --slurm"
+        raise InputError(msg)
     dispatch = study.Dispatch(
         workers=workers,
         scheduler=scheduler,
@@ -97,17 +95,15 @@ def run(
 
 
 def _shard(text: str) -> tuple[int, int]:
-    """Read I/N."""
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     number, count = map(int, found.groups()) if found else (0, 0)
     if not 1 <= number <= count:
-        msg = "is no part of a whole; give it as 2/8, from 1/8 to 8/8"
-        raise InputError(msg, key=f"--shard {text}")
+        msg = f"invalid shard {text}: use I/N with 1 <= I <= N"
+        raise InputError(msg)
     return number, count
 
 
 def _slurm(text: str) -> "study.Slurm":
-    """Read KEY=VALUE,..."""
     from pydantic import TypeAdapter, ValidationError
 
     from tiswarm.records.messages import explain
@@ -126,22 +122,26 @@ def _slurm(text: str) -> "study.Slurm":
 def tune(
     scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    trials: Annotated[int, typer.Option(min=1, help="Trials, those of the record included.")] = 200,
+    trials: Annotated[
+        int, typer.Option(min=1, help="Trials, including those already in the record.")
+    ] = 200,
     training_seeds: Annotated[
-        int, typer.Option(min=1, help="Structures of each sweep point, from seed 1000 on.")
+        int, typer.Option(min=1, help="Structures at each sweep point, from seed 1000 on.")
     ] = 25,
     condition: Annotated[
-        list[str], typer.Option(help="Condition that counts; may be given often; all if not.")
+        list[str], typer.Option(help="Condition to include (repeatable; default: all).")
     ] = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Record of the fit.")] = Path("fit.json"),
+    out: Annotated[Path, typer.Option(help="Record of the fit to write or continue.")] = Path(
+        "fit.json"
+    ),
     arch: OneArch = "cpu",
     threads: Threads = None,
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Fit the gains of virtual-force on structures that the scenario does not report on.
+    """Fit the gains of virtual-force on other structures than those of the scenario.
 
-    A fit that was interrupted goes on where it was.
+    An interrupted fit continues where it stopped.
     """
     from tiswarm import study
     from tiswarm.scenario import load_scenario
@@ -154,6 +154,6 @@ def tune(
     if not quiet:
         for name in ("best", "chosen"):
             gains = {key: value for key, value in record[name].items() if key in record["ranges"]}
-            told = ", ".join(f"{key} {value:.3g}" for key, value in gains.items())
-            typer.echo(f"{name}: RMSE {record[name]['rmse_R']:.3f} R with {told}")
+            text = ", ".join(f"{key} {value:.3g}" for key, value in gains.items())
+            typer.echo(f"{name}: RMSE {record[name]['rmse_R']:.3f} R with {text}")
         typer.echo(f"record in {out}")

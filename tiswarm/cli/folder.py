@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tiswarm.cli.options import Animate, Movie, Pdf, Quiet, RunFolderPath, app
+from tiswarm.cli.app import Animate, Movie, Pdf, Quiet, RunFolderPath, app
 from tiswarm.console import ConsoleProgress
 from tiswarm.progress import Progress
 
@@ -14,7 +14,7 @@ ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
 def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
-    """Redraw every table, every figure and report.html of a run from its stored data."""
+    """Redraw all tables, figures and report.html of a run from its stored data."""
     from tiswarm import study
     from tiswarm.report.figures import draw_figures
     from tiswarm.report.page import write_page
@@ -35,15 +35,13 @@ def render(
     renderer: Annotated[
         str | None, typer.Option(help="open3d or taichi (default: the first that works).")
     ] = None,
-    case: Annotated[
-        str | None, typer.Option(help="Case to draw; the first of the largest.")
-    ] = None,
+    case: Annotated[str | None, typer.Option(help="Case to draw (default: the largest).")] = None,
     *,
     animate: Animate = False,
     movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
-    """Draw offscreen 3D pictures of a run from its stored data, and put them on report.html."""
+    """Draw 3D pictures of a run from its stored data, and add them to report.html."""
     from tiswarm.drawing import draw_renders
     from tiswarm.report.page import write_page
     from tiswarm.report.render.animation import animate_run
@@ -60,11 +58,11 @@ def render(
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
-    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("reports/comparison"),
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("reports/comparison"),
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Set runs side by side: one table, differences on the structures they share, one figure."""
+    """Compare runs: a table, a figure, and differences on the structures that they share."""
     from tiswarm.report.table_figures import draw_comparison
     from tiswarm.study.comparison import compare as tabulate
 
@@ -77,15 +75,15 @@ def compare(
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
     run: RunFolderPath,
-    form: Annotated[ExportFormat, typer.Option("--format", help="What to write.")],
-    out: Annotated[Path | None, typer.Option(help="Folder to write to; RUN/export.")] = None,
-    case: Annotated[
-        str | None, typer.Option(help="Case to export; the first of the largest.")
+    form: Annotated[ExportFormat, typer.Option("--format", help="File format.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to (default: RUN/export).")
     ] = None,
+    case: Annotated[str | None, typer.Option(help="Case to export (default: the largest).")] = None,
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Write structure, contacts and estimate of a case for other programs."""
+    """Export structure, contacts and estimate of a case for other programs."""
     from tiswarm.interop.exports import export_case
 
     progress = ConsoleProgress(quiet=quiet)

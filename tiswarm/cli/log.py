@@ -1,47 +1,41 @@
-"""Commands on somebody's own data: sensing logs, poses, estimates."""
+"""Commands on a user's data: sensing logs, poses, estimates."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tiswarm.cli.options import OneArch, Overrides, Quiet, Threads, app
+from tiswarm.cli.app import OneArch, Overrides, Quiet, Threads, app
 from tiswarm.console import ConsoleProgress
 from tiswarm.params import Precision
 
 
 @app.command(epilog="Example: tiswarm localize sensing.jsonl --method joint --out estimate.csv")
 def localize(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log, sensing.jsonl.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log.")],
     method: Annotated[
         str,
-        typer.Option(help="virtual-force, the paper's; joint, the most accurate; least-squares."),
+        typer.Option(help="joint (most accurate), virtual-force (the paper's) or least-squares."),
     ] = "virtual-force",
     cues: Annotated[
-        str | None, typer.Option(metavar="CUE,...", help="What of the log to use, and no more.")
+        str | None, typer.Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the method, where it has one.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of joint.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Where to write.")] = Path("estimate.csv"),
+    out: Annotated[Path, typer.Option(help="Table of positions to write.")] = Path("estimate.csv"),
     arch: OneArch = "cpu",
     threads: Threads = None,
-    precision: Annotated[Precision, typer.Option(help="Real type of the kernels.")] = "f64",
+    precision: Annotated[Precision, typer.Option(help="Floating-point type.")] = "f64",
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Work out where the robots of a sensing log are; any simulator's, or a real swarm's.
+    """Estimate the robots' positions from a sensing log of any simulator or real swarm.
 
-    Exits with status 4 where the estimate is written, but did not converge.
+    The exit status is 4 if the estimate did not converge; it is written all the same.
     """
     from tiswarm.compute import backend
     from tiswarm.errors import NOT_CONVERGED
-    from tiswarm.inspection import (
-        ambiguities,
-        doubts,
-        failed_to_converge,
-        judged_wrong,
-        outcome,
-    )
+    from tiswarm.inspection import convergence_warning, describe_estimate
     from tiswarm.localization import registry
     from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
@@ -54,16 +48,12 @@ def localize(
     backend.start(arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
     write_estimate(out, estimate, length_unit=sensed.length_unit)
-    problem = failed_to_converge(sensed, estimate)
-    if problem is not None:
-        typer.echo(f"tiswarm: warning: {problem}", err=True)
+    warning = convergence_warning(sensed, estimate)
+    if warning:
+        typer.echo(f"tiswarm: warning: {warning}", err=True)
     if not quiet:
-        for line in doubts(sensed, log, filter(None, [estimate.observability])):
-            typer.echo(line)
-        for line in [*judged_wrong(sensed, log, estimate), *ambiguities(sensed, estimate)]:
-            typer.echo(line)
-        typer.echo(f"{outcome(sensed, estimate)} -> {out}")
-    if problem is not None:
+        typer.echo("\n".join(describe_estimate(sensed, log, estimate)) + f" -> {out}")
+    if warning:
         raise typer.Exit(NOT_CONVERGED)
 
 
@@ -76,20 +66,23 @@ def import_(
     dock_radius: Annotated[float, typer.Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
         float | None,
-        typer.Option(help="Center to each of three docks, 120 degrees apart; not for spheres."),
+        typer.Option(help="Distance from robot center to docks; not for a table of spheres."),
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(min=0.0, help="Gap or overlap that still is a contact.")
+        float | None,
+        typer.Option(min=0.0, help="Largest gap or overlap of a contact (default: 2 %)."),
     ] = None,
-    anchor: Annotated[int | None, typer.Option(help="Robot of known place; the first one.")] = None,
+    anchor: Annotated[
+        int | None, typer.Option(help="Id of the anchor robot (default: first).")
+    ] = None,
     ground_z: Annotated[float | None, typer.Option(help="Height of flat ground.")] = None,
     length_unit: Annotated[
-        str, typer.Option(help="Unit where no column names it, as x_mm does.")
+        str, typer.Option(help="Length unit, unless columns name it, such as x_mm.")
     ] = "unit",
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Turn poses from any simulator into a sensing log and a truth, deriving who touches whom."""
+    """Convert robot poses of any simulator to a sensing log with contacts, and a truth."""
     from tiswarm.interop.imports import Assumptions, import_poses
     from tiswarm.robot import FIREANT_RHO, docks_in_plane
 
@@ -107,10 +100,10 @@ def import_(
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")
 def score(
-    truth: Annotated[Path, typer.Argument(help="Where the robots are, as truth.csv.")],
-    estimate: Annotated[Path, typer.Argument(help="Where they are thought to be.")],
+    truth: Annotated[Path, typer.Argument(help="Table of true positions.")],
+    estimate: Annotated[Path, typer.Argument(help="Table of estimated positions.")],
 ) -> None:
-    """Say how far an estimate is from a truth, as it is and after alignment."""
+    """Print the errors of an estimate, as it is and after alignment."""
     from tiswarm.evaluation.tables import score_files
 
     unit, scores = score_files(truth, estimate)

@@ -1,0 +1,90 @@
+"""Pages, help texts, messages and docstrings avoid words that readers stumble over."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+BANNED = re.compile(
+    r"\b(told|tells?|felt|amid|lest|whoever|whatever|likewise|of which|be it)\b"
+    r"|[,;] for (?:it|they|there|he|she|we|these|those) "
+    r"|\bso (?!that\b)\w+ that\b",
+    re.IGNORECASE,
+)
+"""Everyday words in place of terms, `for` in place of because, and chains with `so ... that`."""
+
+PAGES = [
+    *(REPOSITORY / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *sorted((REPOSITORY / "docs").rglob("*.md")),
+]
+CLEAN = [
+    "__init__.py",
+    "__main__.py",
+    "api.py",
+    "cli",
+    "console.py",
+    "doctor.py",
+    "drawing.py",
+    "engine",
+    "errors.py",
+    "inspection.py",
+    "interop",
+    "params.py",
+    "progress.py",
+    "robot.py",
+    "scenario",
+    "sensing.py",
+    "version.py",
+]
+"""Parts of the package whose texts are checked; the aim is all of it."""
+
+
+def modules(part: str) -> list[Path]:
+    """Return the modules of a part of the package."""
+    path = REPOSITORY / "tiswarm" / part
+    return sorted(path.rglob("*.py")) if path.is_dir() else [path]
+
+
+def texts_of(module: Path) -> Iterator[tuple[int, str]]:
+    """Yield the line and the text of each string in a module: docstrings, messages and help."""
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def found_in(texts: Iterator[tuple[int, str]]) -> list[str]:
+    """List banned words with their line."""
+    return [f"{line}: {match[0]}" for line, text in texts for match in BANNED.finditer(text)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_pages_use_plain_words(page):
+    """Each page of the project is free of the words."""
+    assert found_in(enumerate(page.read_text().splitlines(), start=1)) == []
+
+
+@pytest.mark.parametrize(
+    "module",
+    [module for part in CLEAN for module in modules(part)],
+    ids=lambda module: str(module.relative_to(REPOSITORY)),
+)
+def test_modules_use_plain_words(module):
+    """Each docstring, message and help text of a checked module is free of the words."""
+    assert found_in(texts_of(module)) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["It tells all.", "This holds, for it is small.", "so far that robots leave"]
+)
+def test_banned_words_are_found(text):
+    """The pattern knows words, `for` and chains."""
+    assert BANNED.search(text)
+
+
+@pytest.mark.parametrize("text", ["so that", "a table, for each robot", "stellar", "foretold"])
+def test_other_words_are_not(text):
+    """Parts of words and other uses are allowed."""
+    assert not BANNED.search(text)

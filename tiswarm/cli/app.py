@@ -1,0 +1,74 @@
+"""The `tiswarm` application, its exit status, and options that several commands share."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from typer.exceptions import TyperException
+
+import tiswarm
+from tiswarm.console import fail
+from tiswarm.errors import InputError, TiswarmError
+from tiswarm.params import Arch
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Grow swarms of modular robots, and localize the robots by their contacts.",
+    epilog="Example: tiswarm run scenarios/tower.yaml",
+)
+
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key (repeatable).")
+]
+OneArch = Annotated[Arch, typer.Option("--arch", help="Compute device; fails if unavailable.")]
+Threads = Annotated[
+    int | None, typer.Option(help="CPU threads (default: all cores).", show_default=False)
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")]
+RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
+Pdf = Annotated[bool, typer.Option("--pdf", help="Also write figures as vector PDF.")]
+Animate = Annotated[
+    bool, typer.Option("--animate", help="Animate the growth of the largest structure.")
+]
+Movie = Annotated[Literal["gif", "mp4"], typer.Option(help="File format of --animate.")]
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    context: typer.Context,
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if version:
+        typer.echo(f"tiswarm {tiswarm.__version__}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main() -> None:
+    """Run the command line; errors that a user can fix are one line, not a traceback."""
+    sys.exit(_status(sys.argv[1:]))
+
+
+def _status(arguments: list[str]) -> int:
+    """Run a command and return its exit status."""
+    try:
+        status: Any = app(arguments, standalone_mode=False)
+    except TiswarmError as error:
+        fail(str(error))
+        return error.exit_status
+    except TyperException as error:
+        fail(" ".join(error.format_message().split()))
+        return InputError.exit_status
+    except (KeyboardInterrupt, typer.Abort):
+        fail("interrupted; finished results are kept, and the same command continues from there")
+        return INTERRUPTED
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1
+    return status if isinstance(status, int) else 0
