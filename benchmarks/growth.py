@@ -1,9 +1,9 @@
-"""Times the growth of towers and says where the time goes.
+"""Times the growth of towers and its parts.
 
     python -m benchmarks.growth            # 100 robots x 25 seeds, 1,000 and 10,000 robots
     python -m benchmarks.growth --quick    # 100 robots x 25 seeds
 
-On one thread, after a small structure has warmed up what is compiled.
+On one thread; a small structure compiles the kernels first.
 """
 
 import argparse
@@ -37,7 +37,7 @@ PARTS: dict[str, tuple[Any, str]] = {
     "climbing (kernel)": (Walks, "climb"),
     "joining (kernel)": (Walks, "join"),
     "mechanics": (mechanics.Frame, "solve"),
-    "of which factoring (SuperLU)": (mechanics, "splu"),
+    "factoring (SuperLU) within mechanics": (mechanics, "splu"),
     "relays": (site, "relay"),
     "spawning": (site.Site, "spawn"),
 }
@@ -63,9 +63,9 @@ def main() -> None:
 
 
 def _timed(function: Callable[..., Any], part: str, spent: Counter[str]) -> Callable[..., Any]:
-    """Add the time of every call of a function to its part."""
+    """Wrap a function to add the time of every call to its part."""
 
-    def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - whatever the function takes
+    def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - any function
         begun = time.perf_counter()
         try:
             return function(*args, **kwargs)
@@ -76,7 +76,7 @@ def _timed(function: Callable[..., Any], part: str, spent: Counter[str]) -> Call
 
 
 def _row(name: str, robots: int, seeds: int, params: TowerParams, spent: Counter[str]) -> str:
-    """Grow one size and describe it."""
+    """Grow one size; return a row of the table."""
     begun = time.perf_counter()
     grow(params, robots=robots, seeds=range(seeds), robot=RobotGeometry())
     wall = time.perf_counter() - begun

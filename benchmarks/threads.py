@@ -1,11 +1,12 @@
-"""Times what parallel threads gain: the same work on more threads, and more work on more threads.
+"""Measures speed-up and efficiency of parallel threads, by strong and weak scaling.
 
     python -m benchmarks.threads                   # 1, 2, 4, ... threads, up to all of them
     python -m benchmarks.threads --threads 1 2 --works growth virtual-force
 
-Speed-up is by how much the same work is done sooner than on one thread (strong scaling);
-efficiency is how much of that is left, and, of work in proportion to threads, how much of the
-rate of one thread each still has (weak scaling). Times are wall clock, least of the rounds.
+Strong scaling runs the same work on more threads: the speed-up is the time of one thread over
+that of T threads, the efficiency is the speed-up over T. Weak scaling gives T threads T times the
+work: the efficiency is the rate of a thread relative to one thread alone. Times are wall times,
+the least of the rounds.
 """
 
 import argparse
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from benchmarks.swarm_step.machine import describe
-from benchmarks.swarm_step.scenes import ROBOT, Law, make
+from benchmarks.swarm_step.scenes import ROBOT, StepParams, make
 from tiswarm.compute import backend
 from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
@@ -34,9 +35,9 @@ from tiswarm.world.params import TowerParams
 
 FIRST_SEED = 1000
 SMALL = 100
-"""Robots of a structure where many are computed side by side."""
+"""Robots of each structure in a batch."""
 KEPT_LOGS = 16
-"""Different logs; where more are wanted, they come again."""
+"""Number of different logs; larger batches repeat them."""
 STEPS = 25
 MARKERS = "osD^vPX"
 
@@ -44,16 +45,16 @@ Task = Callable[[], object]
 
 
 class Work(NamedTuple):
-    """What is timed."""
+    """A computation to time."""
 
     prepare: Callable[[int], Task]
-    """Makes ready an amount of it; what comes back does it on the threads that then run."""
+    """Prepares an amount of work; returns a function that does it on the running threads."""
 
     amount: int
-    """How much of it one thread gets."""
+    """Amount for each thread."""
 
     unit: str
-    """What is counted."""
+    """Unit of the amount."""
 
 
 def _towers(seeds: int) -> Task:
@@ -63,7 +64,7 @@ def _towers(seeds: int) -> Task:
 
 
 def _large(robots: int) -> TowerParams:
-    """A tower as `scenarios/scaling.yaml` grows it."""
+    """Return the settings of a tower of `scenarios/scaling.yaml`."""
     return TowerParams(
         movers=max(1, robots // 100),
         solve_every=max(1, robots // 50),
@@ -101,16 +102,16 @@ def _localize_one(params: LocalizationParams) -> Callable[[int], Task]:
 
 
 def _step(robots: int) -> Task:
-    scene, law, running = make("block", robots, seed=0), Law(), backend.current()
+    scene, step, running = make("block", robots, seed=0), StepParams(), backend.current()
     swarm = PreparedSwarm(
         scene.position, scene.orientation_wxyz, scene.contacts, robot=ROBOT, threads=running.threads
     )
     return lambda: swarm.relax(
-        attraction_gain=law.attraction_gain,
-        repulsion_gain=law.repulsion_gain,
-        ramp=law.ramp,
+        attraction_gain=step.attraction_gain,
+        repulsion_gain=step.repulsion_gain,
+        ramp=step.ramp,
         steps=STEPS,
-        max_step=law.max_step,
+        max_step=step.max_step,
     )
 
 
@@ -127,7 +128,7 @@ WORKS = {
 
 
 def main() -> None:
-    """Measure, print and store a table, and draw it; what was measured before stays."""
+    """Measure, print, store and draw a table; earlier rows of other works stay."""
     options = _options()
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "machine.json").write_text(json.dumps(describe(), indent=1) + "\n")
@@ -149,7 +150,9 @@ def _options() -> argparse.Namespace:
     usual = sorted({*(1 << k for k in range(most.bit_length())), most})
     parser.add_argument("--threads", type=int, nargs="+", default=usual, metavar="T")
     parser.add_argument("--works", nargs="+", choices=WORKS, default=list(WORKS))
-    parser.add_argument("--rounds", type=int, default=3, help="of which the least time is told")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="rounds; we report the least time (default: 3)"
+    )
     parser.add_argument("--share", type=float, default=1.0, help="share of the usual work")
     parser.add_argument("--out", type=Path, default=Path("reports/threads"))
     return parser.parse_args()
@@ -158,11 +161,11 @@ def _options() -> argparse.Namespace:
 def measure(
     name: str, threads: Sequence[int], rounds: int, share: float
 ) -> list[dict[str, object]]:
-    """Time a work on each count of threads, of the same amount and of one in proportion."""
+    """Time a work on each number of threads, by strong and by weak scaling."""
     work = WORKS[name]
     amount = max(1, round(share * work.amount))
     counts = sorted({1, *threads})
-    # The same amount is what the most threads share, or one of them would have too little.
+    # Strong scaling needs work for the largest number of threads.
     plans = {"strong": dict.fromkeys(counts, counts[-1] * amount)}
     plans["weak"] = {count: count * amount for count in counts}
     rows: list[dict[str, object]] = []
@@ -188,7 +191,7 @@ def measure(
 
 
 def _least_s(work: Work, threads: int, amount: int, rounds: int) -> float:
-    """Least wall time of some rounds [s], once the kernels are there."""
+    """Return the least wall time of some rounds [s], after the kernels are compiled."""
     backend.start(threads=threads)
     task = work.prepare(amount)
     backend.start(threads=threads)
@@ -202,7 +205,7 @@ def _least_s(work: Work, threads: int, amount: int, rounds: int) -> float:
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
-    """Draw speed-up of the same work, and efficiency of work in proportion to threads."""
+    """Draw the speed-up of strong scaling and the efficiency of weak scaling."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):

@@ -1,12 +1,12 @@
-"""Times the swarm step against its peers, and checks the forces of every one of them.
+"""Compares the swarm step with other engines: time, memory, and forces.
 
     python -m benchmarks.swarm_step                    # one scene, 1,000 and 10,000 robots
     python -m benchmarks.swarm_step --full             # all scenes, 100 to 1,000,000 robots
     python -m benchmarks.swarm_step --engines tiswarm-f64 numba-f64 --sizes 1e5
 
-What the folder holds beside stays: a long table can be measured in parts.
-Engines take turns, each in a process of its own, and go through the whole run: from the start
-of the scene, lists and all. Needs `pip install '.[bench]'`; what is missing is named.
+New rows are added to the table in the folder, so a long table can be measured in parts.
+Engines run interleaved, each in its own process, and each run starts at the beginning of the
+scene and includes neighbor lists. Needs `pip install '.[bench]'`; the table names what is missing.
 """
 
 import argparse
@@ -21,27 +21,27 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.swarm_step import reference
-from benchmarks.swarm_step.child import Child
 from benchmarks.swarm_step.engines.registry import ENGINES
 from benchmarks.swarm_step.figure import draw
 from benchmarks.swarm_step.machine import describe
-from benchmarks.swarm_step.scenes import SCENES, Law, make
+from benchmarks.swarm_step.process import EngineProcess
+from benchmarks.swarm_step.scenes import SCENES, StepParams, make
 
 QUICK_SIZES = (1_000, 10_000)
 FULL_SIZES = (100, 1_000, 10_000, 100_000, 1_000_000)
 STEPS, FEW_STEPS = 50, 25
-"""Steps of a run, and of one of a million robots: lists are built every 13 in both."""
+"""Steps of a run, and of a run of a million robots; both rebuild lists every 13 steps."""
 STILL = 1e-6
-"""A largest step at which lists never go stale: what a step costs without them [R]."""
+"""Largest step at which lists never become stale, to time steps without list builds [R]."""
 MOST_CHECKED = 10_000
-"""Robots of the largest scene that is also checked at the end of the run."""
+"""Largest number of robots for a check at the end of the run."""
 ROUNDINGS = 32
-"""Errors may be so many roundings of the largest coordinate, in every step. To round a million
-robots to float32 and compute in float64 from there takes 17 of them already."""
+"""Largest error in each step, in roundings of the largest coordinate. Rounding a million robots to
+float32 alone, with float64 from there on, causes an error of 17."""
 
 
 def main() -> None:
-    """Measure, print and store a table, and draw it."""
+    """Measure, print, store and draw a table."""
     options = _options()
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "machine.json").write_text(json.dumps(describe(), indent=1) + "\n")
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def _put(new: pd.DataFrame, table: pd.DataFrame | None) -> pd.DataFrame:
-    """Replace what was measured before of the same engines, and keep the rest."""
+    """Replace earlier rows of the same engines and scenes, and keep the rest."""
     if table is None:
         return new
     place = ["scene", "robots", "engine"]
@@ -77,9 +77,11 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--sizes", **size, help="numbers of robots")
     parser.add_argument("--scenes", nargs="+", choices=SCENES)
     parser.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES))
-    parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are told")
     parser.add_argument(
-        "--limit-s", type=float, default=120.0, help="leave out runs expected to take longer"
+        "--repeats", type=int, default=5, help="rounds; we report medians (default: 5)"
+    )
+    parser.add_argument(
+        "--limit-s", type=float, default=120.0, help="skip runs that would take longer [s]"
     )
     parser.add_argument("--out", type=Path, default=Path("reports/swarm-step"))
     options = parser.parse_args()
@@ -91,49 +93,51 @@ def _options() -> argparse.Namespace:
 def measure(
     name: str, robots: int, options: argparse.Namespace, earlier: list[dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Run every engine on one scene of one size, in turns."""
-    law, scene = Law(), make(name, robots, seed=0)
+    """Run every engine on one scene of one size, interleaved."""
+    params, scene = StepParams(), make(name, robots, seed=0)
     steps = FEW_STEPS if robots >= FULL_SIZES[-1] else STEPS
-    wanted = {"force": reference.force(scene, law, scene.position), "steps": steps}
+    wanted = {"force": reference.force(scene, params, scene.position), "steps": steps}
     if robots <= MOST_CHECKED:
-        wanted["end"] = reference.run(scene, law, steps)
+        wanted["end"] = reference.run(scene, params, steps)
     extent = np.ptp(scene.position + scene.separation, axis=0).max()
     rows = {
         engine: {"scene": name, "robots": robots, "engine": engine} for engine in options.engines
     }
-    children = {}
+    processes = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
         np.savez(file, **vars(scene), **wanted)
         for engine, row in rows.items():
             row["note"] = _too_slow(engine, name, robots, steps, options.limit_s, earlier)
             if not row["note"]:
-                children[engine] = Child(engine, file)
-                row["note"] = children[engine].missing
-        children = {engine: child for engine, child in children.items() if not child.missing}
-        for engine, child in children.items():
-            child.ask(do="run", steps=steps, max_step=law.max_step)  # warms up
-            rows[engine] |= child.ask(do="check")
+                processes[engine] = EngineProcess(engine, file)
+                row["note"] = processes[engine].missing
+        processes = {
+            engine: process for engine, process in processes.items() if not process.missing
+        }
+        for engine, process in processes.items():
+            process.ask(do="run", steps=steps, max_step=params.max_step)  # warms up
+            rows[engine] |= process.ask(do="check")
             if _is_wrong(rows[engine], extent, steps, ENGINES[engine].precision):
                 rows[engine]["note"] = "WRONG"
-    times = _take_turns(children, steps, options.repeats)
+    times = _take_turns(processes, steps, options.repeats)
     for engine, taken in times.items():
         rows[engine] |= _summary(taken, times[next(iter(times))], robots, steps)
-    for child in children.values():
-        child.stop()
+    for process in processes.values():
+        process.stop()
     return list(rows.values())
 
 
 def _take_turns(
-    children: dict[str, Child], steps: int, repeats: int
+    processes: dict[str, EngineProcess], steps: int, repeats: int
 ) -> dict[str, list[dict[str, Any]]]:
-    """Whole runs, and runs of 1 and 1 + T steps on lists that hold, each engine once a round."""
-    times: dict[str, list[dict[str, Any]]] = {engine: [] for engine in children}
+    """Time complete runs, and runs of 1 and 1 + T steps without stale lists, engine by engine."""
+    times: dict[str, list[dict[str, Any]]] = {engine: [] for engine in processes}
     for _ in range(repeats):
-        for engine, child in children.items():
-            taken = child.ask(do="run", steps=steps, max_step=Law().max_step)
-            short = child.ask(do="run", steps=1, max_step=STILL)
-            long = child.ask(do="run", steps=1 + steps, max_step=STILL)
+        for engine, process in processes.items():
+            taken = process.ask(do="run", steps=steps, max_step=StepParams().max_step)
+            short = process.ask(do="run", steps=1, max_step=STILL)
+            long = process.ask(do="run", steps=1 + steps, max_step=STILL)
             taken["step_s"] = long["cpu_s"] - short["cpu_s"]
             times[engine].append(taken)
     return times
@@ -142,7 +146,7 @@ def _take_turns(
 def _summary(
     taken: list[dict[str, Any]], first: list[dict[str, Any]], robots: int, steps: int
 ) -> dict[str, Any]:
-    """Medians by robot and step, and of the ratios to the first engine in the same round."""
+    """Return medians per robot and step, and medians of the ratios to the first engine."""
     per = 1e9 / (robots * steps)
     table, base = pd.DataFrame(taken), pd.DataFrame(first)
     return {
@@ -161,7 +165,7 @@ def _summary(
 def _too_slow(
     engine: str, scene: str, robots: int, steps: int, limit_s: float, earlier: list[dict[str, Any]]
 ) -> str:
-    """Say so where a run would take longer than wanted, judging by the last smaller one."""
+    """Return a note if a run would exceed the limit, judging by the last smaller run."""
     known = [
         row
         for row in earlier
@@ -170,11 +174,11 @@ def _too_slow(
     expected = 1e-9 * robots * steps * known[-1].get("wall_ns", 0.0) if known else 0.0
     if known and not known[-1].get("wall_ns", 0.0) > 0.0:
         return str(known[-1]["note"])
-    return f"left out: a run would take about {expected:.0f} s" if expected > limit_s else ""
+    return f"skipped: a run would take about {expected:.0f} s" if expected > limit_s else ""
 
 
 def _is_wrong(row: dict[str, Any], extent: float, steps: int, precision: str) -> bool:
-    """Whether errors are larger than rounding explains."""
+    """Whether errors exceed what rounding explains."""
     allowed = ROUNDINGS * np.finfo(precision).eps * (extent + 1.0)
     errors = row["force_error"] or 0.0, (row["end_error_R"] or 0.0) / steps
     return not max(errors) <= allowed

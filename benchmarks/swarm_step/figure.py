@@ -1,4 +1,4 @@
-"""Time of a robot's step against the size of the swarm, one panel a scene."""
+"""The figure: CPU time of a robot's step against the number of robots, one panel for each scene."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ LIBRARIES = list(dict.fromkeys(map(_library, ENGINES)))
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
-    """Draw every engine that was measured, and the streaming bound below them."""
+    """Draw every measured engine, and the streaming bound."""
     import matplotlib as mpl
 
     if "cpu_ns" not in table:
@@ -52,7 +52,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
 
 
 def _draw_scene(panel: "Axes", table: pd.DataFrame) -> dict[str, "Line2D"]:
-    """Draw one line for each engine, and give them back by its name."""
+    """Draw one line for each engine; return the lines by engine."""
     lines = {}
     for engine, rows in table.groupby("engine", sort=False):
         library, kind = _library(str(engine)), str(engine).rpartition("-")[2]

@@ -1,4 +1,4 @@
-"""On what a table was measured."""
+"""The machine and the software versions behind a table."""
 
 import importlib.metadata
 import os
@@ -24,7 +24,7 @@ PACKAGES = (
 
 
 def describe() -> dict[str, object]:
-    """Machine, load, and versions of everything that computes."""
+    """Describe the machine, its load, and the versions of all engines."""
     installed = {each.name.lower(): each.version for each in importlib.metadata.distributions()}
     compiler = shutil.which("cc")
     version = ""

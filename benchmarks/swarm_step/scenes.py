@@ -1,7 +1,7 @@
-"""Made-up swarms of any size: random robots on a jittered lattice, ids shuffled.
+"""Synthetic swarms of any size: robots on a jittered lattice, randomly oriented and numbered.
 
-Dense enough that a dock has about seven foreign docks within 1.3 D; contacts are the pairs of
-docks that happen to lie near D. Lengths in R.
+A dock has about seven docks of other robots within 1.3 D. Contacts are the pairs of docks that
+happen to be about D apart. Lengths are in R.
 """
 
 from dataclasses import dataclass
@@ -19,35 +19,35 @@ PITCH = 2.9
 JITTER = 1.0
 """Largest shift of a robot from its place, along each axis [R]."""
 CONTACT_BAND = 0.16
-"""Docks this near to D apart count as touching [R]."""
+"""Largest deviation from D of the distance of connected docks [R]."""
 BATCH = 100
-"""Robots of each structure in the scene of many."""
+"""Robots of each structure in the scene `batch`."""
 KEY_BITS = 21
 """Bits of a coordinate in a Morton key."""
 COLUMN = 4
-"""Robots along each side of the diagonal column's cross-section."""
+"""Robots along each side of the cross-section of the diagonal column."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law:
-    """The step that every engine takes; forces are steps of a robot's center [R]."""
+class StepParams:
+    """Gains and limits of the step; forces are displacements of a robot's center [R]."""
 
     attraction_gain: float = 0.05
     repulsion_gain: float = 0.04
     ramp: float = 0.5
     max_step: float = 0.02
-    """Keeps the swarm slow: four builds of the neighbor lists in 50 steps [R]."""
+    """Largest displacement in a step; small enough for four list builds in 50 steps [R]."""
     spacing: float = ROBOT.spacing
     skin: float = 0.5
-    """Lists hold pairs up to D + skin and are built anew once a robot moved half of it [R]."""
+    """Lists contain pairs up to D + skin; a robot that moved half of it causes a rebuild [R]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """N robots where they are, and the C pairs of docks that are connected."""
+    """Initial poses of N robots, and C pairs of connected docks."""
 
     position: NDArray[np.float64]
-    """Centers [R], shape (N, 3); structures may lie on top of each other."""
+    """Centers [R], shape (N, 3); structures may overlap each other."""
 
     orientation_wxyz: NDArray[np.float64]
     """Body to world, shape (N, 4)."""
@@ -60,13 +60,13 @@ class Scene:
 
     @property
     def dock_offset(self) -> NDArray[np.float64]:
-        """Center to dock in the world frame [R], shape (N, 3, 3)."""
+        """Vectors from center to dock in the world frame [R], shape (N, 3, 3)."""
         turn = Rotation.from_quat(self.orientation_wxyz, scalar_first=True).as_matrix()
         return np.einsum("nij,kj->nki", turn, ROBOT.dock_offset_body)
 
     @property
     def separation(self) -> NDArray[np.float64]:
-        """Shift that sets structures apart, for engines that know only one [R], shape (N, 3)."""
+        """Shift that separates structures, for engines that support only one [R], shape (N, 3)."""
         count = int(self.structure.max()) + 1
         if count == 1:
             return np.zeros_like(self.position)
@@ -75,8 +75,8 @@ class Scene:
         room = np.ptp(self.position, axis=0).max() + 10.0
         return room * place[self.structure]
 
-    def along_curve(self, edge: float) -> tuple["Scene", NDArray[np.int64]]:
-        """Renumber the robots so that neighbors lie together in memory; also the old numbers."""
+    def in_morton_order(self, edge: float) -> tuple["Scene", NDArray[np.int64]]:
+        """Renumber the robots along a Morton curve; return the old numbers too."""
         order = morton_order(self.position + self.separation, edge)
         rank = np.empty(len(order), np.int32)
         rank[order] = np.arange(len(order))
@@ -92,22 +92,22 @@ class Scene:
 
 
 def make(name: str, robots: int, seed: int) -> Scene:
-    """Build the scene of that name, the same for the same seed."""
+    """Build a scene; the same seed gives the same scene."""
     rng = np.random.default_rng(seed)
     place, structure = SCENES[name](robots)
     place = place + rng.uniform(-JITTER, JITTER, (robots, 3))
     shuffled = rng.permutation(robots)
-    loose = Scene(
+    unconnected = Scene(
         position=place[shuffled],
         orientation_wxyz=Rotation.random(robots, rng).as_quat(scalar_first=True),
         contacts=np.empty((0, 4), np.int32),
         structure=structure[shuffled].astype(np.int32),
     )
-    return Scene(**{**vars(loose), "contacts": _contacts(loose)})
+    return Scene(**{**vars(unconnected), "contacts": _contacts(unconnected)})
 
 
 def _lattice(robots: int, wide: int, deep: int) -> NDArray[np.float64]:
-    """Fill layers of wide x deep places from below."""
+    """Fill layers of wide x deep places from the bottom up."""
     index = np.arange(robots)
     cell = np.stack([index % wide, index // wide % deep, index // (wide * deep)], axis=1)
     return PITCH * cell
@@ -139,7 +139,7 @@ SCENES = {"block": _block, "tower": _tower, "diagonal": _diagonal, "batch": _bat
 
 
 def _contacts(scene: Scene) -> NDArray[np.int32]:
-    """Pairs of docks of different robots that lie within a band about D."""
+    """Return the pairs of docks of different robots with a distance in a band about D."""
     dock = (scene.position + scene.separation)[:, None] + scene.dock_offset
     dock = dock.reshape(-1, 3)
     pair = cKDTree(dock).query_pairs(ROBOT.spacing + CONTACT_BAND, output_type="ndarray")
@@ -150,7 +150,7 @@ def _contacts(scene: Scene) -> NDArray[np.int32]:
 
 
 def morton_order(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """Order of points along a curve that keeps neighbors together."""
+    """Return the order of points along a Morton curve, which keeps neighbors together."""
     cell = np.floor((position - position.min(axis=0)) / edge).astype(np.uint64)
     key = np.zeros(len(cell), np.uint64)
     for bit in range(KEY_BITS):

@@ -1,19 +1,18 @@
-"""The table of gains by threads says what was measured."""
-
-import subprocess
-import sys
+"""The table of speed-ups is consistent."""
 
 import pandas as pd
 import pytest
 
+from tests.benchmarks.commands import call
 
-def test_gains_are_ratios_of_the_times_beside_them(tmp_path):
-    """The same work on one and two threads, and twice the work on two."""
-    command = [sys.executable, "-m", "benchmarks.threads", "--works", "swarm step"]
-    options = ["--threads", "1", "2", "--rounds", "1", "--share", "0.002", "--out", tmp_path]
 
-    subprocess.run([*command, *options], check=True, capture_output=True, timeout=120)
+def test_speed_ups_are_ratios_of_times(tmp_path):
+    """One and two threads do the same work, and two threads do twice the work."""
+    options = ["--works", "swarm step", "--threads", 1, 2, "--rounds", 1, "--share", 0.002]
 
+    done = call("threads", *options, "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "threads.csv").set_index(["scaling", "threads"])
     assert table["amount"].to_dict() == {
         ("strong", 1): 400,

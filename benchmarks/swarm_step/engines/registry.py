@@ -1,4 +1,4 @@
-"""The engines by name: what runs them, in which precision, on how many threads."""
+"""The engines by name, with their precision and number of threads."""
 
 import importlib
 import os
@@ -10,41 +10,41 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 ALL = os.cpu_count() or 1
 
 
 class Engine(Protocol):
-    """A scene that is ready to be run, again and again."""
+    """A prepared scene that can be run repeatedly."""
 
     builds: int
-    """How often the last run made its neighbor lists."""
+    """Number of list builds in the last run."""
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
-        """Take steps from the scene's start; where robots are then, shape (N, 3)."""
+        """Take steps from the start of the scene; return the final positions, shape (N, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """How an engine is started, in a process of its own."""
+    """How to start an engine in its own process."""
 
     engine: str
-    """Module of this package and class."""
+    """Module of this package, a colon, and the class."""
 
     precision: str = "float64"
     threads: int = 1
     options: Mapping[str, str] = field(default_factory=dict)
-    """Further arguments of the class."""
+    """More arguments of the class."""
 
     environment: Mapping[str, str] = field(default_factory=dict)
-    """Variables that the process gets."""
+    """Environment variables of the process."""
 
     in_order: bool = True
-    """Whether it is handed the robots renumbered along a curve, which it would not do itself."""
+    """Whether it gets the robots in Morton order; tiswarm orders them itself."""
 
-    def load(self) -> Callable[[Scene, Law], Engine]:
-        """Import what the engine needs; what comes back prepares a scene."""
+    def load(self) -> Callable[[Scene, StepParams], Engine]:
+        """Import the engine; return a function that prepares a scene."""
         module, name = self.engine.split(":")
         factory = getattr(importlib.import_module(f"{__package__}.{module}"), name)
         return partial(factory, precision=self.precision, threads=self.threads, **self.options)
@@ -99,4 +99,4 @@ ENGINES = {
     "tiswarm-cuda-f32": _ours("float32", arch="cuda"),
     "warp-cuda-f32": _warp("float32", "cuda"),
 }
-"""One thread, unless the name ends in `all`."""
+"""Every engine; one thread, unless the name ends in `all`."""

@@ -1,10 +1,10 @@
-/* The step of kernels.py by hand: rows are first spread out, so that no vector is gathered. */
+/* The step of kernels.py. Rows are unpacked into arrays first, so vector loads are contiguous. */
 #include <stdint.h>
 #include <tgmath.h>
 
 enum { ROW = 256, WIDTH = 8 };
 
-/* Returns the largest square of a distance from `origin`. */
+/* Returns the largest squared distance from `origin`. */
 REAL take_step(int64_t robots, const int64_t *restrict first, const int64_t *restrict end,
                const int32_t *restrict entry, const REAL *restrict dock,
                const REAL *restrict dock_offset, const REAL *restrict position,
@@ -59,7 +59,7 @@ REAL take_step(int64_t robots, const int64_t *restrict first, const int64_t *res
     return farthest;
 }
 
-/* Reads and writes what a step does, in order and computing nothing: the streaming bound. */
+/* Reads and writes the bytes of a step in order, without its arithmetic: the streaming bound. */
 REAL stream(int64_t robots, const int64_t *restrict first, const int64_t *restrict end,
             const int32_t *restrict entry, const REAL *restrict dock,
             const REAL *restrict dock_offset, const REAL *restrict position,

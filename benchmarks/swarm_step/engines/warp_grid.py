@@ -1,4 +1,4 @@
-"""Warp's HashGrid, asked anew in every step for the docks around each dock."""
+"""Warp: a HashGrid, queried in every step for the docks around each dock."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from benchmarks.swarm_step.scenes import Law, Scene
+from benchmarks.swarm_step.scenes import Scene, StepParams
 
 wp.config.quiet = True
 CELLS = 128
@@ -14,17 +14,17 @@ CELLS = 128
 
 
 class WarpGrid:
-    """Cells of D + half the skin, filled anew once a robot moved that half."""
+    """Cells of D + half the skin, refilled when a robot has moved that half."""
 
     def __init__(
-        self, scene: Scene, law: Law, *, precision: str, threads: int, device: str = "cpu"
+        self, scene: Scene, params: StepParams, *, precision: str, threads: int, device: str = "cpu"
     ) -> None:
         del threads
         wp.init()
         self.device = wp.get_device(device)
         self.real = wp.float64 if precision == "float64" else wp.float32
         self.vector = wp.types.vector(3, self.real)
-        self.law, self.separation = law, scene.separation
+        self.params, self.separation = params, scene.separation
         placed = (scene.position + scene.separation).astype(precision)
         self.start_position = self._array(placed)
         self.dock_offset = self._array(scene.dock_offset.reshape(-1, 3))
@@ -40,24 +40,24 @@ class WarpGrid:
         return wp.array(values, dtype=self.vector, device=self.device)
 
     def run(self, steps: int, max_step: float) -> NDArray[np.float64]:
-        """Take steps from the scene's start."""
-        law, robots = self.law, len(self.start_position)
+        """Take steps from the start of the scene; return the final positions."""
+        params, robots = self.params, len(self.start_position)
         here, there = wp.clone(self.start_position), wp.empty_like(self.start_position)
         origin = wp.clone(here)
         dock = wp.empty_like(self.dock_offset)
         farthest = wp.zeros(1, dtype=self.real, device=self.device)
-        reach = law.spacing + 0.5 * law.skin
-        gains = law.attraction_gain * law.ramp, law.repulsion_gain * (1.0 - law.ramp)
+        reach = params.spacing + 0.5 * params.skin
+        gains = params.attraction_gain * params.ramp, params.repulsion_gain * (1.0 - params.ramp)
         self.builds, moved = 0, np.inf
         for _ in range(steps):
             self._launch(self.place_docks, 3 * robots, [here, self.dock_offset], [dock])
-            if moved > (0.5 * law.skin) ** 2:
+            if moved > (0.5 * params.skin) ** 2:
                 self.grid.build(dock, reach)
                 wp.copy(origin, here)
                 self.builds += 1
             farthest.zero_()
             contacts = self.contact_start, self.contact_dock
-            numbers = *gains, law.spacing, max_step, reach
+            numbers = *gains, params.spacing, max_step, reach
             inputs = [self.grid.id, dock, here, origin, *contacts, *numbers]
             self._launch(self.take_step, robots, inputs, [there, farthest])
             moved = float(farthest.numpy()[0])
@@ -69,7 +69,7 @@ class WarpGrid:
 
 
 def _contact_rows(contacts: NDArray[np.int32], robots: int) -> tuple[NDArray, NDArray]:
-    """Docks in contact with each dock, from both ends."""
+    """Return the docks in contact with each dock, from both ends, in CSR form."""
     pair = 3 * contacts[:, 0::2] + contacts[:, 1::2]
     own, other = np.concatenate([pair, pair[:, ::-1]]).T
     by_dock = np.lexsort((other, own))
@@ -77,7 +77,7 @@ def _contact_rows(contacts: NDArray[np.int32], robots: int) -> tuple[NDArray, ND
 
 
 def _kernels(real: Any, vector: Any) -> tuple[Any, Any]:  # noqa: ANN401 - types of Warp
-    """Kernels for one precision."""
+    """Return the kernels for one precision."""
 
     @wp.kernel
     def place_docks(  # noqa: ANN202 - a kernel

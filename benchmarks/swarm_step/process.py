@@ -1,4 +1,4 @@
-"""A process that runs one engine."""
+"""Processes that run one engine each."""
 
 import json
 import os
@@ -10,8 +10,8 @@ from typing import Any
 from benchmarks.swarm_step.engines.registry import ENGINES
 
 
-class Child:
-    """An engine that is ready, or says in `missing` why it never will be."""
+class EngineProcess:
+    """An engine that is ready to run; if it is not, `missing` says why."""
 
     def __init__(self, engine: str, scene: Path) -> None:
         entry = ENGINES[engine]
@@ -29,13 +29,13 @@ class Child:
         if self.missing:
             self.stop()
 
-    def ask(self, **request: Any) -> dict[str, Any]:  # noqa: ANN401 - what the worker knows
-        """Have something done and wait for it."""
+    def ask(self, **request: Any) -> dict[str, Any]:  # noqa: ANN401 - see worker.py
+        """Send a request and wait for the answer."""
         print(json.dumps(request), file=self.process.stdin, flush=True)
         return self._answer()
 
     def stop(self) -> None:
-        """Let the process end."""
+        """End the process."""
         self.process.communicate()
 
     def _answer(self) -> dict[str, Any]:
