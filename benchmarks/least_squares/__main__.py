@@ -5,8 +5,9 @@
 
 Both solvers get the same residuals, start and rounds. A row of the table is a log and a solver:
 the root mean square of the contact residuals, the error if a truth.csv is beside the log, the
-wall time, and the largest distance of a robot between the two solvers' estimates. GTSAM calls a
-Python function for every residual, which takes most of its time. Needs `pip install '.[bench]'`.
+wall time, and the largest distance of a robot between the two solvers' estimates. The sum of
+squares has many minima, so the solvers may end in different ones. GTSAM calls a Python function
+for every residual, which takes most of its time. Needs `pip install '.[bench]'`.
 """
 
 import argparse
