@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tiswarm.errors import InputError
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
-from tiswarm.measurements.contacts import contact_count, located
+from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.observability import by_cue
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
@@ -58,17 +58,24 @@ def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterat
 
 
 def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
-    """Describe in lines what a log leaves unknown, and contacts that contradict each other."""
-    if (lost := np.flatnonzero(~located(log))).size:
-        yield f"no chain of final contacts to the anchor: {_robots(log, lost)}"
+    """Describe in lines what a log leaves unknown, and contacts that contradict each other.
+
+    Args:
+        log: What was sensed.
+        path: File that it was read from.
+        found: What cues determine, all that are in use last.
+    """
+    found = list(found)
+    if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
+        yield f"no measurement ties them to the anchor, positions are guesses: {_robots(log, lost)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
         yield f"one contact only: {_robots(log, single)}"
-    swing = None
+    gauge_yaw_sd = None
     for known in found:
         yield _left_open(known)
-        swing = known.swing if known.turning else swing
-    if swing is not None:
-        fixed = f"the mean compass fixes it to {math.degrees(swing):.2g} deg (1 sd)"
+        gauge_yaw_sd = known.gauge_yaw_sd if known.yaw_unknown else gauge_yaw_sd
+    if gauge_yaw_sd is not None:
+        fixed = f"the mean compass fixes it to {math.degrees(gauge_yaw_sd):.2g} deg (1 sd)"
         yield f"global yaw is unobservable; {fixed}"
     impossible = contradictions(log)
     for line, problem in impossible[:MOST_SHOWN]:
@@ -122,12 +129,13 @@ def describe_residual(log: SensingLog, estimate: Estimate) -> str:
 
 
 def _left_open(known: Observability) -> str:
-    cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.turning}"
+    cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.yaw_unknown}"
     modes = known.floppy_modes
     if modes is None:
         return f"{cues}: too many robots to count floppy modes of {known.unknowns} unknowns"
     text = f"{cues}: {counted(modes, 'floppy mode')} of {known.unknowns} unknowns"
-    return text if known.loose is None else f"{text}, {counted(known.loose.sum(), 'floppy robot')}"
+    floppy = known.floppy
+    return text if floppy is None else f"{text}, {counted(floppy.sum(), 'floppy robot')}"
 
 
 def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:

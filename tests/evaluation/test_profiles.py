@@ -32,7 +32,7 @@ def _scored(history, off):
     estimate = Estimate(
         robot_id=log.robot_id,
         position=history.position + off,
-        located=np.ones(log.robot_count, bool),
+        disconnected=np.zeros(log.robot_count, bool),
         iteration=np.array([0]),
         trace=(history.position + off)[None],
         residual=np.zeros(1),

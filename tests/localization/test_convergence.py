@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.structures import Rule, structure
-from tiswarm.localization.joint import anneal, method
-from tiswarm.localization.joint.convergence import RUNAWAY, failed, judge, squares
-from tiswarm.localization.joint.equations import equations
-from tiswarm.localization.joint.reach import reach
+from tiswarm.localization.joint import annealing, method
+from tiswarm.localization.joint.convergence import failed, judge, squares
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
+from tiswarm.measurements.contacts import reach
 
 SHORT = JointParams(chains=4, steps=1500, hold_steps=200)
 KINDS = ["tree", "loops", "ball", "chain"]
@@ -29,7 +30,7 @@ def test_no_chain_gains_energy(kind):
     """
     log, _ = structure(Rule(kind=kind, offset=1.1547, untied=0.3), 60, 0)
     params = JointParams()
-    annealer = anneal.Annealer([log], [params], [equations(log, params)])
+    annealer = annealing.Annealer([log], [params], [pose_problem(log, params)])
     heat = []
 
     for step in (200, 300, 500, 800, 1200, 1800, 2500, 3000):
@@ -46,11 +47,13 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     Each contact's fixed vector is a tenth of what it is, so that docks of a tree lie in each other.
     """
     log, _ = structure(Rule(docks=2), 12, 1)
-    tolerance = {"start_tolerance": 0.05, "end_tolerance": 0.05}
+    tolerance = {"start_sigma": 0.05, "end_sigma": 0.05}
     params = JointParams(steps=2000, chains=16, non_overlap=False, robust=False, **tolerance)
-    known = equations(log, params)
-    again = dataclasses.replace(known, shift=known.shift * 0.1)  # nowhere can all of these hold
-    annealer = anneal.Annealer([log], [params], [again])
+    known = pose_problem(log, params)
+    rows = known.rows
+    short = dataclasses.replace(rows, arm=0.1 * rows.arm, other_arm=0.1 * rows.other_arm)
+    again = dataclasses.replace(known, rows=short)  # nowhere can all of these hold
+    annealer = annealing.Annealer([log], [params], [again])
     annealer.advance(1500)
     heat = []
 
@@ -58,7 +61,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
         annealer.advance(step)
         heat.append(annealer.temperatures(step - 1)[:, 0])
 
-    assert np.mean(heat, axis=0).max() < RUNAWAY
+    assert np.mean(heat, axis=0).max() < CONVERGENCE.runaway
 
 
 @settings(deadline=None, max_examples=25)
@@ -66,7 +69,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
 def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, seed):
     """In truth; and the bound is that of the shortest chain of contacts."""
     log, truth = structure(Rule(kind=kind, docks=docks, offset=2.0), 10, seed)
-    known = equations(log, JointParams())
+    known = pose_problem(log, JointParams())
     longest = np.linalg.norm(known.shift, axis=1) + 2.0
     slow = np.full(10, np.inf)
     slow[0] = 0.0
@@ -86,8 +89,8 @@ def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, se
 def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypatch):
     """One whose robot is out of reach, or that ran hot; all others stay as they are."""
     log, _ = structure(Rule(kind="loops"), 30, 2)
-    known = equations(log, SHORT)
-    sound = anneal.anneal([log], [SHORT], [known])[0]
+    known = pose_problem(log, SHORT)
+    sound = annealing.anneal([log], [SHORT], [known])[0]
     away, hot = np.zeros((2, 4))
     away[1], hot[2] = 1e3, 1e3
     last = sound.last.copy()
@@ -116,8 +119,8 @@ def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypa
 def test_chains_that_fail_again_and_again_do_not_count(monkeypatch):
     """Those that are left make the estimate; if none is, it says that it did not converge."""
     log, _ = structure(Rule(kind="loops"), 30, 2)
-    known = equations(log, SHORT)
-    sound = anneal.anneal([log], [SHORT], [known])[0]
+    known = pose_problem(log, SHORT)
+    sound = annealing.anneal([log], [SHORT], [known])[0]
     one = dataclasses.replace(sound, temperature=np.array([9.0, 1.0, 1.0, 1.0]))
     every = dataclasses.replace(sound, temperature=np.full(4, 9.0))
 
@@ -153,12 +156,12 @@ def test_squares_are_those_of_residuals_in_standard_deviations():
     """Of contacts, and of every coordinate that is measured: no anchor, no place of our making."""
     log, truth = structure(Rule(kind="loops", untied=0.3), 20, 4)
     heights = dataclasses.replace(log, flip_height=truth[:, 2].copy())
-    known = equations(heights, SHORT)
-    found = anneal.anneal([heights], [SHORT], [known])[0]
+    known = pose_problem(heights, SHORT)
+    found = annealing.anneal([heights], [SHORT], [known])[0]
 
-    missed, away = squares(known, found)
+    missed, away = np.split(squares(known, found), [len(known.other)], axis=1)
 
-    square = found.tolerance**2
+    square = found.sigma**2
     for chain in range(SHORT.chains):
         x = found.last[chain]
         gap = np.linalg.norm(x[known.robot] + known.shift - x[known.other], axis=1) - 2.0
@@ -173,9 +176,9 @@ def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
 
     for seed in range(3):
         found = localize(log, dataclasses.replace(SHORT, seed=seed))
-        known = equations(log, SHORT)
+        known = pose_problem(log, SHORT)
         bound = known.reach() + 5.0
-        annealer = anneal.Annealer([log], [SHORT], [known])
+        annealer = annealing.Annealer([log], [SHORT], [known])
         start = annealer.by_robot(annealer.swarm.position)[0]
         first = np.unique(known.part, return_index=True)[1]
         apart = np.linalg.norm(start[first][:, None] - start[first], axis=2)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.structures import Rule, structure, with_heights
-from tiswarm.localization.joint.equations import equations
+from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.localization.registry import localize_many
 
@@ -42,9 +42,9 @@ def _check(log, estimate):
     if not estimate.convergence.converged:
         assert estimate.doubted is None
         return
-    known = equations(log, JointParams())
+    known = pose_problem(log, JointParams())
     doubted = {tuple(row) for row in estimate.doubted.tolist()}
-    trusted = np.array([tuple(row) not in doubted for row in known.felt.tolist()], bool)
+    trusted = np.array([tuple(row) not in doubted for row in known.contacts.tolist()], bool)
     bound = known.reach(0.1, trusted)
     first = np.unique(known.part, return_index=True)[1][known.part]
     distance = np.linalg.norm(estimate.position - estimate.position[first], axis=1)

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tests.localization.test_joint_equations import true_yaw
+from tests.localization.test_problem import true_yaw
 from tiswarm.compute import backend
 from tiswarm.evaluation.outliers import outlier_scores
-from tiswarm.localization.joint import anneal, force_kernels, kernels, seats
-from tiswarm.localization.joint.branches import branches, weights
-from tiswarm.localization.joint.equations import equations
+from tiswarm.localization.joint import annealing, force_kernels, initialization, kernels
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.subtrees import find_subtrees, weights
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.measurements.odometry import felt_contacts
+from tiswarm.measurements.contacts import sensed_contacts
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
@@ -24,7 +25,7 @@ from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import CantileverParams
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
-PAIR = JointParams(steps=300, start_tolerance=0.1, end_tolerance=0.1, non_overlap=False)
+PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, non_overlap=False)
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
@@ -48,16 +49,16 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, ste
     Docks grow in the first tenth of the steps.
     """
     log = observe(towers[0], noise)
-    params = dataclasses.replace(SHORT, robust=robust, start_tolerance=0.3, end_tolerance=0.3)
-    known = equations(log, params)
-    annealer = anneal.Annealer([log], [params], [known])
+    params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
+    known = pose_problem(log, params)
+    annealer = annealing.Annealer([log], [params], [known])
     annealer.advance(steps)
     before, heading = (
         annealer.by_robot(annealer.swarm.position),
         annealer.by_robot(annealer.swarm.heading),
     )
     yaw = heading[:, :, force_kernels.YAW]
-    size = 2.0 * min(1.0, (steps + 1) / (anneal.GROWING * SHORT.steps))
+    size = 2.0 * min(1.0, (steps + 1) / (SCHEDULE.growing * SHORT.steps))
 
     annealer.advance(steps + 1)
 
@@ -66,7 +67,9 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, ste
     assert (np.abs(yaw).max() > 0.05) == (noise is BIASED)
     for k in range(SHORT.chains):
         width = 3.0 if robust else np.inf
-        slow = oracle.joint_force(log, known, before[k], yaw[k], 0.3, width, params.stretch, size)
+        slow = oracle.joint_force(
+            log, known, before[k], yaw[k], 0.3, width, params.extension_prior, size
+        )
         np.testing.assert_allclose(forces[k], slow[0], rtol=1e-9, atol=1e-11)
         if noise is BIASED:
             np.testing.assert_allclose(torques[k], slow[1], rtol=1e-9, atol=1e-10)
@@ -101,14 +104,14 @@ def test_a_large_structure_is_annealed_fewer_times_and_quicker():
 def test_a_robot_that_lost_touch_is_put_back(towers):
     """And nobody else, in no other chain, along no axis that is known."""
     history = towers[0]
-    known = equations(observe(history, SensingParams()), JointParams())
+    known = pose_problem(observe(history, SensingParams()), JointParams())
     position = np.tile(history.position, (2, 1, 1))
     position[1, -1] += [25.0, 10.0, 1.5]
 
-    moved = seats.reseat(known, position, np.zeros(position.shape[:2]))
+    moved = initialization.reinitialize_lost(known, position, np.zeros(position.shape[:2]))
 
     assert moved == 1
-    assert np.linalg.norm(position[1, -1, :2] - history.position[-1, :2]) < seats.SPACING
+    assert np.linalg.norm(position[1, -1, :2] - history.position[-1, :2]) < 2.0
     assert position[1, -1, 2] == history.position[-1, 2] + 1.5
     np.testing.assert_array_equal(position[:, :-1], np.tile(history.position[:-1], (2, 1, 1)))
     np.testing.assert_array_equal(position[0], history.position)
@@ -117,12 +120,12 @@ def test_a_robot_that_lost_touch_is_put_back(towers):
 def test_a_robot_that_noise_alone_moved_is_not_put_back(towers):
     """Where equations are as uncertain as that, nobody is lost."""
     history = towers[0]
-    known = equations(observe(history, SensingParams()), JointParams())
+    known = pose_problem(observe(history, SensingParams()), JointParams())
     position = history.position[None].copy()
     position[0, -1] += [25.0, 10.0, 1.5]
     unsure = dataclasses.replace(known, variance=known.variance + 10.0**2)
 
-    assert seats.reseat(unsure, position, np.zeros(position.shape[:2])) == 0
+    assert initialization.reinitialize_lost(unsure, position, np.zeros(position.shape[:2])) == 0
 
 
 def test_a_long_arm_is_not_torn_from_its_anchor():
@@ -141,7 +144,7 @@ def test_anchors_stay_where_they_are(towers):
     """Whatever is shifted or turned."""
     log = observe(towers[0], BIASED)
 
-    found = anneal.anneal([log], [SHORT], [equations(log, SHORT)])[0]
+    found = annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)])[0]
 
     for positions in (found.mean, found.last, found.trace):
         np.testing.assert_allclose(positions[:, 0] - log.anchor_position, 0.0, atol=1e-12)
@@ -152,9 +155,9 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
     """What pulls at a branch pulls at its robots; where places are known, none is shifted."""
     log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
     params = dataclasses.replace(SHORT, walk_contacts=False)
-    known = equations(log, params)
-    annealer = anneal.Annealer([log], [params], [known])
-    tree = branches(np.column_stack([known.robot, known.other]), log.robot_count)
+    known = pose_problem(log, params)
+    annealer = annealing.Annealer([log], [params], [known])
+    tree = find_subtrees(np.column_stack([known.robot, known.other]), log.robot_count)
     count = len(tree.parent)
     pull, speed = annealer.trees.pull, annealer.trees.velocity
     annealer.advance(4)
@@ -205,9 +208,9 @@ def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
     far = np.sqrt(9.0 + 4.0 + 12.0 * cosine)
     for stretch in (0.0, 1.0):
         params = dataclasses.replace(
-            PAIR, chains=200, hold_steps=2000, stretch=stretch, robust=False
+            PAIR, chains=200, hold_steps=2000, extension_prior=stretch, robust=False
         )
-        found = anneal.anneal([log], [params], [equations(log, params)])[0]
+        found = annealing.anneal([log], [params], [pose_problem(log, params)])[0]
         weight = np.exp(stretch * far)
         expected = 3.0 + 2.0 * np.sum(cosine * weight) / weight.sum()
         assert found.mean[:, 1, 0].mean() == pytest.approx(expected, abs=0.1)
@@ -219,11 +222,11 @@ def test_what_is_likelier_the_farther_it_reaches_does_not_draw_contacts_out():
     length = []
     for stretch in (0.0, 1.0):
         params = dataclasses.replace(
-            PAIR, chains=1000, hold_steps=1, stretch=stretch, contact_sd=1.0, robust=False
+            PAIR, chains=1000, hold_steps=1, extension_prior=stretch, contact_sd=1.0, robust=False
         )
-        known = equations(log, params)
-        found = anneal.anneal([log], [params], [known])[0]
-        length.append(known.lengths(found.last, found.last_yaw).mean())
+        known = pose_problem(log, params)
+        found = annealing.anneal([log], [params], [known])[0]
+        length.append(known.residual(found.last, found.last_yaw).mean())
     assert length[1] == pytest.approx(length[0], abs=0.1)
 
 
@@ -249,14 +252,16 @@ def test_every_contact_has_its_share_of_the_heat(towers, noise):
     Where steps were too long for what swings they would pump energy in.
     """
     log = observe(towers[0], dataclasses.replace(noise, spawn_noise=None))
-    tolerance = dict.fromkeys(["start_tolerance", "end_tolerance"], 0.1)
+    tolerance = dict.fromkeys(["start_sigma", "end_sigma"], 0.1)
     off = dict.fromkeys(["walk_contacts", "height", "ground", "non_overlap", "robust"], False)
-    params = JointParams(chains=64, steps=1000, hold_steps=1, stretch=0.0, **tolerance, **off)
-    known = equations(log, params)
+    params = JointParams(
+        chains=64, steps=1000, hold_steps=1, extension_prior=0.0, **tolerance, **off
+    )
+    known = pose_problem(log, params)
 
-    found = anneal.anneal([log], [params], [known])[0]
+    found = annealing.anneal([log], [params], [known])[0]
 
-    gap = known.lengths(found.last, found.last_yaw) - log.spacing
+    gap = known.residual(found.last, found.last_yaw)
     assert np.mean(gap**2 / (known.variance + 0.1**2)) == pytest.approx(1.0, abs=0.1)
 
 
@@ -291,9 +296,11 @@ def test_steps_are_the_same_however_threads_share_them(towers):
     """
     logs = [observe(h, n) for h, n in zip(towers, [NOISY, BIASED, BIASED], strict=True)]
     short = dataclasses.replace(SHORT, steps=60, hold_steps=20)
-    params = [dataclasses.replace(short, end_tolerance=end) for end in (None, 0.1, 0.2)]
-    known = [equations(log, p) for log, p in zip(logs, params, strict=True)]
-    swarms = [anneal.Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)]
+    params = [dataclasses.replace(short, end_sigma=end) for end in (None, 0.1, 0.2)]
+    known = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
+    swarms = [
+        annealing.Annealer(logs, params, known, by_block=by_block) for by_block in (True, False)
+    ]
     rows = swarms[0].neighbors
     rows.make_room(0)  # what does not fit is given room on the way
 
@@ -304,13 +311,13 @@ def test_steps_are_the_same_however_threads_share_them(towers):
         assert a.trace.tobytes() == b.trace.tobytes()
         assert a.mean.tobytes() == b.mean.tobytes()
         assert a.mean_yaw.tobytes() == b.mean_yaw.tobytes()
-        assert a.spread.tobytes() == b.spread.tobytes()
+        assert a.within.tobytes() == b.within.tobytes()
 
 
 def test_rows_serve_as_if_made_anew_for_each_step(log):
     """Thin ones while all is hot, thick ones for many steps later: no overlap is missed."""
-    known = [equations(log, SHORT)]
-    kept, anew = (anneal.Annealer([log], [SHORT], known) for _ in range(2))
+    known = [pose_problem(log, SHORT)]
+    kept, anew = (annealing.Annealer([log], [SHORT], known) for _ in range(2))
     skins, ages = set(), []
 
     for step in range(1, SHORT.steps + 1):
@@ -352,7 +359,7 @@ def test_wrong_contacts_are_given_up(towers):
     for log, history, estimate in zip(logs, towers, robust, strict=True):
         judged = outlier_scores(history, log, estimate, cues=params.cues)
         true = _touched(history)
-        felt = [tuple(row) for row in felt_contacts(log, CUES).tolist()]
+        felt = [tuple(row) for row in sensed_contacts(log, CUES).tolist()]
         doubted = [tuple(row) for row in estimate.doubted.tolist()]
         wrong = [row for row in felt if row not in true]
         hits = [row for row in doubted if row in wrong]
@@ -386,7 +393,7 @@ def test_a_bias_of_yaw_is_found(towers):
         assert np.sqrt(np.mean((s.yaw - bias) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
         assert _rmse(s.position, history) < 0.6 * _rmse(t.position, history)
         assert t.yaw is None
-        assert (s.observability.turning, t.observability.turning) == (True, False)
+        assert (s.observability.yaw_unknown, t.observability.yaw_unknown) == (True, False)
     assert localize(observe(towers[0], NOISY), SHORT).yaw is None
 
 
@@ -408,7 +415,7 @@ def test_a_log_of_bare_contacts_is_enough(log):
 
     estimate = localize(bare, SHORT)
 
-    assert estimate.located.tolist() == [True, True, True, False]
+    assert estimate.disconnected.tolist() == [False, False, False, True]
     assert np.isfinite(estimate.position).all()
     assert (estimate.sd[1:] > 0.4).all()  # on a sphere, and not all around it in so few steps
     silent = dataclasses.replace(bare, contacts=np.empty((0, 4), np.int32))
@@ -427,18 +434,18 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     unobserved = untied[:, None] & np.array([True, True, False])
     known = SimpleNamespace(part=part, untied=untied, unobserved=unobserved)
 
-    put, square = seats.rejoined(chain, known)
+    put, square = initialization.place_disconnected(chain, known)
 
     np.testing.assert_array_equal(put[:, ~untied], chain[:, ~untied])
     np.testing.assert_array_equal(put[..., 2], chain[..., 2])
     shape = put[:, -1] - put[:, -4]
     np.testing.assert_allclose(shape, chain[:, -1] - chain[:, -4], atol=1e-12)
     for first in (before + 2, before + 4):
-        likely = [np.exp((i - first) / seats.RECENT) for i in range(first)]
+        likely = [np.exp((i - first) / SCHEDULE.join_memory) for i in range(first)]
         place = sum(w * put[:, i, :2] for i, w in enumerate(likely)) / sum(likely)
         np.testing.assert_allclose(put[:, first, :2], place, atol=1e-12)
         away = [((put[:, i, :2] - place) ** 2).sum(axis=1) for i in range(first)]
-        off = [seats.UNTOLD * a + square[:, i] for i, a in enumerate(away)]
+        off = [SCHEDULE.join_variance * a + square[:, i] for i, a in enumerate(away)]
         off = sum(w * o for w, o in zip(likely, off, strict=True)) / sum(likely)
         np.testing.assert_allclose(square[:, first], off, rtol=1e-12)
     np.testing.assert_array_equal(square[:, ~untied], 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.localization.test_joint_equations import true_yaw
+from tests.localization.test_problem import true_yaw
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.least_squares.method import improve
 from tiswarm.localization.least_squares.problem import Pairs, Places, Problem

@@ -7,11 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint import refine as module
-from tiswarm.localization.joint.equations import equations
-from tiswarm.localization.joint.path import CENTER
+from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.refine import is_of_use, refine
+from tiswarm.localization.joint.settings import REFINE
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.localization.registry import localize
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.odometry import CENTER
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -24,8 +26,8 @@ UNIT = 1e-6
 
 
 def _problem(known):
-    count = len(known.robot)
-    return module._Problem(known, np.ones(count, np.bool_), np.zeros(count))  # noqa: SLF001
+    inlier, curved = np.ones(len(known.rows), np.bool_), np.zeros(len(known.robot))
+    return module._LeastSquares(known, inlier, curved)  # noqa: SLF001
 
 
 def _state(position, yaw, turn):
@@ -44,14 +46,14 @@ def _sensed(log):
 def _walked_slowly(log, known, state):
     """Docks and centers at every stance, flip by flip, back from where robots stand at last."""
     sd = np.radians([log.noise.tilt_deg, log.noise.tilt_deg, log.noise.yaw_deg])
-    owner = known.path.owner
+    owner = known.rows.odometry.owner
     yaw = Rotation.from_rotvec(np.array([0.0, 0.0, 1.0]) * state.yaw[owner, None])
     true = Rotation.from_rotvec(-state.turn * sd) * yaw * _sensed(log)
     center = np.zeros((len(owner), 3))
     dock = np.array([true.apply(d) for d in log.dock_offset_body]).swapaxes(0, 1)
     pivot = iter(log.stances.pivot_dock[::-1])
     for s in range(len(owner) - 1, -1, -1):
-        if s == known.path.final[owner[s]]:
+        if s == known.rows.odometry.final[owner[s]]:
             center[s] = state.position[owner[s]]
         else:
             held = next(pivot)
@@ -63,12 +65,12 @@ def _walked_slowly(log, known, state):
 def test_residuals_are_those_of_walks_taken_flip_by_flip(towers, noise):
     """Wherever robots are, and however wrong their orientations."""
     log = observe(towers[0], noise)
-    known = equations(log, ALL)
+    known = pose_problem(log, ALL)
     draw = np.random.default_rng(1)
     state = _state(
         towers[0].position + draw.normal(size=(log.robot_count, 3)),
         draw.normal(size=log.robot_count) * (noise is BIASED),
-        draw.normal(size=(len(known.path.owner), 3)),
+        draw.normal(size=(len(known.rows.odometry.owner), 3)),
     )
     dock, center = _walked_slowly(log, known, state)
 
@@ -76,21 +78,22 @@ def test_residuals_are_those_of_walks_taken_flip_by_flip(towers, noise):
     residual = problem.linearized(state, np.ones(log.robot_count)).residual
 
     expected = []
-    for robot, stance, own, other, its in known.felt.tolist():
-        here = dock[known.path.first[robot] + stance, own]
-        there = dock[known.path.final[other], its]
+    for robot, stance, own, other, its in known.contacts.tolist():
+        here = dock[known.rows.odometry.first[robot] + stance, own]
+        there = dock[known.rows.odometry.final[other], its]
         expected.append(np.linalg.norm(here - there) - log.spacing)
-    for j in range(1, log.robot_count):
-        for axis in range(3):
-            row, told = known.told.row[j, axis], known.told.dock[j, axis]
-            if not np.isfinite(known.told.variance[j, axis]):
-                continue
-            if told != CENTER:
-                expected.append(dock[row, told, axis] - log.dock_radius - log.ground_z)
-            elif axis == 2 and known.told.variance[j, 2] == pytest.approx(ALL.height_sd**2):
-                expected.append(center[row, 2] - log.ground_z - log.dock_radius)
-            else:
-                expected.append(center[row, axis] - log.spawn_position[j, axis])
+    places = known.rows.places
+    for row, own, direction, variance in zip(
+        places.stance, places.dock, places.direction, places.own_variance, strict=True
+    ):
+        axis = int(direction.argmax())
+        if own != CENTER:
+            expected.append(dock[row, own, axis] - log.dock_radius - log.ground_z)
+        elif axis == 2 and variance == pytest.approx(ALL.height_sd**2):
+            expected.append(center[row, 2] - log.ground_z - log.dock_radius)
+        else:
+            robot = known.rows.odometry.owner[row]
+            expected.append(center[row, axis] - log.spawn_position[robot, axis])
     np.testing.assert_allclose(residual, expected, atol=1e-9)
 
 
@@ -99,7 +102,7 @@ def test_nothing_is_left_where_robots_truly_are(towers):
     noise = SensingParams(tilt_noise_deg=10.0, yaw_noise_deg=20.0, spawn_noise=0.0)
     for history in towers:
         log = observe(history, noise)
-        known = equations(log, dataclasses.replace(ALL, height=False))
+        known = pose_problem(log, dataclasses.replace(ALL, height=False))
         true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
         wrong = (_sensed(log) * Rotation.from_quat(true, scalar_first=True).inv()).as_rotvec()
         turn = wrong / np.radians([10.0, 10.0, 20.0])
@@ -114,8 +117,8 @@ def test_nothing_is_left_where_robots_truly_are(towers):
 def test_derivatives_are_those_of_the_residuals(towers, noise):
     """To all unknowns, and to turns of earlier stances, at no turn."""
     log = observe(towers[0], noise)
-    known = equations(log, ALL)
-    robots, stances = log.robot_count, len(known.path.owner)
+    known = pose_problem(log, ALL)
+    robots, stances = log.robot_count, len(known.rows.odometry.owner)
     draw = np.random.default_rng(2)
     at = _state(
         towers[0].position + 0.1 * draw.normal(size=(robots, 3)),
@@ -127,7 +130,9 @@ def test_derivatives_are_those_of_the_residuals(towers, noise):
     shift, yaw, turn = (draw.normal(size=part.shape) for part in at)
     shift[0] = 0.0
     yaw *= noise is BIASED
-    unknown = np.concatenate([shift.ravel(), turn[known.path.final].ravel(), yaw])[linear.free]
+    unknown = np.concatenate([shift.ravel(), turn[known.rows.odometry.final].ravel(), yaw])[
+        linear.free
+    ]
     slope = linear.jacobian @ unknown + linear.noise @ turn.ravel()[problem.earlier]
 
     def residual(by):
@@ -140,9 +145,11 @@ def test_derivatives_are_those_of_the_residuals(towers, noise):
 def test_steps_and_variances_are_those_of_generalized_least_squares(towers):
     """Written out with dense matrices."""
     log = observe(towers[0], NOISY)
-    known = equations(log, ALL)
+    known = pose_problem(log, ALL)
     robots = log.robot_count
-    state = _state(towers[0].position, np.zeros(robots), np.zeros((len(known.path.owner), 3)))
+    state = _state(
+        towers[0].position, np.zeros(robots), np.zeros((len(known.rows.odometry.owner), 3))
+    )
     problem = _problem(known)
     linear = problem.linearized(state, np.full(robots, 0.7))
     jacobian, noise = linear.jacobian.toarray(), linear.noise.toarray()
@@ -158,7 +165,7 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers):
 
     shift = 3 * (robots - 1)
     moved = (found.position - state.position)[1:]
-    assert np.linalg.norm(moved, axis=1).max() < module.STRIDE
+    assert np.linalg.norm(moved, axis=1).max() < REFINE.longest_step
     np.testing.assert_allclose(moved.ravel(), step[:shift], atol=1e-9)
     assert not state.turn.any()  # it was not written to
     turned = found.turn.ravel()
@@ -179,12 +186,12 @@ def test_only_noisy_walks_are_refined_and_no_great_bias(towers):
     )
     final = JointParams(walk_contacts=False, steps=500, chains=2, hold_steps=100)
 
-    assert is_of_use(equations(noisy, ALL))
-    assert is_of_use(equations(mild, ALL))
-    assert not is_of_use(equations(biased, ALL))
-    assert not is_of_use(equations(quiet, ALL))
-    assert not is_of_use(equations(noisy, final))
-    assert not is_of_use(equations(mild, dataclasses.replace(ALL, solve_yaw=False)))
+    assert is_of_use(pose_problem(noisy, ALL))
+    assert is_of_use(pose_problem(mild, ALL))
+    assert not is_of_use(pose_problem(biased, ALL))
+    assert not is_of_use(pose_problem(quiet, ALL))
+    assert not is_of_use(pose_problem(noisy, final))
+    assert not is_of_use(pose_problem(mild, dataclasses.replace(ALL, solve_yaw=False)))
     estimates = [
         localize(noisy, dataclasses.replace(final, refine=choice)) for choice in (True, False)
     ]
@@ -216,19 +223,22 @@ def test_robots_end_nearer_and_it_is_told_how_near(towers):
 def test_contacts_that_are_not_trusted_do_not_pull(towers):
     """A contact with a dock that is far off moves nobody."""
     log = observe(towers[0], NOISY)
-    known = equations(log, ALL)
+    known = pose_problem(log, ALL)
     robots, count = log.robot_count, len(known.robot)
-    felt = known.felt.copy()
-    felt[-1, 4] = (felt[-1, 4] + 1) % 3
-    mistaken = dataclasses.replace(known, felt=felt)
-    trusted = np.arange(count) < count - 1
+    rows = known.rows
+    dock = rows.distances.other_dock.copy()
+    dock[-1] = (dock[-1] + 1) % 3
+    distances = rows.distances._replace(other_dock=dock)
+    wrong = Measurements.gather(rows.odometry, [distances], [rows.places])
+    mistaken = dataclasses.replace(known, rows=wrong)
+    trusted = np.arange(len(rows)) != count - 1
     args = (towers[0].position, np.zeros(robots), np.full(robots, 0.3))
-    none = np.zeros(count)
+    none, every = np.zeros(count), np.ones(len(rows), np.bool_)
 
     right, without, misled = (
-        refine(known, *args, np.ones(count, np.bool_), none).position,
+        refine(known, *args, every, none).position,
         refine(mistaken, *args, trusted, none).position,
-        refine(mistaken, *args, np.ones(count, np.bool_), none).position,
+        refine(mistaken, *args, every, none).position,
     )
 
     np.testing.assert_array_equal(without, refine(known, *args, trusted, none).position)
@@ -238,18 +248,15 @@ def test_contacts_that_are_not_trusted_do_not_pull(towers):
 def test_of_what_nothing_holds_chains_tell_how_far_off_it_is(towers):
     """A robot of one contact and no height turns about it, whatever else is known."""
     log = observe(towers[0], NOISY)
-    known = equations(log, ALL)
+    known = pose_problem(log, ALL)
     robots = log.robot_count
     alone = robots - 1
-    trusted = (known.robot != alone) & (known.other != alone)
-    told = known.told._replace(variance=known.told.variance.copy())
-    told.variance[alone] = np.inf
+    trusted = known.rows.robot != alone
+    trusted[: len(known.other)] &= known.other != alone
     sd = np.full(robots, 0.3)
+    curved = np.zeros(len(known.robot))
 
-    found = refine(
-        dataclasses.replace(known, told=told), towers[0].position, np.zeros(robots), sd, trusted,
-        np.zeros(len(known.robot)),
-    )  # fmt: skip
+    found = refine(known, towers[0].position, np.zeros(robots), sd, trusted, curved)
 
     assert found.sd[alone] == sd[alone]
     assert np.median(found.sd[1:alone] / sd[1:alone]) < 0.5
@@ -261,9 +268,10 @@ def test_chains_do_not_hold_back_what_many_robots_share():
     params = TowerParams(force_threshold=1e9)
     (history,) = grow(params, robots=robots, seeds=[5], robot=RobotGeometry())
     log = observe(history, NOISY)
-    known = equations(log, dataclasses.replace(ALL, contact_sd=np.sqrt(0.1)))
+    known = pose_problem(log, dataclasses.replace(ALL, contact_sd=np.sqrt(0.1)))
     count = len(known.robot)
-    rest = (np.zeros(robots), np.full(robots, off), np.ones(count, np.bool_), np.zeros(count))
+    every = np.ones(len(known.rows), np.bool_)
+    rest = (np.zeros(robots), np.full(robots, off), every, np.zeros(count))
     moved = history.position.copy()
     moved[1:, 0] += off
 

@@ -7,23 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tiswarm.localization.joint.annealing import cooled, end_sigma, thermostat
 from tiswarm.localization.joint.motion_kernels import MEMORY
-from tiswarm.localization.joint.schedule import (
-    COLD,
-    LACKING,
-    WARM,
-    cooled,
-    end_tolerance,
-    thermostat,
-)
+from tiswarm.localization.joint.settings import SCHEDULE
 from tiswarm.localization.params import JointParams
 
 DEFAULTS = JointParams()
+COLDEST, WARMEST = SCHEDULE.coldest, SCHEDULE.warmest
+LACKING = SCHEDULE.underdetermined
 
 
 def _end(shortage=0.0, sd=1e-9, contacts=5, params=DEFAULTS):
     variance = np.full(contacts, sd**2)
-    return end_tolerance(SimpleNamespace(shortage=shortage, variance=variance), params)
+    return end_sigma(SimpleNamespace(underdetermination=shortage, variance=variance), params)
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(1e-6, 10.0), st.floats(1e-6, 10.0))
@@ -32,20 +28,20 @@ def test_the_less_is_known_the_warmer_annealings_end(less, more, sharp, blunt):
     less, more = sorted((less, more))
     sharp, blunt = sorted((sharp, blunt))
 
-    assert COLD <= _end(less, sharp) <= _end(more, blunt) <= WARM
+    assert COLDEST <= _end(less, sharp) <= _end(more, blunt) <= WARMEST
 
 
 def test_annealings_end_cold_only_where_equations_are_many_and_sharp():
     """Too few of them, or blunt ones, or none, and what nothing tells is left room."""
-    assert _end() == COLD
-    assert _end(shortage=LACKING / 2.0) == pytest.approx((COLD + WARM) / 2.0)
+    assert _end() == COLDEST
+    assert _end(shortage=LACKING / 2.0) == pytest.approx((COLDEST + WARMEST) / 2.0)
     assert _end(sd=0.02) == pytest.approx(0.02)
-    assert _end(shortage=2.0 * LACKING) == _end(sd=1.0) == _end(contacts=0) == WARM
+    assert _end(shortage=2.0 * LACKING) == _end(sd=1.0) == _end(contacts=0) == WARMEST
 
 
 def test_a_tolerance_that_is_asked_for_is_kept():
     """However much is known."""
-    params = JointParams(end_tolerance=0.3)
+    params = JointParams(end_sigma=0.3)
 
     assert _end(params=params) == _end(shortage=0.5, params=params) == 0.3
 

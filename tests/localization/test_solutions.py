@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiswarm.localization.joint.solutions import distinct
+from tiswarm.localization.joint.uncertainty import distinct
 
 
 def _chains(*shifts):

@@ -190,7 +190,7 @@ def test_docks_that_overlap_move_apart():
     frames = estimate.trace[:, 1] - estimate.trace[:, 0]
     gap = np.array([_least_gap(log, frame) for frame in frames])
     assert gap[-1] > gap[0] + 0.1
-    assert not estimate.located[1]
+    assert estimate.disconnected[1]
 
 
 def test_f32_agrees_with_f64_to_its_precision(log):

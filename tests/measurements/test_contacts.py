@@ -1,9 +1,14 @@
 """Chains of contacts to the anchor, and counts of contacts."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from tiswarm.measurements.contacts import contact_count, earlier_contact_count, located
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.params import JointParams
+from tiswarm.measurements.contacts import contact_count, disconnected, earlier_contact_count
+from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -34,11 +39,24 @@ CHAIN_AND_PAIR = [(0, 0, 1, 1), (1, 0, 2, 1), (1, 2, 2, 2), (3, 0, 4, 0)]
         (4, [(1, 0, 2, 0), (2, 1, 3, 0), (0, 0, 3, 1)], [True] * 4),
     ],
 )
-def test_located_means_a_chain_of_contacts_to_the_anchor(robots, contacts, expected):
-    """Robots without such a chain are not located, whatever else they touch."""
-    tied = located(log_with(robots, contacts))
+def test_a_robot_is_connected_by_a_chain_of_contacts_to_the_anchor(robots, contacts, expected):
+    """Robots without such a chain are disconnected, whatever else they touch."""
+    tied = ~disconnected(measure(log_with(robots, contacts), ["contacts", "height"]))
 
     assert tied.tolist() == expected
+
+
+def test_odometry_connects_whoever_knows_where_it_started_and_all_it_touches():
+    """With or without stances, for the annealer and for the analysis; a height does not."""
+    log = log_with(6, CHAIN_AND_PAIR)
+    spawn = log.spawn_position.copy()
+    spawn[4] = [9.0, 0.0, 1.0]
+    log = dataclasses.replace(log, spawn_position=spawn, flip_height=np.ones(6))
+
+    for cues, lost in ((["contacts", "height"], [3, 4, 5]), (["contacts", "odometry"], [5])):
+        off = {cue: cue in cues for cue in ("height", "odometry")}
+        assert np.flatnonzero(disconnected(measure(log, cues))).tolist() == lost
+        assert np.flatnonzero(pose_problem(log, JointParams(**off)).untied).tolist() == lost
 
 
 def test_contacts_are_counted_at_both_ends_and_at_the_joiner():

@@ -7,10 +7,10 @@ import pytest
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import rigidity
-from tiswarm.measurements.linear import equations
+from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import by_cue, observability
 from tiswarm.measurements.odometry import displacements
-from tiswarm.measurements.rigidity import HELD, floppy_modes, loose, weld
+from tiswarm.measurements.rigidity import SHIFTED, floppy_modes, floppy_robots, weld
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("contacts", "ground", "height", "walk_contacts", "odometry")
@@ -28,38 +28,52 @@ def _sensed(position, yaw, log):
         np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]]) for y in yaw
     ]
     turned = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
-    distance = [
-        np.linalg.norm(position[i] + turn[i] @ turned[i, a] - position[j] - turn[j] @ turned[j, b])
-        for i, a, j, b in log.contacts
-    ]
     stances = log.stances
     then = dock_offsets(stances.orientation_wxyz, log.dock_offset_body)
     back = displacements(log, stances)
     owner = [int(np.searchsorted(stances.start, row, "right")) - 1 for row in range(len(then))]
+    contacts = [(j, np.diff(stances.start)[j], b, i, a) for i, a, j, b in log.contacts]
     for row, own, i, a in stances.contacts:
         j = owner[row]
-        dock = position[j] + turn[j] @ (back[row] + then[row, own])
+        stays = own == stances.pivot_dock[row]  # and says the same thing at the next stance
+        following = (j, row - stances.start[j] + 1, own, i, a)
+        again = row + 1 < len(then) and owner[row + 1] == j
+        known = (
+            [row + 1, own, i, a] in stances.contacts.tolist()
+            if again
+            else ([i, a, j, own] in log.contacts.tolist())
+        )
+        if not (stays and known):
+            contacts.append((*following[:1], following[1] - 1, *following[2:]))
+    distance = []
+    for j, stance, own, i, a in sorted(contacts):
+        row = stances.start[j] + stance
+        final = row == stances.start[j + 1]
+        arm = turned[j, own] if final else back[row] + then[row, own]
+        dock = position[j] + turn[j] @ arm
         distance.append(np.linalg.norm(dock - position[i] - turn[i] @ turned[i, a]))
-    ground = [position[j, 2] + turned[j, own, 2] for j, own in log.ground_docks]
-    ground += [position[owner[row], 2] + then[row, own, 2] for row, own in stances.ground_docks]
-    begun = [
-        p + turn[j] @ (back[owner.index(j)] if j in owner else 0 * p)
-        for j, p in enumerate(position)
-    ]
-    return np.r_[distance, position[0], ground, position[:, 2], np.ravel(begun)]
+    first = stances.start[:-1] + np.arange(log.robot_count)  # among all stances, final ones too
+    final = first + np.diff(stances.start)
+    places = [(final[j], own, 2, position[j, 2] + turned[j, own, 2]) for j, own in log.ground_docks]
+    for row, own in stances.ground_docks:
+        height = position[owner[row], 2] + (back[row] + then[row, own])[2]
+        places.append((row + owner[row], own, 2, height))
+    for j, p in enumerate(position):
+        begun = p + turn[j] @ (back[owner.index(j)] if j in owner else 0 * p)
+        places += [(first[j], -1, axis, value) for axis, value in enumerate(begun)]
+        places.append((first[j], -1, 2, begun[2]))
+    return np.r_[distance, [value for *_, value in sorted(places, key=lambda place: place[:3])]]
 
 
 def _matrix(position, log, cues, *, turning=False):
     """Derivatives of what is sensed by x, y and z, and yaw [dock radius], of every robot."""
-    known = equations(position, log, cues, turning=turning)
-    matrix = np.zeros((len(known.way), log.robot_count + 1, 4))
-    for row, (i, j, way) in enumerate(zip(*known[:3], strict=True)):
-        for robot, sign in ((j, 1.0), (i, -1.0)):
-            x, y, _ = known.center[robot]
-            matrix[row, robot, :3] += sign * way[:3]
-            if turning:  # told from the robot itself
-                matrix[row, robot, 3] += sign * (way[3] - way[1] * x + way[0] * y)
-    return matrix[:, :-1, : 3 + turning].reshape(len(matrix), -1)
+    rows = measure(log, cues)
+    shift, yaw = np.split(rows.jacobian(position).toarray(), [3 * log.robot_count], axis=1)
+    matrix = np.concatenate([shift.reshape(len(rows), -1, 3), yaw[:, :, None]], axis=2)
+    anchor = np.zeros((3, log.robot_count, 4))
+    anchor[:, 0, :3] = np.eye(3)
+    matrix = np.concatenate([matrix, anchor])[:, :, : 3 + turning]
+    return matrix.reshape(len(matrix), -1)
 
 
 def test_robots_walked_where_their_flips_say(towers, logs):
@@ -74,7 +88,7 @@ def test_robots_walked_where_their_flips_say(towers, logs):
 def test_equations_are_the_derivative_of_what_is_sensed(towers, logs):
     """Central differences of the sensed quantities give the same numbers, turns included."""
     log, position = logs[0], towers[0].position
-    matrix = _matrix(position, log, CUES, turning=True)
+    matrix = _matrix(position, log, CUES, turning=True)[:-3]
     rng = np.random.default_rng(0)
 
     for _ in range(5):
@@ -111,13 +125,13 @@ def test_floppy_modes_are_the_null_space(towers, logs, cues, turning):
             null[:, :, 1] -= mean * x
         share = np.sqrt((null[:, :, :3] ** 2).sum(axis=(0, 2)) / 3.0)
 
-        bodies = weld(equations(history.position, log, cues, turning=turning))
-        marked = loose(bodies)
+        bodies = weld(measure(log, cues), history.position, yaw_unknown=turning)
+        marked = floppy_robots(bodies)
 
         assert floppy_modes(bodies) == len(null) - swings
         assert not marked[0]
-        clear = (share < HELD / 2) | (share > 2 * HELD)  # 16 probes tell shares to some 15 %
-        assert (marked == (share > HELD))[clear].all()
+        clear = (share < SHIFTED / 2) | (share > 2 * SHIFTED)  # 16 probes tell shares to some 15 %
+        assert (marked == (share > SHIFTED))[clear].all()
 
 
 def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, monkeypatch):
@@ -131,7 +145,7 @@ def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, mon
 
     assert peeled.floppy_modes == exact.floppy_modes
     assert unknown.floppy_modes is None
-    assert peeled.loose is unknown.loose is None
+    assert peeled.floppy is unknown.floppy is None
     assert set(peeled.known) == {""}
 
 
@@ -151,12 +165,12 @@ def test_a_stated_bias_makes_yaw_unknown(towers, logs):
         biased = observe(history, SensingParams(spawn_noise=0.0, yaw_bias_deg=9.0))
         known, found = list(by_cue(log)), list(by_cue(biased))
 
-        assert [entry.turning for entry in found] == [True] * len(CUES) + [False]
+        assert [entry.yaw_unknown for entry in found] == [True] * len(CUES) + [False]
         for one, other in zip(known, found, strict=False):
             assert (one.unknowns, other.unknowns) == (3 * 29, 4 * 29)
             assert other.floppy_modes >= one.floppy_modes
-            assert one.swing is None
-        swings = [entry.swing for entry in found]
+            assert one.gauge_yaw_sd is None
+        swings = [entry.gauge_yaw_sd for entry in found]
         assert swings == pytest.approx([np.radians(9.0) / 30**0.5] * 4 + [None] * 2)
         assert found[-2].known == ["yes"] * 30
 
@@ -165,8 +179,8 @@ def test_robots_are_told_apart_by_what_is_known_of_them(logs):
     """Without contacts all are apart; with an unknown start some are loose; else all are known."""
     robots = logs[0].robot_count
 
-    assert observability(logs[0], ["height"]).known == ["yes"] + ["apart"] * (robots - 1)
-    assert set(observability(logs[0], ["contacts", "height"]).known) == {"yes", "loose"}
+    assert observability(logs[0], ["height"]).known == ["yes"] + ["disconnected"] * (robots - 1)
+    assert set(observability(logs[0], ["contacts", "height"]).known) == {"yes", "floppy"}
     assert observability(logs[0], CUES).known == ["yes"] * robots
     assert observability(logs[0], ["contacts"]).floppy_modes >= 3 * (robots - 1) - len(
         logs[0].contacts

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements.contacts import contact_count, earlier_contact_count, hops
-from tiswarm.measurements.linear import equations
+from tiswarm.measurements.cues import measure
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
@@ -39,14 +39,15 @@ def score(
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
     of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
-    turning = estimate.yaw is not None
-    modes = floppy_modes(weld(equations(true, log, cues, turning=turning)))
+    modes = floppy_modes(
+        weld(measure(log, cues), true / log.dock_radius, yaw_unknown=estimate.yaw is not None)
+    )
     return {
         "robots": log.robot_count,
         "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
-        "unlocated": int((~estimate.located).sum()),
+        "unlocated": int(estimate.disconnected.sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,
         "rmse_rho": rmse / robot.rho,
@@ -86,7 +87,7 @@ def by_robot(
     columns["hops_from_anchor"] = _whole(hops(log, np.zeros(1, np.int64))[0])
     columns["ground_docks"] = np.bincount(log.ground_docks[:, 0], minlength=log.robot_count)
     columns["flip_height_R"] = log.flip_height
-    columns["located"] = estimate.located
+    columns["located"] = ~estimate.disconnected
     columns["sensed_force"] = sensed_force
     return pd.DataFrame(columns)
 

@@ -236,12 +236,13 @@ class JointParams(CueParams):
     hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 900
     """Steps at the end temperature, over which positions are averaged."""
 
-    start_tolerance: Annotated[float, Field(gt=0.0)] = 0.6
-    """How far equations may be missed, as a standard deviation, when annealing begins [R]."""
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.6
+    """Square root of the temperature at which annealing begins: the standard deviation by which
+    measurements may be missed then [R]."""
 
-    end_tolerance: Annotated[float, Field(gt=0.0)] | None = None
-    """The same when it ends [R]. If null 0.01 where equations suffice and are sharp, up to 0.025
-    where they lack a twentieth of the coordinates or more, or contacts are that uncertain."""
+    end_sigma: Annotated[float, Field(gt=0.0)] | None = None
+    """The same when annealing ends [R]. If null 0.01 where measurements suffice and are sharp, up
+    to 0.025 where they are fewer than the coordinates by a twentieth, or that uncertain."""
 
     contact_sd: Annotated[float, Field(gt=0.0)] = 0.006
     """How far from D docks that feel each other may be, as a standard deviation [R]."""
@@ -252,11 +253,11 @@ class JointParams(CueParams):
     spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
     """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
 
-    stretch: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
-    """How much likelier two robots in contact are for each dock radius more between their centers,
-    as a logarithm [R^-1], shared among the contacts of the one that has fewer. Robots climb as far
-    as they can before they stay; of all that fits what they sensed, most is folded closer than
-    what they build, and the more so the fewer contacts hold them."""
+    extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
+    """Prior that robots extend outward: gain in log-likelihood for each R more between the centers
+    of two robots in contact [R^-1], shared among the contacts of the robot that has fewer. Robots
+    climb as far as they can before they stay; most configurations that fit their measurements are
+    folded closer than what they build."""
 
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""

@@ -68,8 +68,12 @@ def localize_many(
         for n, estimate in zip(members, batch, strict=True):
             estimates[n] = estimate
             if with_observability:
-                turning = estimate.yaw is not None
-                known = observability(logs[n], params[n].cues, estimate.position, turning=turning)
+                known = observability(
+                    logs[n],
+                    params[n].cues,
+                    estimate.position,
+                    yaw_unknown=estimate.yaw is not None,
+                )
                 estimates[n] = replace(estimate, observability=known)
         on_progress(len(members))
     return [estimates[n] for n in range(len(logs))]

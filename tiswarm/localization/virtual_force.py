@@ -18,7 +18,8 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.join_order_kernels import localize_in_join_order
 from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
 from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
-from tiswarm.measurements.contacts import located
+from tiswarm.measurements.contacts import disconnected
+from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
@@ -161,7 +162,7 @@ def _estimate(
     return Estimate(
         robot_id=log.robot_id,
         position=scaled[-1],
-        located=located(log),
+        disconnected=disconnected(measure(log, ["contacts"])),
         yaw=None if yaw is None else yaw.astype(np.float64),
         iteration=frames,
         trace=scaled,

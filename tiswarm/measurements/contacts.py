@@ -1,44 +1,42 @@
-"""Who touches whom: robots are the nodes, contacts the edges."""
+"""Who touches whom: robots are the nodes of a graph, contacts its edges."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_array, coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.odometry import owners
 from tiswarm.records.sensing_log import SensingLog
 
 
-def located(log: SensingLog) -> NDArray[np.bool_]:
-    """Whether a chain of contacts ties each robot to the anchor, shape (N,)."""
-    _, part = connected_components(_graph(log), directed=False)
-    return np.asarray(part == part[0])
-
-
 def hops(log: SensingLog, start: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Fewest contacts that lead from some robots to every robot, infinite where none do.
+    """Count the fewest contacts that lead from some robots to every robot.
 
     Args:
         log: What was sensed.
         start: Where to start, shape (n,).
 
     Returns:
-        Count of contacts, shape (n, N).
+        Count of contacts, infinite where none lead there, shape (n, N).
     """
-    return dijkstra(_graph(log), directed=False, indices=start, unweighted=True)
+    graph = touching(log.contacts[:, [0, 2]], log.robot_count)
+    return dijkstra(graph, directed=False, indices=start, unweighted=True)
 
 
 def contact_count(log: SensingLog) -> NDArray[np.int64]:
-    """Contacts that each robot takes part in, shape (N,); every contact counts at both ends."""
+    """Count the contacts that each robot takes part in, shape (N,)."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
 
 
 def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
-    """Contacts of each robot with robots that joined before it, shape (N,).
+    """Count the contacts of each robot with robots that joined before it, shape (N,).
 
-    Their mean over all robots but the anchor is what is meant by contacts per robot: the
-    equations that a robot has for its three unknowns when it joins.
+    Their mean over all robots but the anchor is what "contacts per robot" means: the equations
+    that a robot has for its three unknowns when it joins.
     """
     return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
 
@@ -49,5 +47,67 @@ def touching(pair: NDArray[np.integer[Any]], robots: int) -> coo_matrix:
     return coo_matrix((ones, (pair[:, 0], pair[:, 1])), shape=(robots, robots))
 
 
-def _graph(log: SensingLog) -> coo_matrix:
-    return touching(log.contacts[:, [0, 2]], log.robot_count)
+def parts(rows: Measurements) -> NDArray[np.int32]:
+    """Number the parts of the swarm that measured distances connect, shape (N,)."""
+    pair = np.column_stack([rows.robot[: len(rows.other)], rows.other])
+    _, part = connected_components(touching(pair, rows.robots), directed=False)
+    return part
+
+
+def disconnected(rows: Measurements) -> NDArray[np.bool_]:
+    """Find robots of parts that nothing ties to the world in all three directions, shape (N,).
+
+    A part is tied by the anchor, or by measured coordinates whose directions span space.
+    """
+    part = parts(rows)
+    direction = rows.places.direction
+    span = np.zeros((part.max() + 1, 3, 3))
+    of_row = part[rows.robot[len(rows.other) :]]
+    np.add.at(span, of_row, direction[:, :, None] * direction[:, None, :])
+    is_tied: NDArray[np.bool_] = np.linalg.matrix_rank(span) == span.shape[1]
+    is_tied[part[0]] = True
+    return np.logical_not(is_tied[part])
+
+
+def reach(
+    pair: NDArray[np.int64], longest: NDArray[np.float64], part: NDArray[np.int32]
+) -> NDArray[np.float64]:
+    """Bound the distance of each robot from the first robot of its connected part.
+
+    Along a chain of contacts the distances of centers add up.
+
+    Args:
+        pair: Robots in contact, shape (C, 2).
+        longest: How far apart the centers of each pair can be [R], shape (C,).
+        part: Connected part of each robot, shape (N,).
+
+    Returns:
+        Length of the shortest chain of contacts [R], shape (N,); infinite where `part` is not
+        connected by these contacts.
+    """
+    order = np.lexsort((longest, *np.sort(pair, axis=1).T))
+    low, high = np.sort(pair, axis=1)[order].T
+    again = np.r_[False, (np.diff(low) == 0) & (np.diff(high) == 0)][: len(low)]
+    edge = (longest[order][~again], (low[~again], high[~again]))
+    graph = coo_array(edge, shape=(len(part), len(part)))
+    firsts = np.unique(part, return_index=True)[1]
+    bound: NDArray[np.float64] = dijkstra(graph, directed=False, indices=firsts, min_only=True)
+    return bound
+
+
+def sensed_contacts(log: SensingLog, cues: Collection[str]) -> NDArray[np.int64]:
+    """List contacts of the final and of earlier stances, as far as cues make use of them.
+
+    Rows of (robot, its stance from the spawn on, own dock, other robot, its dock), shape (K, 5).
+    """
+    rows = []
+    if "contacts" in cues:
+        i, a, j, b = log.contacts.T.astype(np.int64)
+        last = np.zeros_like(j) if log.stances is None else np.diff(log.stances.start)[j]
+        rows.append(np.column_stack([j, last, b, i, a]))
+    if "walk_contacts" in cues and log.stances is not None:
+        stance = log.stances.contacts[:, 0]
+        robot = owners(log.stances)[stance]
+        place = stance - log.stances.start[robot]
+        rows.append(np.column_stack([robot, place, log.stances.contacts[:, 1:]]))
+    return np.concatenate([np.empty((0, 5), np.int64), *rows])

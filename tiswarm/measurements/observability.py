@@ -1,23 +1,19 @@
-"""What a log cannot tell, whatever the method: said before and after localizing."""
+"""What a log does not determine, whatever the method."""
 
 from collections.abc import Collection, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tiswarm.compute.math import normal
-from tiswarm.measurements.linear import Equations, equations
-from tiswarm.measurements.rigidity import floppy_modes, loose, weld
+from tiswarm.measurements.contacts import disconnected
+from tiswarm.measurements.cues import CUE_NAMES, measure
+from tiswarm.measurements.rigidity import floppy_modes, floppy_robots, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
-TYING = ("contacts", "walk_contacts", "odometry")
-"""Cues that tie a robot to another, or to the world, in every direction they need."""
-
-LEVEL = ("ground", "height")
-"""Cues that tell a height only."""
+SPREAD = 10.0
+"""Standard deviation of positions drawn at random [R]."""
 
 
 def observability(
@@ -25,58 +21,50 @@ def observability(
     cues: Collection[str],
     position: NDArray[np.float64] | None = None,
     *,
-    turning: bool = False,
+    yaw_unknown: bool = False,
 ) -> Observability:
-    """Find what some cues leave unknown.
+    """Find what some cues leave undetermined.
 
     Args:
         log: What was sensed.
-        cues: Cues in use; those that add no equation are passed over.
-        position: Where the robots are thought to be, shape (N, 3). Without it they are put
-            anywhere at random, for what can be known hardly depends on where they are.
-        turning: Whether each robot's yaw is unknown too.
+        cues: Cues in use; those without measurements are passed over.
+        position: Estimated centers, in the log's unit, shape (N, 3). If None, they are drawn at
+            random: what is determined hardly depends on where robots are.
+        yaw_unknown: Whether each robot's yaw is unknown, too.
     """
-    counting = tuple(cue for cue in (*TYING, *LEVEL) if cue in cues)
+    rows = measure(log, cues)
     if position is None:
         robot = np.arange(log.robot_count)[:, None]
-        spread = 10.0 * log.dock_radius
-        position = spread * normal(0, "anywhere", robot, np.arange(3))
-    bodies = weld(equations(position, log, counting, turning=turning))
-    tied = equations(position, log, [cue for cue in counting if cue in TYING])
+        center = SPREAD * normal(0, "anywhere", robot, np.arange(3))
+    else:
+        center = position / log.dock_radius
+    bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     return Observability(
-        cues=counting,
-        turning=turning,
-        unknowns=bodies.ways * (log.robot_count - 1),
-        swing=float(log.yaw_bias / np.sqrt(log.robot_count)) if bodies.swings else None,
+        cues=tuple(cue for cue in CUE_NAMES if cue in cues),
+        yaw_unknown=yaw_unknown,
+        unknowns=bodies.dof * (log.robot_count - 1),
+        gauge_yaw_sd=(
+            float(log.yaw_bias / np.sqrt(log.robot_count)) if bodies.has_gauge_yaw else None
+        ),
         floppy_modes=floppy_modes(bodies),
-        loose=loose(bodies),
-        apart=_apart(tied),
+        floppy=floppy_robots(bodies),
+        disconnected=disconnected(rows),
     )
 
 
 def by_cue(log: SensingLog) -> Iterator[Observability]:
-    """Find what is left unknown by a log's contacts, and then with each further cue it has.
+    """Find what a log's contacts leave undetermined, and then each further cue that it has.
 
-    Where the log states that yaw is biased it counts as unknown, and at last as known once more.
+    Where the log states that yaw is biased, yaw counts as unknown, and at last as known once more.
     """
-    stances = log.stances
-    has = {
-        "contacts": True,
-        "ground": len(log.ground_docks) > 0,
-        "height": bool(np.isfinite(log.flip_height).any()),
-        "walk_contacts": stances is not None and len(stances.contacts) > 0,
-        "odometry": stances is not None and bool(np.isfinite(log.spawn_position).any()),
-    }
-    cues = [cue for cue, there in has.items() if there]
-    turning = log.yaw_bias > 0.0
-    for count in range(1, len(cues) + 1):
-        yield observability(log, cues[:count], turning=turning)
-    if turning:
+    yaw_unknown = log.yaw_bias > 0.0
+    cues: list[str] = []
+    count = -1
+    for cue in CUE_NAMES:
+        more = len(measure(log, [*cues, cue]))
+        if more > count or cue == "contacts":
+            cues.append(cue)
+            count = more
+            yield observability(log, cues, yaw_unknown=yaw_unknown)
+    if yaw_unknown:
         yield observability(log, cues)
-
-
-def _apart(tied: Equations) -> NDArray[np.bool_]:
-    shape = (len(tied.center), len(tied.center))
-    graph = coo_array((np.ones(len(tied.first)), (tied.first, tied.second)), shape=shape)
-    _, part = connected_components(graph, directed=False)
-    return np.asarray(part[:-1] != part[0])

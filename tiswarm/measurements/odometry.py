@@ -1,25 +1,130 @@
-"""Where a robot's own flips say that it stood, seen from where it stands now."""
+"""Where a robot stood at each of its stances, seen from its final center, and how noisy that is.
 
-from collections.abc import Collection
+A flip moves a center by what the orientations before and after say, so the noise of one stance is
+in everything the robot sensed there and before. Lengths in R.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute.math import dock_offsets
-from tiswarm.records.sensing_log import SensingLog, Stances
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
+
+ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)
+"""Noise of a log that states none."""
+
+CENTER = -1
+"""In place of a dock: the robot's center."""
+
+
+class Odometry:
+    """All S stances of all robots, robot after robot, in time order; the final one comes last."""
+
+    def __init__(self, log: SensingLog, noise: SensingNoise | None = None) -> None:
+        """Sum every robot's flips backward from its final stance.
+
+        Args:
+            log: What was sensed; one that lists no stances has N, the final ones.
+            noise: Noise of the orientations; that of the log, or `ASSUMED`, if None.
+        """
+        stances = log.stances or _no_stances(log.robot_count)
+        noise = noise or log.noise or ASSUMED
+        robots = log.robot_count
+        owner = np.concatenate([owners(stances), np.arange(robots)])
+        order = np.argsort(owner, kind="stable")
+        self.owner: NDArray[np.int64] = owner[order]
+        """Robot of each stance, shape (S,)."""
+        self.row = np.empty(len(order), np.int64)
+        """Where each of the log's earlier stances, and then each final one, is, shape (S,)."""
+        self.row[order] = np.arange(len(order))
+        self.final = self.row[len(order) - robots :]
+        """Final stance of each robot, shape (N,)."""
+        self.first = np.r_[0, self.final[:-1] + 1]
+        """First stance of each robot, shape (N,)."""
+        self.tilt, self.yaw, self.bias = np.radians(
+            [noise.tilt_deg, noise.yaw_deg, noise.yaw_bias_deg or 0.0]
+        )
+        wxyz = np.concatenate([stances.orientation_wxyz, log.orientation_wxyz])[order]
+        self.arm = dock_offsets(wxyz, log.dock_offset_body) / log.dock_radius
+        """Center to dock at each stance [R], shape (S, docks, 3)."""
+        still = np.zeros((robots, 3))
+        self.shift = np.concatenate([displacements(log, stances), still])[order] / log.dock_radius
+        """From the final center to the center at each stance [R], shape (S, 3)."""
+        pivot = np.r_[stances.pivot_dock, np.zeros(robots, np.int32)][order]
+        self.pivot = np.where(np.isin(np.arange(len(order)), self.final), CENTER, pivot)
+        """Dock that stays put while the robot leaves a stance; CENTER at the last, shape (S,)."""
+        # A final stance is measured from the center itself.
+        self.held = self.arm[np.arange(len(order)), pivot]
+        self.held[self.final] = 0.0
+        self.reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
+        """From the dock held by to the one that the stance was reached on [R], shape (S, 3)."""
+        self.reached[self.first] = 0.0
+        summed = np.cumsum(self._turned(self.reached)[::-1], axis=0)[::-1]
+        later = np.concatenate([summed[1:], np.zeros((1, 3))])
+        self.walked = later - later[self.final][self.owner]
+        """Variance of what lies between a stance and the final center [R^2], shape (S, 3)."""
+
+    def arms(
+        self, stance: NDArray[np.int64], dock: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Arms from final centers to docks, or centers, at some stances.
+
+        Args:
+            stance: Stances, shape (n,).
+            dock: Dock of each, or CENTER, shape (n,).
+
+        Returns:
+            Arms [R] and the variance of each of their coordinates [R^2], both of shape (n, 3).
+        """
+        offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
+        at: NDArray[np.float64] = self.shift[stance] + offset
+        variance = self.walked[stance] + self._turned(offset - self.held[stance])
+        x, y, _ = self.bias**2 * at.T**2
+        return at, variance + np.column_stack([y, x, np.zeros(len(at))])
+
+    def noisy_arms(
+        self, stance: NDArray[np.int64], dock: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Split such arms into parts, each turned by the orientation of one stance.
+
+        An arm's error is the sum over its parts of w x part, with w the error of the orientation.
+
+        Args:
+            stance: Stances, shape (n,).
+            dock: Dock of each, or CENTER, shape (n,).
+
+        Returns:
+            Which arm each part is of, and the part's stance, both of shape (m,), and the part [R],
+            shape (m, 3). Parts of one arm are in a row.
+        """
+        last = self.final[self.owner[stance]]
+        count = last - stance + 1
+        which = np.repeat(np.arange(len(stance)), count)
+        start = np.cumsum(count) - count
+        of_part = np.arange(len(which)) - (start - stance)[which]
+        part = self.reached[of_part]
+        offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
+        part[start] = offset - self.held[stance]
+        return which, of_part, part
+
+    def _turned(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
+        x, y, z = arm.T**2
+        tilt, yaw = self.tilt**2, self.yaw**2
+        return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
 
 
 def owners(stances: Stances) -> NDArray[np.int64]:
-    """Robot that each earlier stance is of, shape (M,)."""
+    """Find the robot of each earlier stance, shape (M,)."""
     count = np.diff(stances.start)
     return np.repeat(np.arange(len(count)), count)
 
 
 def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
-    """From each robot's final center to its center at every earlier stance, shape (M, 3).
+    """Vectors from each robot's final center to its center at every earlier stance, shape (M, 3).
 
     The dock at b that a robot flips about stays put, so its center moves by (R - R') b, with R
-    and R' its orientations before and after; the walk is summed backward from its end.
+    and R' its orientations before and after; flips are summed backward from the last.
     """
     row = np.arange(len(stances.pivot_dock))
     is_last = np.zeros(len(row), np.bool_)
@@ -37,19 +142,11 @@ def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
     return moved
 
 
-def felt_contacts(log: SensingLog, cues: Collection[str]) -> NDArray[np.int64]:
-    """Contacts of the final stances and of those before them, as far as cues make use of them.
-
-    Rows of (robot, its stance from the spawn on, own dock, other robot, its dock), shape (K, 5).
-    """
-    parts = []
-    if "contacts" in cues:
-        i, a, j, b = log.contacts.T.astype(np.int64)
-        last = np.zeros_like(j) if log.stances is None else np.diff(log.stances.start)[j]
-        parts.append(np.column_stack([j, last, b, i, a]))
-    if "walk_contacts" in cues and log.stances is not None:
-        stance = log.stances.contacts[:, 0]
-        robot = owners(log.stances)[stance]
-        place = stance - log.stances.start[robot]
-        parts.append(np.column_stack([robot, place, log.stances.contacts[:, 1:]]))
-    return np.concatenate([np.empty((0, 5), np.int64), *parts])
+def _no_stances(robots: int) -> Stances:
+    return Stances(
+        start=np.zeros(robots + 1, np.int64),
+        orientation_wxyz=np.empty((0, 4)),
+        pivot_dock=np.empty(0, np.int32),
+        contacts=np.empty((0, 4), np.int32),
+        ground_docks=np.empty((0, 2), np.int32),
+    )

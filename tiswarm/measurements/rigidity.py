@@ -1,4 +1,9 @@
-"""What equations between robots leave free: motions that nothing sensed would notice."""
+"""Rigidity analysis: motions of the swarm that change no measurement to first order.
+
+The floppy modes are the kernel of the rigidity matrix, the Jacobian of the measurements by all
+positions (and by all yaws where these are unknown); its constraints are bars between the docks of
+robots whose orientations are known (Maxwell 1864; Thorpe 1983). Lengths in R.
+"""
 
 from typing import NamedTuple
 
@@ -9,45 +14,45 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from tiswarm.compute.math import normal
-from tiswarm.measurements.linear import Equations
+from tiswarm.measurements.model import Measurements
 
 UNNOTICED = 1e-5
-"""A motion is floppy where all that is sensed changes by less than this part of its length."""
+"""A motion is floppy where all that is measured changes by less than this part of its length."""
 
-HELD = 0.1
-"""A robot counts as held where floppy motions shift it by less than this part of what they shift
-a robot that nothing holds."""
+SHIFTED = 0.1
+"""A robot is floppy where floppy motions shift it by more than this part of what they shift an
+unconstrained robot."""
 
 SHIFTS = 3
-"""Ways in which a robot moves without turning: x, y and z."""
+"""Degrees of freedom of a robot that does not turn: x, y and z."""
 
 PROBES = 16
 MOST_UNKNOWNS = 400_000
 """Matrices of more are not factored: too much memory. Those of 100,000 robots take some 1 GB."""
 
 
-class Ties(NamedTuple):
-    """What holds bodies to each other, all equations between the same two taken together."""
+class Constraints(NamedTuple):
+    """Constraints between bodies, all between the same two taken together."""
 
     first: NDArray[np.integer]
     second: NDArray[np.integer]
     stiffness: NDArray[np.float64]
-    """Sum of the outer products of their ways, shape (pairs, ways, ways); 3 ways to move, or 4."""
+    """Sum of the outer products of their rows in the rigidity matrix, shape (pairs, dof, dof)."""
 
 
 class Bodies(NamedTuple):
-    """Robots that cannot part, taken as one."""
+    """Robots that cannot move against each other, taken as one."""
 
     of_robot: NDArray[np.integer]
     """Body of each robot and of the world, shape (N + 1,)."""
 
     lever: NDArray[np.float64]
-    """From the center of its body to that of each of them [dock radius], shape (N + 1, 3)."""
+    """From the center of its body to that of each of them [R], shape (N + 1, 3)."""
 
     center: NDArray[np.float64]
-    """Mean of the centers of each body's robots [dock radius], shape (bodies, 3)."""
+    """Mean of the centers of each body's robots, seen from the anchor [R], shape (bodies, 3)."""
 
-    ties: Ties
+    constraints: Constraints
 
     @property
     def size(self) -> int:
@@ -55,14 +60,14 @@ class Bodies(NamedTuple):
         return len(self.center)
 
     @property
-    def ways(self) -> int:
-        """Ways in which each can move: 4 where yaw is unknown, else 3."""
-        return self.ties.stiffness.shape[1]
+    def dof(self) -> int:
+        """Degrees of freedom of each: 4 where yaw is unknown, else 3."""
+        return self.constraints.stiffness.shape[1]
 
     @property
     def unknowns(self) -> int:
-        """Ways in which all can move."""
-        return self.ways * (self.size - 1)
+        """Degrees of freedom of all but the world."""
+        return self.dof * (self.size - 1)
 
     @property
     def fixed(self) -> int:
@@ -70,56 +75,78 @@ class Bodies(NamedTuple):
         return int(self.of_robot[-1])
 
     @property
-    def swings(self) -> bool:
-        """Whether everything sensed lets the swarm turn about the anchor as a whole."""
-        if self.ways == SHIFTS or (self.of_robot[:-1] == self.fixed).any():
+    def has_gauge_yaw(self) -> bool:
+        """Whether the swarm as a whole is free to turn about the anchor (a gauge freedom)."""
+        if self.dof == SHIFTS or (self.of_robot[:-1] == self.fixed).any():
             return False
-        of_world = (self.ties.first == self.fixed) | (self.ties.second == self.fixed)
-        return not self.ties.stiffness[of_world, SHIFTS, SHIFTS].any()
+        of_world = (self.constraints.first == self.fixed) | (self.constraints.second == self.fixed)
+        return not self.constraints.stiffness[of_world, SHIFTS, SHIFTS].any()
 
 
-def weld(known: Equations) -> Bodies:
-    """Join robots that cannot part into bodies, until no two bodies are held to each other."""
-    count = len(known.center)
+def weld(rows: Measurements, position: NDArray[np.float64], *, yaw_unknown: bool = False) -> Bodies:
+    """Join robots that cannot move against each other into bodies, until no more can be joined.
+
+    Robots move by x, y and z, and where their yaw is unknown by a fourth coordinate, their turn
+    about the vertical through the anchor. Then x, y and z are what they move along that axis: all
+    motions have one point of reference, so that only their differences count.
+
+    Args:
+        rows: Measurements.
+        position: Centers at which to linearize them [R], shape (N, 3).
+        yaw_unknown: Whether yaw is unknown, one angle for all stances of a robot. What is known of
+            such angles beforehand is no measurement: it is off by degrees.
+    """
+    center = np.concatenate([position - position[0], np.zeros((1, 3))])
+    direction = rows.directions(position)
+    if yaw_unknown:
+        x, y, _ = (center[rows.robot] + rows.arm).T
+        direction = np.column_stack([direction, direction[:, 1] * x - direction[:, 0] * y])
+    dof = direction.shape[1]
+    world, places = rows.robots, len(rows.places.value)
+    # The world holds the anchor in all directions, and each measured coordinate in one.
+    first = np.concatenate([rows.other, np.full(places + SHIFTS, world)])
+    second = np.concatenate([rows.robot, np.zeros(SHIFTS, np.int64)])
+    way = np.concatenate([direction, np.eye(SHIFTS, dof)])
+    count = len(center)
     body: NDArray[np.integer] = np.arange(count)
-    ties = Ties(*known[:2], known.way[:, :, None] * known.way[:, None, :])
+    held = Constraints(first, second, way[:, :, None] * way[:, None, :])
     while True:
-        ties = _summed(ties, count)
+        held = _summed(held, count)
         members = np.bincount(body, minlength=count)[:, None]
-        center = np.column_stack([np.bincount(body, axis) for axis in known.center.T]) / members
-        seen = _seen_from(center[ties.first], ties.stiffness)
-        stiff = _rank(seen) == known.way.shape[1]
+        mean = np.column_stack([np.bincount(body, axis) for axis in center.T]) / members
+        seen = _seen_from(mean[held.first], held.stiffness)
+        stiff = _rank(seen) == dof
         if not stiff.any():
-            return Bodies(body, known.center - center[body], center, ties)
+            return Bodies(body, center - mean[body], mean, held)
         graph = coo_array(
-            (np.ones(stiff.sum()), (ties.first[stiff], ties.second[stiff])), shape=(count, count)
+            (np.ones(stiff.sum()), (held.first[stiff], held.second[stiff])), shape=(count, count)
         )
         count, joined = connected_components(graph, directed=False)
         body = joined[body]
-        ties = Ties(joined[ties.first], joined[ties.second], ties.stiffness)
+        held = Constraints(joined[held.first], joined[held.second], held.stiffness)
 
 
 def floppy_modes(bodies: Bodies) -> int | None:
-    """Count the independent motions that change nothing sensed; None where that is too dear.
+    """Count the independent motions that change no measurement; None for too large structures.
 
-    What is left after peeling has as many as its stiffness matrix has eigenvalues below
-    UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor is not counted: the
-    mean of all compasses holds it.
+    These are dim ker R, with R the rigidity matrix. Bodies whose constraints are independent are
+    peeled off first; the rest has as many floppy modes as its stiffness matrix R^T R has
+    eigenvalues below UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor
+    does not count: the mean of all compasses fixes it.
     """
     peeled, core = _peel(bodies)
     if core.unknowns > MOST_UNKNOWNS:
         return None
     factors = _factors(core)
     left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
-    return peeled + left - bodies.swings
+    return peeled + left - bodies.has_gauge_yaw
 
 
-def loose(bodies: Bodies) -> NDArray[np.bool_] | None:
-    """Whether floppy motions shift each robot, shape (N,); None where that is too dear.
+def floppy_robots(bodies: Bodies) -> NDArray[np.bool_] | None:
+    """Find the robots that floppy motions shift, shape (N,); None for too large structures.
 
-    Of random motions x the factors of the stiffness matrix K tell what is left once K has damped
-    all that it notices: -s (K - s 1)^-1 x with s = UNNOTICED^2. Where the swarm may turn as a whole
-    that is seen from a mean robot.
+    Of random motions x, -s (K - s 1)^-1 x with s = UNNOTICED^2 is the part that the stiffness
+    matrix K does not resist. Where the swarm may turn as a whole, we subtract the mean turn.
     """
     if bodies.unknowns > MOST_UNKNOWNS:
         return None
@@ -128,55 +155,52 @@ def loose(bodies: Bodies) -> NDArray[np.bool_] | None:
         return np.zeros(len(bodies.of_robot) - 1, np.bool_)
     coordinate = np.arange(bodies.unknowns)[:, None]
     motion = normal(0, "floppy motion", coordinate, np.arange(PROBES))
-    left = -(UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.ways, PROBES)
+    left = -(UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.dof, PROBES)
     moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
-    if bodies.ways > SHIFTS:
+    if bodies.dof > SHIFTS:
         turn, lever = moved[:, SHIFTS], bodies.lever[:-1]
         moved[:, :2] += _swept(turn, lever)
-        if bodies.swings:
+        if bodies.has_gauge_yaw:
             from_anchor = bodies.center[bodies.of_robot[:-1]] + lever
             moved[:, :2] -= _swept(turn.mean(axis=0), from_anchor)
     shifted = np.sqrt(np.mean(moved[:, :SHIFTS] ** 2, axis=(1, 2)))
-    return np.asarray(shifted > HELD)
+    return np.asarray(shifted > SHIFTED)
 
 
 def _swept(turn: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much turns (..., PROBES) about the vertical move the ends of arms (N, 3) in x and y.
-
-    Shape (N, 2, PROBES).
-    """
+    """Displacements by turns (..., PROBES) of the ends of arms (N, 3), shape (N, 2, PROBES)."""
     x, y, _ = arm.T[:, :, None]
     return np.stack([-turn * y, turn * x], axis=1)
 
 
-def _summed(ties: Ties, bodies: int) -> Ties:
-    """Sum what ties the same two bodies, and drop what ties a body to itself."""
-    apart = ties.first != ties.second
-    low, high = np.sort(np.stack([ties.first[apart], ties.second[apart]]), axis=0)
+def _summed(constraints: Constraints, bodies: int) -> Constraints:
+    """Sum constraints of the same two bodies, and drop those of a body with itself."""
+    apart = constraints.first != constraints.second
+    low, high = np.sort(np.stack([constraints.first[apart], constraints.second[apart]]), axis=0)
     pair, row = np.unique(low.astype(np.int64) * bodies + high, return_inverse=True)
-    total = _by_row(row, ties.stiffness[apart], len(pair))
-    return Ties(pair // bodies, pair % bodies, total)
+    total = _by_row(row, constraints.stiffness[apart], len(pair))
+    return Constraints(pair // bodies, pair % bodies, total)
 
 
 def _by_row(
     row: NDArray[np.integer], matrix: NDArray[np.float64], rows: int
 ) -> NDArray[np.float64]:
-    """Sum square matrices that belong to the same row, shape (rows, ways, ways)."""
-    ways = matrix.shape[1]
-    total = np.empty((rows, ways**2))
-    for place, entry in enumerate(matrix.reshape(-1, ways**2).T):
+    """Sum square matrices that belong to the same row, shape (rows, dof, dof)."""
+    dof = matrix.shape[1]
+    total = np.empty((rows, dof**2))
+    for place, entry in enumerate(matrix.reshape(-1, dof**2).T):
         total[:, place] = np.bincount(row, entry, rows)
-    return total.reshape(-1, ways, ways)
+    return total.reshape(-1, dof, dof)
 
 
 def _from(center: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Motions of bodies told from the anchor's axis, by those told from their own centers.
+    """Change of reference point for body motions, from their own centers to the anchor's axis.
 
     Shape (..., 4, 4).
     """
-    told = np.tile(np.eye(4), (*center.shape[:-1], 1, 1))
-    told[..., 0, 3], told[..., 1, 3] = center[..., 1], -center[..., 0]
-    return told
+    change = np.tile(np.eye(4), (*center.shape[:-1], 1, 1))
+    change[..., 0, 3], change[..., 1, 3] = center[..., 1], -center[..., 0]
+    return change
 
 
 def _seen_from(
@@ -184,7 +208,7 @@ def _seen_from(
     stiffness: NDArray[np.float64],
     other: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Tell stiffness by motions of bodies about their own centers, not about the anchor's axis."""
+    """Express stiffness by motions of bodies about their own centers, not the anchor's axis."""
     if stiffness.shape[1] == SHIFTS:  # the same from everywhere
         return stiffness
     seen: NDArray[np.float64] = (
@@ -194,40 +218,40 @@ def _seen_from(
 
 
 def _rank(stiffness: NDArray[np.float64]) -> NDArray[np.int64]:
-    """How many directions are held, shape (rows,)."""
+    """Count the directions that are constrained, shape (rows,)."""
     rank: NDArray[np.int64] = (np.linalg.eigvalsh(stiffness) > UNNOTICED**2).sum(axis=1)
     return rank
 
 
 def _peel(bodies: Bodies) -> tuple[int, Bodies]:
-    """Take away bodies whose ties are independent, as long as there are some.
+    """Peel off bodies whose constraints are independent, as long as there are some.
 
-    Such a body's equations hold it and nothing else: without both the others are as free as
+    The constraints of such a body hold it and nothing else: without both, the others are as free as
     they were with them.
 
     Returns:
-        Floppy modes of what was taken away, and the rest.
+        Floppy modes of what was peeled off, and the rest.
     """
-    ties, center = bodies.ties, bodies.center
-    rank = _rank(_seen_from(center[ties.first], ties.stiffness))
+    constraints, center = bodies.constraints, bodies.center
+    rank = _rank(_seen_from(center[constraints.first], constraints.stiffness))
     rests = np.ones(bodies.size, np.bool_)
     modes = 0
     while True:
-        end = np.concatenate([ties.first, ties.second])
+        end = np.concatenate([constraints.first, constraints.second])
         total = np.bincount(end, np.tile(rank, 2), bodies.size)
         held = _rank(
-            _seen_from(center, _by_row(end, np.tile(ties.stiffness, (2, 1, 1)), bodies.size))
+            _seen_from(center, _by_row(end, np.tile(constraints.stiffness, (2, 1, 1)), bodies.size))
         )
         peels = rests & (total == held)
         peels[bodies.fixed] = False
         if not peels.any():
             break
         rests &= ~peels
-        cut = peels[ties.first] | peels[ties.second]
-        modes += bodies.ways * int(peels.sum()) - int(rank[cut].sum())
-        ties, rank = Ties(*(column[~cut] for column in ties)), rank[~cut]
+        cut = peels[constraints.first] | peels[constraints.second]
+        modes += bodies.dof * int(peels.sum()) - int(rank[cut].sum())
+        constraints, rank = Constraints(*(column[~cut] for column in constraints)), rank[~cut]
     number = np.cumsum(rests) - 1
-    left = Ties(number[ties.first], number[ties.second], ties.stiffness)
+    left = Constraints(number[constraints.first], number[constraints.second], constraints.stiffness)
     core = Bodies(number[[bodies.fixed]], np.zeros((1, 3)), center[rests], left)
     return modes, core
 
@@ -239,7 +263,7 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     """
     if bodies.size == 1:
         return None
-    first, second, stiffness = bodies.ties
+    first, second, stiffness = bodies.constraints
     row = np.concatenate([first, second, first, second])
     column = np.concatenate([first, second, second, first])
     block = np.concatenate([stiffness, stiffness, -stiffness, -stiffness])
@@ -247,9 +271,9 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     free = (row != bodies.fixed) & (column != bodies.fixed)
     row, column, block = row[free], column[free], block[free]
     row, column = row - (row > bodies.fixed), column - (column > bodies.fixed)
-    ways, unknowns = np.arange(bodies.ways), bodies.unknowns
-    rows = np.broadcast_to(len(ways) * row[:, None, None] + ways[:, None], block.shape)
-    columns = np.broadcast_to(len(ways) * column[:, None, None] + ways, block.shape)
+    dof, unknowns = np.arange(bodies.dof), bodies.unknowns
+    rows = np.broadcast_to(len(dof) * row[:, None, None] + dof[:, None], block.shape)
+    columns = np.broadcast_to(len(dof) * column[:, None, None] + dof, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
     return splu(
         csc_array(matrix - UNNOTICED**2 * eye_array(unknowns)),

@@ -50,38 +50,38 @@ class Convergence:
 
 @dataclass(frozen=True, kw_only=True)
 class Observability:
-    """What some cues can tell of N robots."""
+    """What some cues determine of N robots."""
 
     cues: tuple[str, ...]
-    turning: bool
+    yaw_unknown: bool
     """Whether each robot's yaw is unknown."""
 
     unknowns: int
-    """What there is to be known: coordinates of all robots but the anchor, and where yaw is unknown
-    how far each robot is turned, seen from the mean of all."""
+    """Unknown coordinates: those of all robots but the anchor, and where yaw is unknown the turn of
+    each robot relative to the mean of all."""
 
-    swing: float | None
-    """Where yaw is unknown and nothing but the mean of all compasses holds the swarm as a whole
-    against turning about the anchor, the standard deviation of that [rad]; else None."""
+    gauge_yaw_sd: float | None
+    """Standard deviation of a turn of the whole swarm about the anchor [rad], where yaw is unknown
+    and only the mean of all compasses fixes it; else None."""
 
     floppy_modes: int | None
-    """Independent motions of the swarm that nothing sensed would notice, or None where there are
-    too many robots to count them."""
+    """Independent motions of the swarm that change no measurement, or None where there are too many
+    robots to count them."""
 
-    loose: NDArray[np.bool_] | None
-    """Whether such motions shift each robot, shape (N,), or None likewise."""
+    floppy: NDArray[np.bool_] | None
+    """Whether such motions shift each robot, shape (N,), or None where `floppy_modes` is."""
 
-    apart: NDArray[np.bool_]
+    disconnected: NDArray[np.bool_]
     """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
 
     @property
     def known(self) -> list[str]:
-        """Say of each robot whether its place can be known: "yes", "loose" or "apart".
+        """Whether each robot's position is determined: "yes", "floppy" or "disconnected".
 
-        Nothing is said where there are too many robots to find out.
+        Empty where there are too many robots to find out.
         """
-        tied = "" if self.loose is None else np.where(self.loose, "loose", "yes")
-        words = np.where(self.apart, "apart", tied)
+        tied = "" if self.floppy is None else np.where(self.floppy, "floppy", "yes")
+        words = np.where(self.disconnected, "disconnected", tied)
         return [str(word) for word in words]
 
 
@@ -95,8 +95,9 @@ class Estimate:
     position: NDArray[np.float64]
     """Estimated centers [log unit], shape (N, 3)."""
 
-    located: NDArray[np.bool_]
-    """Whether a chain of contacts ties the robot to the anchor, shape (N,)."""
+    disconnected: NDArray[np.bool_]
+    """Whether nothing that was used ties the robot to the anchor, so that its position is a guess,
+    shape (N,)."""
 
     sd: NDArray[np.float64] | None = None
     """Standard deviation of each position [log unit], shape (N,); None where the method has none.
@@ -111,8 +112,8 @@ class Estimate:
     """Convergence; None where the method does not assess it."""
 
     doubted: NDArray[np.int64] | None = None
-    """Contacts judged wrong, rows as `felt_contacts` has them, shape (K, 5); None where the method
-    does not judge them, or did not converge."""
+    """Outliers among the contacts, rows as `sensed_contacts` lists them, shape (K, 5); None where
+    the method does not look for them, or did not converge."""
 
     solutions: tuple[Solution, ...] = ()
     """Distinct configurations that the method found, by ascending residual. `position` follows from

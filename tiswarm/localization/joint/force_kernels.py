@@ -14,8 +14,8 @@ center.
 from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.math_kernels import vector_at
 from tiswarm.localization.kernels import with_torque
+from tiswarm.measurements.model import SPACING
 
-SPACING = 2.0
 MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
 moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4

@@ -22,7 +22,8 @@ from tiswarm.localization.least_squares.problem import (
     touching,
 )
 from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.measurements.contacts import located
+from tiswarm.measurements.contacts import disconnected
+from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -124,7 +125,7 @@ def improve(
     return Estimate(
         robot_id=log.robot_id,
         position=position,
-        located=located(log),
+        disconnected=disconnected(measure(log, params.cues)),
         yaw=yaw if yaw_sd else None,
         iteration=np.array(iteration),
         trace=np.array([frame for frame, _ in poses]),

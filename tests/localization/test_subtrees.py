@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from tiswarm.localization.joint.branches import branches
+from tiswarm.localization.joint.subtrees import find_subtrees
 from tiswarm.measurements.contacts import touching
 
 ROBOTS = 12
@@ -23,7 +23,7 @@ def test_branches_are_the_parts_of_what_is_so_far_from_the_anchor_or_more(pairs)
     pair = np.array(pairs, np.int64).reshape(-1, 2)
     level = _levels(pairs)
 
-    tree = branches(pair, ROBOTS)
+    tree = find_subtrees(pair, ROBOTS)
 
     own = np.split(tree.order, tree.first[1:-1])
     members = [set(robots.tolist()) for robots in own]
@@ -50,7 +50,7 @@ def test_branches_do_not_depend_on_how_contacts_are_told(pairs, seed):
     other = rng.permutation(np.concatenate([pair, pair[:3]]))
     other = np.where(rng.random(len(other))[:, None] < 0.5, other, other[:, ::-1])
 
-    told, retold = branches(pair, ROBOTS), branches(other, ROBOTS)
+    told, retold = find_subtrees(pair, ROBOTS), find_subtrees(other, ROBOTS)
 
     np.testing.assert_array_equal(told.order, retold.order)
     np.testing.assert_array_equal(told.first, retold.first)

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.localization.joint import deviation
+from tiswarm.localization.joint.uncertainty import between_chains, deviation
 
 ROBOTS = 4000
 
 
 def _known(*, noise, shortage=0.0):
-    return SimpleNamespace(variance=np.full(10, noise), shortage=shortage)
+    return SimpleNamespace(variance=np.full(10, noise), underdetermination=shortage)
 
 
 @pytest.mark.parametrize("chains", [2, 3, 8])
@@ -20,7 +20,7 @@ def test_chains_that_are_draws_like_the_truth_tell_how_far_off_their_mean_is(cha
     draw = np.random.default_rng(chains).normal(0.0, 0.5, (chains + 1, ROBOTS, 3))
     truth, mean = draw[0], draw[1:]
 
-    told = deviation.disagreement(mean, np.ones(chains, bool))
+    told = between_chains(mean, np.ones(chains, bool))
 
     error = ((mean.mean(axis=0) - truth) ** 2).sum(axis=1)
     assert told.mean() == pytest.approx(error.mean(), rel=0.05)
@@ -31,11 +31,11 @@ def test_of_one_sound_chain_the_others_tell_how_much_chains_differ():
     mean = np.random.default_rng(0).normal(0.0, 0.5, (3, ROBOTS, 3))
     sound = np.array([True, False, False])
 
-    told = deviation.disagreement(mean, sound)
+    told = between_chains(mean, sound)
 
     expected = ((mean[1:] - mean[0]) ** 2).sum(axis=(0, 2)) / 3.0
     np.testing.assert_allclose(told, expected, rtol=1e-12)
-    np.testing.assert_array_equal(deviation.disagreement(mean[:1], sound[:1]), 0.0)
+    np.testing.assert_array_equal(between_chains(mean[:1], sound[:1]), 0.0)
 
 
 @pytest.mark.parametrize("noise", [1e-9, 1.0])
@@ -47,12 +47,8 @@ def test_the_tolerance_alone_makes_no_error(noise):
     mean = np.zeros((2, 4, 3))
     spread = np.tile([0.0, 0.0, 1e-3, 1.0], (2, 1))
 
-    _, still, tied, free = deviation.deviation(
-        _known(noise=noise), mean, spread, np.ones(2, bool), 0.025
-    )
-    short = deviation.deviation(
-        _known(noise=noise, shortage=0.5), mean, spread, np.ones(2, bool), 0.025
-    )
+    _, still, tied, free = deviation(_known(noise=noise), mean, spread, np.ones(2, bool), 0.025)
+    short = deviation(_known(noise=noise, shortage=0.5), mean, spread, np.ones(2, bool), 0.025)
 
     assert still == 0.0
     assert 0.0 < tied < free
@@ -65,7 +61,7 @@ def test_the_colder_chains_end_the_surer_is_what_they_tell():
     mean, spread, sound = np.zeros((2, 2, 3)), np.ones((2, 2)), np.ones(2, bool)
 
     cold, warm = (
-        deviation.deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[1]
+        deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[1]
         for tolerance in (0.01, 0.025)
     )
 
@@ -75,8 +71,8 @@ def test_the_colder_chains_end_the_surer_is_what_they_tell():
 def _told(mean):
     """What chains tell of each robot that do nothing but disagree, in what they disagree by."""
     sound = np.ones(len(mean), bool)
-    sd = deviation.deviation(_known(noise=1e-9), mean, np.zeros(mean.shape[:2]), sound, 0.025)
-    return sd[1:] / np.sqrt(deviation.disagreement(mean, sound)[1:])
+    sd = deviation(_known(noise=1e-9), mean, np.zeros(mean.shape[:2]), sound, 0.025)
+    return sd[1:] / np.sqrt(between_chains(mean, sound)[1:])
 
 
 def test_what_all_robots_do_at_once_counts_more_than_what_each_does_alone():
@@ -94,7 +90,7 @@ def test_the_anchor_is_where_it_is():
     mean = np.random.default_rng(1).normal(0.0, 1.0, (4, 1, 3)) * np.array([0.0, 1.0, 1.0])[:, None]
 
     spread = np.full((4, 3), 1e-9)  # as sums of squares leave
-    sd = deviation.deviation(_known(noise=1.0), mean, spread, np.ones(4, bool), 0.025)
+    sd = deviation(_known(noise=1.0), mean, spread, np.ones(4, bool), 0.025)
 
     assert sd[0] == 0.0
     assert (sd[1:] > 0.0).all()

@@ -1,4 +1,8 @@
-"""Annealing: every robot at once, of every structure, in several chains, ever less tolerant."""
+"""Langevin annealing of all robots at once, of every structure, in several chains.
+
+A chain cools from `start_sigma` to its end temperature and is held there. sigma is the square root
+of the temperature: the standard deviation by which measurements may be missed. Lengths in R.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,50 +18,42 @@ from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
-from tiswarm.localization.joint.branches import branches, subtree_arrays
-from tiswarm.localization.joint.equations import Equations
-from tiswarm.localization.joint.force_kernels import INERTIA, SPACING, TOTAL, YAW
+from tiswarm.localization.joint.force_kernels import INERTIA, TOTAL, YAW
+from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
 from tiswarm.localization.joint.kernels import SKIN, STALE, THIN_SKIN, note_places, take_steps
-from tiswarm.localization.joint.schedule import cooled, end_tolerance, thermostat
-from tiswarm.localization.joint.seats import first_guess, reseat
+from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.params import JointParams
+from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
-WIDTH = 3.0
-"""Standard deviations at which a robust contact begins to give way."""
-PUT_BACK_FROM = 0.4
-"""Part of the steps after which robots that got lost are put back."""
-LAUNCH = 3000
-"""Robots of which a step takes as long as does a launch from Python."""
-GROWING = 0.1
-"""Part of the steps in which docks grow to their full size."""
-FRAMES = 24
-"""Frames of the trace."""
 AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """A row of the kernel's headings to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Annealed:
-    """What the chains of one structure came to; lengths in dock radii."""
+    """Result of the chains of one structure of N robots."""
 
     mean: NDArray[np.float64]
-    """Mean position over the end of each chain, shape (chains, N, 3)."""
+    """Mean position over the hold of each chain [R], shape (chains, N, 3)."""
 
-    spread: NDArray[np.float64]
-    """Mean square distance from it, shape (chains, N)."""
+    within: NDArray[np.float64]
+    """Within-chain variance of each position, all axes together [R^2], shape (chains, N)."""
 
     last: NDArray[np.float64]
-    """Where each chain stood at last, shape (chains, N, 3)."""
+    """Last position in each chain [R], shape (chains, N, 3)."""
 
     mean_yaw: NDArray[np.float64]
-    """Mean turn over the end of each chain [rad], shape (chains, N)."""
+    """Mean yaw correction over the hold of each chain [rad], shape (chains, N)."""
 
     last_yaw: NDArray[np.float64]
-    """How far robots were turned at last [rad], shape (chains, N)."""
+    """Last yaw correction in each chain [rad], shape (chains, N)."""
 
-    tolerance: float
-    """How far equations could be missed at last, as a standard deviation."""
+    sigma: float
+    """Square root of the end temperature [R]."""
 
     temperature: NDArray[np.float64]
     """Mean kinetic temperature of each chain once docks are grown, relative to its target,
@@ -67,7 +63,10 @@ class Annealed:
     """Steps at which the trace was recorded, shape (K,)."""
 
     trace: NDArray[np.float64]
-    """Positions of the first chain then, shape (K, N, 3)."""
+    """Positions of the first chain then [R], shape (K, N, 3)."""
+
+    yaw_trace: NDArray[np.float64]
+    """Yaw corrections of the first chain then [rad], shape (K, N)."""
 
     def with_chains(self, chosen: NDArray[np.bool_], other: "Annealed") -> "Annealed":
         """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
@@ -77,15 +76,17 @@ class Annealed:
                 getattr(other, name),
                 getattr(self, name),
             )
-            for name in ("mean", "spread", "last", "mean_yaw", "last_yaw", "temperature")
+            for name in ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
         }
-        return replace(self, **arrays, trace=other.trace if chosen[0] else self.trace)
+        if chosen[0]:
+            arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
+        return replace(self, **arrays)
 
 
 def anneal(
     logs: Sequence[SensingLog],
     params: Sequence[JointParams],
-    known: Sequence[Equations],
+    problems: Sequence[Problem],
     *,
     halvings: int = 0,
 ) -> list[Annealed]:
@@ -94,10 +95,10 @@ def anneal(
     Args:
         logs: One log a structure, all of one batch key with their settings.
         params: Settings for each.
-        known: Equations of each.
+        problems: Measurements of each.
         halvings: How often to halve the length of a step.
     """
-    return Annealer(logs, params, known, inertia_factor=4.0**halvings).run()
+    return Annealer(logs, params, problems, inertia_factor=4.0**halvings).run()
 
 
 class Annealer:
@@ -107,7 +108,7 @@ class Annealer:
         self,
         logs: Sequence[SensingLog],
         params: Sequence[JointParams],
-        known: Sequence[Equations],
+        problems: Sequence[Problem],
         *,
         by_block: bool | None = None,
         inertia_factor: float = 1.0,
@@ -117,37 +118,37 @@ class Annealer:
         Args:
             logs: One log a structure, all of one batch key with their settings.
             params: Settings for each.
-            known: Equations of each.
+            problems: Measurements of each.
             by_block: Whether one thread takes all steps of a structure in one chain; else all
                 threads take each step together. By what is quicker if None; no bit depends on it.
             inertia_factor: Factor of every mass; 4 halves the steps.
         """
         running = backend.current()
         self.memory = memory = Allocator(running, on_host=False)
-        self.schedule = params[0]
-        self.known = known
+        self.shared = params[0]
+        self.problems = problems
         self.robust = [p.robust for p in params]
         self.inertia_factor = inertia_factor
-        self.turning = any(e.yaw_precision for e in known)
+        self.turning = any(p.yaw_precision for p in problems)
         self.size = [log.robot_count for log in logs]
         self.start = np.cumsum([0, *self.size])
-        self.chains = self.schedule.chains_for(self.size[0])
-        self.steps = self.schedule.steps_for(self.size[0])
+        self.chains = self.shared.chains_for(self.size[0])
+        self.steps = self.shared.steps_for(self.size[0])
         self.by_block = self._is_quicker_by_block(running) if by_block is None else by_block
         self.sigma = np.array(
             [
-                cooled(p.start_tolerance, end_tolerance(e, p), self.steps, self.schedule.hold_steps)
-                for e, p in zip(known, params, strict=True)
+                cooled(p.start_sigma, end_sigma(problem, p), self.steps, self.shared.hold_steps)
+                for problem, p in zip(problems, params, strict=True)
             ]
         )
         self.target = thermostat(self.sigma)
         # Robots of a subtree stand in a row in memory.
-        trees = [branches(np.column_stack([e.robot, e.other]), len(e.place)) for e in known]
+        trees = [find_subtrees(p.pair, len(p.place)) for p in problems]
         offsets = self.start[:-1]
         self.order = np.concatenate([a + t.order for t, a in zip(trees, offsets, strict=True)])
         guess = [
-            first_guess(log, e, self.schedule.seed, self.chains)
-            for log, e in zip(logs, known, strict=True)
+            initial_guess(log, problem, self.shared.seed, self.chains)
+            for log, problem in zip(logs, problems, strict=True)
         ]
         position = np.concatenate(guess, axis=1)[:, self.order].reshape(-1, 3)
         arm = np.concatenate(
@@ -168,10 +169,10 @@ class Annealer:
         self.measured = [
             memory.upload(self.sigma),
             *self._robots(params),
-            *contact_arrays(memory, known, params, self.start, np.argsort(self.order)),
+            *contact_arrays(memory, problems, params, self.start, np.argsort(self.order)),
             *self._priors(),
         ]
-        self.trees = subtree_arrays(memory, known, trees, self.chains)
+        self.trees = subtree_arrays(memory, problems, trees, self.chains)
         self.swarm = self._swarm(arm, position)
         self.blocks = self._blocks(first_of_block)
 
@@ -180,7 +181,7 @@ class Annealer:
         if running.arch != "cpu":
             return False
         copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
-        shared = LAUNCH + GRAIN * -(-copies // (GRAIN * running.threads))
+        shared = SCHEDULE.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
 
     def _robots(self, params: Sequence[JointParams]) -> Robots:
@@ -190,16 +191,16 @@ class Annealer:
             structure=upload(np.repeat(np.arange(len(size)), size)),
             number=upload(number),
             non_overlap=upload(np.repeat([int(p.non_overlap) for p in params], size)),
-            robust=upload(np.repeat([WIDTH**-2 if p.robust else 0.0 for p in params], size)),
+            robust=upload(np.repeat([SCHEDULE.outlier_sd**-2 * p.robust for p in params], size)),
         )
 
     def _priors(self) -> Priors:
-        upload, known = self.memory.upload, self.known
+        upload, problems = self.memory.upload, self.problems
         return Priors(
-            place=upload(np.concatenate([e.place for e in known])[self.order]),
-            precision=upload(np.concatenate([e.precision for e in known])[self.order]),
-            walk=upload(np.concatenate([e.walk for e in known])[self.order]),
-            yaw_precision=upload(np.repeat([e.yaw_precision for e in known], self.size)),
+            place=upload(np.concatenate([p.place for p in problems])[self.order]),
+            precision=upload(np.concatenate([p.precision for p in problems])[self.order]),
+            walk=upload(np.concatenate([p.walk for p in problems])[self.order]),
+            yaw_precision=upload(np.repeat([p.yaw_precision for p in problems], self.size)),
         )
 
     def _swarm(self, arm: NDArray[np.float64], position: NDArray[np.float64]) -> Swarm:
@@ -231,16 +232,17 @@ class Annealer:
 
     def run(self) -> list[Annealed]:
         """Take all steps."""
-        holding = self.schedule.hold_steps
-        frames = np.linspace(0, self.steps + holding, FRAMES).astype(np.int64)
+        holding = self.shared.hold_steps
+        frames = np.linspace(0, self.steps + holding, SCHEDULE.frames).astype(np.int64)
         frames = np.union1d(frames, self.steps)
-        trace, heat = [], []
+        trace, yaw_trace, heat = [], [], []
         for frame in frames.tolist():
             self.advance(frame)
-            if PUT_BACK_FROM * self.steps <= frame < self.steps:
-                self.put_back()
+            if SCHEDULE.reinitialize_from * self.steps <= frame < self.steps:
+                self.reinitialize()
             trace.append(self.by_robot(self.swarm.position)[0])
-            if frame > GROWING * self.steps:
+            yaw_trace.append(self.by_robot(self.swarm.heading)[0, :, YAW])
+            if frame > SCHEDULE.growing * self.steps:
                 heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.swarm.position)
         moves = last.shape[1] > len(self.size)  # anchors do not
@@ -248,7 +250,7 @@ class Annealer:
             raise backend.faulty_driver()
         mean = self.by_robot(self.swarm.total) / holding
         square = self.by_robot(self.swarm.square_total) / holding
-        spread = np.maximum(square - (mean**2).sum(axis=2), 0.0)
+        within = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.swarm.heading)
         temperature = np.mean(heat, axis=0)
         return [
@@ -256,65 +258,61 @@ class Annealer:
                 mean=mean[:, a:b],
                 mean_yaw=heading[:, a:b, TOTAL] / holding,
                 last_yaw=heading[:, a:b, YAW],
-                tolerance=tolerance,
+                sigma=float(self.sigma[n, -1]),
                 temperature=temperature[:, n],
-                spread=spread[:, a:b],
+                within=within[:, a:b],
                 last=last[:, a:b],
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]),
+                yaw_trace=np.array([frame[a:b] for frame in yaw_trace]),
             )
-            for n, (a, b, tolerance) in enumerate(
-                zip(self.start[:-1], self.start[1:], self.sigma[:, -1].tolist(), strict=True)
-            )
+            for n, (a, b) in enumerate(zip(self.start[:-1], self.start[1:], strict=True))
         ]
 
     def advance(self, until: int) -> None:
         """Take steps until so many have been taken."""
-        rows = self.neighbors
-        while (
-            self.blocks.taken.to_numpy().min() if self.by_block else self.blocks.taken[0]
-        ) < until:
-            if not self.by_block and self.blocks.age[0] == STALE:
-                note_places(self.swarm.position, self.blocks.listed)
-                rows.cutoff = self.near + self.blocks.skin[0]
-                rows.build(self.blocks.listed, 0)
-                self.blocks.age.fill(0)
+        rows, blocks = self.neighbors, self.blocks
+        while (blocks.taken.to_numpy().min() if self.by_block else blocks.taken[0]) < until:
+            if not self.by_block and blocks.age[0] == STALE:
+                note_places(self.swarm.position, blocks.listed)
+                rows.cutoff = self.near + blocks.skin[0]
+                rows.build(blocks.listed, 0)
+                blocks.age.fill(0)
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
-                rows.capacity, self.near, self.schedule.seed, until, self.steps,
-                max(GROWING * self.steps, 1.0), self.inertia_factor, *self.measured, *self.trees,
-                rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
-                *self.swarm, *self.blocks,
+                rows.capacity, self.near, self.shared.seed, until, self.steps,
+                max(SCHEDULE.growing * self.steps, 1.0), self.inertia_factor, *self.measured,
+                *self.trees, rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
+                *self.swarm, *blocks,
             )  # fmt: skip
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
-                self.blocks.age.fill(STALE)
+                blocks.age.fill(STALE)
 
     def temperatures(self, step: int) -> NDArray[np.float64]:
-        """Kinetic temperature of each chain of each structure, relative to its target at a step.
+        """Compute the kinetic temperature of each chain, relative to its target at a step.
 
-        Each degree of freedom has m v^2 = s^2 in the mean, s^2 being the thermostat's mean over the
-        time that friction takes; anchors, which do not move, have none.
+        Each degree of freedom has m v^2 = T in the mean, with T that of `thermostat`; anchors,
+        which do not move, have none.
 
         Returns:
             Temperatures, shape (chains, S); 1 where nobody moves.
         """
         moving = np.concatenate([np.arange(size) > 0 for size in self.size])
-        energy = self.by_robot(self.swarm.mass) * (self.by_robot(self.swarm.velocity) ** 2).sum(
-            axis=2
-        )
+        square = (self.by_robot(self.swarm.velocity) ** 2).sum(axis=2)
+        energy = self.by_robot(self.swarm.mass) * square
         total = np.add.reduceat(energy * moving, self.start[:-1], axis=1)
         freedom = 3.0 * (np.array(self.size) - 1.0) * self.target[:, step]
         return np.where(freedom > 0.0, total / np.where(freedom > 0.0, freedom, 1.0), 1.0)
 
-    def put_back(self) -> None:
-        """Put robots back that lost most of those they touch, where the loss lets go of these."""
+    def reinitialize(self) -> None:
+        """Initialize robots anew that lost most of their contacts, where the loss is robust."""
         position, heading = self.by_robot(self.swarm.position), self.by_robot(self.swarm.heading)
         moved = 0
         start = zip(self.start[:-1], self.start[1:], strict=True)
-        for known, gives_up, (a, b) in zip(self.known, self.robust, start, strict=True):
+        for problem, gives_up, (a, b) in zip(self.problems, self.robust, start, strict=True):
             if gives_up:
-                moved += reseat(known, position[:, a:b], heading[:, a:b, YAW])
+                moved += reinitialize_lost(problem, position[:, a:b], heading[:, a:b, YAW])
         if moved:
             self.memory.refill(self.swarm.position, position[:, self.order].reshape(-1, 3))
             self.blocks.age.fill(STALE)
@@ -325,9 +323,47 @@ class Annealer:
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
 
 
+def end_sigma(problem: Problem, params: JointParams) -> float:
+    """Choose the square root of the end temperature of one structure [R].
+
+    The colder the end, the better it separates solutions that miss measurements by little. But
+    colder chains sample less of what nothing measures, and noise leaves nothing to be separated.
+    """
+    if params.end_sigma is not None:
+        return params.end_sigma
+    coldest, warmest = SCHEDULE.coldest, SCHEDULE.warmest
+    noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
+    lacking = problem.underdetermination / SCHEDULE.underdetermined
+    return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
+
+
+def cooled(begin: float, end: float, steps: int, holding: int) -> NDArray[np.float64]:
+    """Cool by the same factor at every step, then hold; sigma of each, shape (steps + holding,)."""
+    falling = begin * (end / begin) ** (np.arange(steps) / steps)
+    return np.concatenate([falling, np.full(holding, end)])
+
+
+def thermostat(sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the mean of m v^2 that friction and kicks give a free robot at each step.
+
+    It lags behind sigma^2: a step keeps a part of the velocity.
+
+    Args:
+        sigma: Square root of the temperature at each step [R], shape (..., steps).
+
+    Returns:
+        The mean of m v^2 for each coordinate [R^2], shape (..., steps).
+    """
+    target = sigma**2
+    for step in range(1, target.shape[-1]):
+        target[..., step] *= 1.0 - MEMORY**2
+        target[..., step] += MEMORY**2 * target[..., step - 1]
+    return target
+
+
 def contact_arrays(
     memory: Allocator,
-    known: Sequence[Equations],
+    problems: Sequence[Problem],
     params: Sequence[JointParams],
     start: NDArray[np.int64],
     number: NDArray[np.intp],
@@ -336,20 +372,20 @@ def contact_arrays(
 
     Args:
         memory: Where arrays are allocated.
-        known: Equations of each structure.
+        problems: Measurements of each structure.
         params: Settings of each.
         start: First robot of each, shape (S + 1,).
         number: Where each robot is in memory, shape (N,).
     """
-    robot = number[np.concatenate([e.robot + a for e, a in zip(known, start[:-1], strict=True)])]
-    other = number[np.concatenate([e.other + a for e, a in zip(known, start[:-1], strict=True)])]
-    is_final = np.concatenate([e.is_final for e in known]).astype(np.int64)
+    robot = number[np.concatenate([e.robot + a for e, a in zip(problems, start[:-1], strict=True)])]
+    other = number[np.concatenate([e.other + a for e, a in zip(problems, start[:-1], strict=True)])]
+    is_final = np.concatenate([e.is_final for e in problems]).astype(np.int64)
     extension = np.concatenate(
-        [p.stretch * e.is_final / e.fewest for e, p in zip(known, params, strict=True)]
+        [p.extension_prior * e.is_final / e.fewest for e, p in zip(problems, params, strict=True)]
     )
-    shift = np.concatenate([e.shift for e in known])
-    lever = np.concatenate([e.lever for e in known])
-    variance = np.concatenate([e.variance for e in known])
+    shift = np.concatenate([e.shift for e in problems])
+    lever = np.concatenate([e.lever for e in problems])
+    variance = np.concatenate([e.variance for e in problems])
     both = np.concatenate([robot, other])
     order = np.argsort(both, kind="stable")
 

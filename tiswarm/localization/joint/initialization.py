@@ -1,0 +1,121 @@
+"""Where robots are placed at first, again if they are lost, and at last if nothing ties them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.compute.math import normal
+from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.measurements.model import SPACING
+from tiswarm.records.sensing_log import SensingLog
+
+
+def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> NDArray[np.float64]:
+    """Place each robot where its contacts with robots already placed meet, give or take one R.
+
+    Robots follow each other along the chains of contacts, from the first robot of each part on.
+    Nothing senses in which direction a dock lies from the one it touches. The guess takes robots to
+    stand across from each other there; otherwise thousands of them would begin in a heap.
+
+    Returns:
+        Positions, other ones for each chain [R], shape (chains, N, 3).
+    """
+    robot = np.arange(log.robot_count)
+    draw = 3 * np.arange(chains)[:, None, None] + np.arange(3)
+    guess = normal(seed, "first guess", robot[:, None], draw)
+    across = _across(problem)
+    toward = np.concatenate([across, -across])
+    partner = np.concatenate([problem.other, problem.robot])
+    rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
+    is_measured = problem.precision > 0.0
+    place = problem.sensed_place
+    guess[:, 0] = log.anchor_position / log.dock_radius
+    is_placed = robot == 0
+    for i in np.argsort(problem.reach(), kind="stable").tolist():
+        if is_placed[i]:
+            continue
+        mine = rows[i][is_placed[partner[rows[i]]]]
+        met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
+        guess[:, i] += met.mean(axis=1)
+        guess[:, i, is_measured[i]] = place[i, is_measured[i]]
+        is_placed[i] = True
+    return guess
+
+
+def reinitialize_lost(
+    problem: Problem, position: NDArray[np.float64], yaw: NDArray[np.float64]
+) -> int:
+    """Place robots anew that most of their contacts have lost: at the median of these contacts.
+
+    While the temperature is high others may move in front of a robot; its contacts are then too far
+    away to pull it back.
+
+    Args:
+        problem: Measurements of the structure.
+        position: Read and written [R], shape (chains, N, 3).
+        yaw: Yaw corrections [rad], shape (chains, N).
+
+    Returns:
+        How many robots moved.
+    """
+    gap = np.abs(problem.residual(position, yaw))
+    count = np.bincount(problem.robot, minlength=position.shape[1])
+    across = _across(problem)
+    rows = _rows(problem.robot, len(count))
+    moved = 0
+    far = np.maximum(SCHEDULE.lost, SCHEDULE.lost_sd * np.sqrt(problem.variance))
+    for here, missed in zip(position, gap > far, strict=True):
+        lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
+        for i in np.flatnonzero(lost).tolist():
+            mine = rows[i]
+            met = np.median(here[problem.other[mine]] - across[mine], axis=0)
+            here[i] = np.where(problem.precision[i] > 0.0, here[i], met)
+            moved += 1
+    return moved
+
+
+def place_disconnected(
+    mean: NDArray[np.float64], problem: Problem
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place each part that nothing ties to the anchor where its first robot may have joined.
+
+    That robot touched one that was there before, and robots join where the last ones did. The
+    annealer keeps such parts away from all others, and shapes them alone.
+
+    Args:
+        mean: Mean position of each chain [R], shape (chains, N, 3).
+        problem: Measurements of the structure.
+
+    Returns:
+        Positions with such parts placed [R], shape (chains, N, 3), and their mean square error, 0
+        for all other robots [R^2], shape (chains, N).
+    """
+    placed, square = mean.copy(), np.zeros(mean.shape[:2])
+    firsts = np.unique(problem.part, return_index=True)[1]
+    for first in np.sort(firsts[problem.untied[firsts]]).tolist():
+        window = slice(max(first - SCHEDULE.join_window, 0), first)
+        earlier = placed[:, window]
+        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / SCHEDULE.join_memory)
+        weight /= weight.sum()
+        place = weight @ earlier
+        away = (earlier - place[:, None]) * problem.unobserved[first]
+        part = problem.part == problem.part[first]
+        placed[:, part] += ((place - placed[:, first]) * problem.unobserved[first])[:, None]
+        # The earlier ones may be of disconnected parts, too.
+        uncertain = SCHEDULE.join_variance * (away**2).sum(axis=2) + square[:, window]
+        square[:, part] = (uncertain @ weight)[:, None]
+    return placed, square
+
+
+def _rows(robot: NDArray[np.int64], robots: int) -> list[NDArray[np.intp]]:
+    """List for each robot where it stands in an array of robots."""
+    order = np.argsort(robot, kind="stable")
+    return np.split(order, np.searchsorted(robot[order], np.arange(1, robots)))
+
+
+def _across(problem: Problem) -> NDArray[np.float64]:
+    """From the center of the other robot back to that of one across from it [R], shape (C, 3)."""
+    shift = problem.shift
+    length = np.maximum(np.linalg.norm(shift, axis=1), SPACING)
+    across: NDArray[np.float64] = shift * (1.0 + SPACING * problem.is_final / length)[:, None]
+    return across

@@ -1,0 +1,152 @@
+"""What a log says, cue by cue: each is a function that turns the log into rows.
+
+To add a cue, write such a function and add it to `CUES`. Lengths in R.
+"""
+
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
+from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.records.sensing_log import SensingLog
+
+UP = np.array([0.0, 0.0, 1.0])
+FLIPS_ASSUMED = 10
+"""Flips that a height is taken to come from where the log has no stances."""
+
+
+class Precision(NamedTuple):
+    """How precise sensors are, beside the noise of orientations; standard deviations in R."""
+
+    contact: float = 0.006
+    """Deviation of the distance of two docks in contact from D."""
+
+    height: float = 0.01
+    """Deviation of heights and of the ground."""
+
+    spawn: float = 0.2
+    """Deviation of each coordinate of a spawn position whose log states none."""
+
+
+Rows = Distances | Places
+Producer = Callable[[SensingLog, Odometry, Precision], Rows]
+
+
+def contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
+    """Docks that touch at the end are D apart."""
+    i, a, j, b = log.contacts.T
+    final = odometry.final
+    return Distances.of(final[j], b, final[i], a, length=SPACING, sd=precision.contact)
+
+
+def walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
+    """Docks that touched at an earlier stance were D apart; the flips since then are known."""
+    rows = np.empty((0, 4), np.int64) if log.stances is None else log.stances.contacts
+    stance, b, i, a = rows.T
+    at, final = odometry.row[stance], odometry.final
+    return Distances.of(at, b, final[i], a, length=SPACING, sd=precision.contact)
+
+
+def ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+    """A dock on flat ground is one dock radius above it."""
+    robot, dock = log.ground_docks.T
+    return _on_ground(log, odometry.final[robot], dock, precision)
+
+
+def walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+    """A dock that stood on flat ground at an earlier stance was one dock radius above it."""
+    rows = np.empty((0, 2), np.int64) if log.stances is None else log.stances.ground_docks
+    stance, dock = rows.T
+    return _on_ground(log, odometry.row[stance], dock, precision)
+
+
+def height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+    """A center is as high as its flips from the ground imply."""
+    first = odometry.first
+    variance = precision.height**2
+    if log.stances is None:
+        reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
+        variance += FLIPS_ASSUMED * (2.0 * reach * odometry.tilt) ** 2
+    value = log.flip_height / log.dock_radius + odometry.shift[first, 2]
+    return Places.of(first, np.full_like(first, CENTER), UP, value, variance=variance)
+
+
+def odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+    """A robot that knows where it started went as far as its flips say."""
+    stated = None if log.noise is None else log.noise.spawn
+    sd = precision.spawn if stated is None else stated / log.dock_radius
+    first = np.repeat(odometry.first, 3)
+    return Places.of(
+        first,
+        np.full_like(first, CENTER),
+        np.tile(np.eye(3), (log.robot_count, 1)),
+        (log.spawn_position / log.dock_radius).ravel(),
+        variance=sd**2 + precision.height**2,
+    )
+
+
+def _on_ground(
+    log: SensingLog, stance: NDArray[np.int64], dock: NDArray[np.integer], precision: Precision
+) -> Places:
+    level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
+    value = np.full(len(stance), level)
+    return Places.of(stance, dock, UP, value, variance=precision.height**2)
+
+
+CUES: tuple[tuple[tuple[str, ...], Producer], ...] = (
+    (("contacts",), contacts),
+    (("ground",), ground),
+    (("height",), height),
+    (("walk_contacts",), walk_contacts),
+    (("ground", "walk_contacts"), walk_ground),
+    (("odometry",), odometry_from_spawn),
+)
+"""Every producer, after the names of the cues that must be in use for it."""
+
+CUE_NAMES = tuple(dict.fromkeys(name for names, _ in CUES for name in names))
+
+
+def measure(
+    log: SensingLog,
+    cues: Collection[str],
+    *,
+    odometry: Odometry | None = None,
+    precision: Precision | None = None,
+) -> Measurements:
+    """Turn a log into rows.
+
+    Args:
+        log: What was sensed.
+        cues: Cues to use; those that are not in `CUES` have no rows.
+        odometry: Walks of the robots; those of the log if None.
+        precision: Precision of the sensors; the usual one if None.
+    """
+    walks = odometry or Odometry(log)
+    rows = [
+        produce(log, walks, precision or Precision())
+        for names, produce in CUES
+        if set(names) <= set(cues)
+    ]
+    distances = [row for row in rows if isinstance(row, Distances)]
+    places = [row for row in rows if isinstance(row, Places)]
+    return _once_each(Measurements.gather(walks, distances, places), log)
+
+
+def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
+    """Sort rows, and drop distances that a dock which stays put repeats at its next stance."""
+    d = rows.distances
+    docks = len(log.dock_offset_body)
+    shape = (len(rows.odometry.owner) + 1, docks, log.robot_count, docks)
+    number = np.ravel_multi_index((d.stance, d.dock, rows.other, d.other_dock), shape)
+    following = np.ravel_multi_index((d.stance + 1, d.dock, rows.other, d.other_dock), shape)
+    is_repeated = np.isin(following, number) & (d.dock == rows.odometry.pivot[d.stance])
+    _, kept = np.unique(np.where(is_repeated, -1, number), return_index=True)
+    kept = kept[~is_repeated[kept]]
+    chosen = Distances._make(column[kept] for column in d)
+    p = rows.places
+    order = np.lexsort((*p.direction.T, p.dock, p.stance))
+    places = Places._make(column[order] for column in p)
+    return Measurements.gather(rows.odometry, [chosen], [places])
