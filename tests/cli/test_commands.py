@@ -150,7 +150,7 @@ def test_check_reads_logs_too(tiswarm, small_run, tmp_path):
     told = tiswarm("check", log).stdout
     assert "12 robots" in told
     assert "contacts: " in told
-    assert "contacts, walk contacts, ground, height: " in told
+    assert "contacts, ground, height, walk contacts: " in told
     assert "floppy modes of 33 unknowns" in told
     done = tiswarm("check", damaged)
     assert done.returncode == 2

@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.measurements.odometry import felt_contacts
+from tiswarm.measurements.contacts import sensed_contacts
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.history import History
@@ -31,7 +31,7 @@ def outlier_scores(
     if estimate.doubted is None:
         return {}
     touched = [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
-    felt = felt_contacts(log, cues)
+    felt = sensed_contacts(log, cues)
     size = tuple(np.concatenate([*touched, felt]).max(axis=0, initial=0) + 1)
     outlier = _key(estimate.doubted, size)
     wrong = np.setdiff1d(_key(felt, size), _key(np.concatenate(touched), size))
