@@ -10,7 +10,7 @@ from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.report import figures
 from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_convergence, draw_figures
+from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
 
@@ -165,6 +165,21 @@ def test_many_points_and_conditions_have_room(tmp_path):
     assert all(len(axes.lines) == 8 for axes in figure.axes)
 
 
+def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
+    """No point of a sweep is left out in favor of more conditions of another."""
+    names = [f"0-method={method},c{k}" for method in ("a", "b") for k in range(6)]
+    for name in names:
+        write_case(tmp_path / "cases" / name, seed=0)
+    rows = [[name, "done", name[2:], name[-2:], name[2:10]] for name in names]
+    write_table(tmp_path / "summary.csv", "case,status,series,condition,point", rows)
+
+    figure = draw_error_against_height(load_run(tmp_path))
+
+    titles = [axes.get_title() for axes in figure.axes[:4]]
+    assert titles == ["method=a,c0", "method=b,c0", "method=a,c1", "method=b,c1"]
+    assert "3 more series not shown" in figure.texts[-1].get_text()
+
+
 def test_published_numbers_stand_beside_ours(tmp_path):
     """An open marker in the row of the condition that was published, none in the others."""
     header = (
@@ -188,6 +203,8 @@ def test_published_numbers_stand_beside_ours(tmp_path):
         "back-propagation",
     ]
     assert disparity.get_xlabel() == "Procrustes disparity"
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["tower", "published (robot radii)"]
 
 
 @pytest.mark.parametrize("damage", ["missing", "half"])

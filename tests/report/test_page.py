@@ -44,6 +44,20 @@ def test_texts_stay_texts(odd_run):
     assert "no &lt;b&gt;robot&lt;/b&gt; came" in page
 
 
+@pytest.mark.parametrize(
+    ("name", "caption"),
+    [
+        ("convergence", "RMSE against iteration"),
+        ("error-0-baseline", "True structure, colored by error, 0-baseline"),
+        ("error-against-height", "Error of each robot against its true height"),
+        ("foreign", "foreign"),
+    ],
+)
+def test_pictures_have_captions(name, caption):
+    """A picture of a chosen case names the case."""
+    assert page.caption_of(name) == caption
+
+
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
 def test_a_damaged_run_is_refused_by_name(odd_run, name):
     """The message names the file."""

@@ -36,11 +36,14 @@ if TYPE_CHECKING:
 Painter = Callable[[RunData], "Figure"]
 
 MAX_PANELS = 9
+MAX_BANDS = 5
+"""Lines in a panel beyond which bands would hide each other."""
+
 LEGEND_LINE = 0.14
-"""Height of a line of a legend or title [inch]."""
+"""Height of a line of text in a legend or title [inch]."""
 
 MAX_POINTS = 20_000
-"""Points drawn in one panel; of more, a fixed random choice."""
+"""Points drawn in one panel: a fixed random choice where there are more."""
 
 MAX_KINDS = 4
 GROWS = {
@@ -49,7 +52,7 @@ GROWS = {
     "bridge": ("x_R", "True distance along the gap [R]"),
     "chain": ("z_R", "True height [R]"),
 }
-"""Along which column of `robots.csv` a kind of structure grows, and its name."""
+"""By kind of structure, the column of `robots.csv` along which it grows, and the axis label."""
 
 
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
@@ -107,11 +110,12 @@ def _painters(run: RunData) -> dict[str, "Painter"]:
 def draw_convergence(run: RunData) -> "Figure":
     """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
 
-    Each point of a sweep has its panel with a line for each condition.
+    Each point of a sweep has a panel with a line for each condition; many lines have no bands.
     """
     points = _by_point(run.series)
     shown = dict(list(points.items())[:MAX_PANELS])
     names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
+    bands = len(names) <= MAX_BANDS and max(map(len, run.series.values())) > 1
     columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
     rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
     figure = new_figure(
@@ -122,7 +126,7 @@ def draw_convergence(run: RunData) -> "Figure":
     legend: dict[str, Artist] = {}
     top = 0.0
     for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
-        top = max(top, _plot_convergence(axes, of_point, names))
+        top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
         axes.set_title(title, fontsize=8.0)
         legend |= {str(line.get_label()): line for line in axes.lines}
     panels[0].set_ylim(0.0, 1.05 * top or 1.0)
@@ -130,17 +134,16 @@ def draw_convergence(run: RunData) -> "Figure":
     seeds = max(map(len, run.series.values()))
     figure.legend(
         legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
-        title="mean ± std, " * (seeds > 1) + counted(seeds, "structure"), title_fontsize=7.0,
+        title=f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}", title_fontsize=7.0,
     )  # fmt: skip
     left = len(points) - len(shown)
-    add_note(
-        figure, "; ".join(filter(None, [f"{left} more points not shown" * (left > 0), run.note]))
-    )
+    more = f"{counted(left, 'more sweep point')} not shown" if left else ""
+    add_note(figure, "; ".join(filter(None, [more, run.note])))
     return figure
 
 
 def _by_point(series: Series) -> dict[str, Series]:
-    """Conditions by point of the sweep; all in one where points have one condition each."""
+    """Group series by sweep point; a single group if each point has one condition."""
     points: dict[str, Series] = {}
     for name, cases in series.items():
         points.setdefault(shortened(cases[0].point), {})[cases[0].condition or name] = cases
@@ -149,7 +152,7 @@ def _by_point(series: Series) -> dict[str, Series]:
     return points
 
 
-def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
+def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: bool) -> float:
     """Draw mean and band of each series, colored by its place in `names`; returns the top [R]."""
     top = 0.0
     for name, cases in series.items():
@@ -157,12 +160,13 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
         iteration, rmse = _traces(cases)
         if not iteration.size:
             continue
-        mean, spread = rmse.mean(axis=0), rmse.std(axis=0)
+        mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * bands
         axes.plot(iteration, mean, label=name, **style)
-        axes.fill_between(
-            iteration, mean - spread, mean + spread, color=style["color"], alpha=0.2, linewidth=0.0
-        )
-        top = max(top, float((mean + spread).max()))
+        if bands:
+            axes.fill_between(
+                iteration, mean - sd, mean + sd, color=style["color"], alpha=0.2, linewidth=0.0
+            )
+        top = max(top, float((mean + sd).max()))
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
     _cut_long_lines(axes)
@@ -170,7 +174,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str]) -> float:
 
 
 def _cut_long_lines(axes: "Axes") -> None:
-    """Let lines that go on for much longer than most leave the frame, not squeeze the others."""
+    """Cut lines that are much longer than most, which they would compress."""
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     drawn = 2.0 * float(np.median(ends or [0.0]))
     if max(ends, default=0.0) > drawn > 0.0:
@@ -179,7 +183,7 @@ def _cut_long_lines(axes: "Axes") -> None:
 
 
 def _traces(cases: list[Case]) -> tuple[Array, Array]:
-    """Put every case's RMSE on one axis of iterations; a case that ended early holds its last."""
+    """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
     names = ["iteration", "rmse_R"]
     tables = [case.columns("convergence.csv", names) for case in cases]
     tables = [table for table in tables if len(table)]
@@ -190,8 +194,15 @@ def _traces(cases: list[Case]) -> tuple[Array, Array]:
 
 
 def draw_error_against_height(run: RunData) -> "Figure":
-    """Draw each robot's error against its true height, colored by when it joined."""
-    shown = list(run.series.items())[:MAX_PANELS]
+    """Draw each robot's error against its true height, colored by its join index.
+
+    Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
+    """
+    shown = list(run.series.items())
+    if len(shown) > MAX_PANELS:
+        conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
+        shown.sort(key=lambda item: conditions.index(item[1][0].condition))
+    shown = shown[:MAX_PANELS]
     columns = min(3, len(shown))
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
@@ -207,13 +218,13 @@ def draw_error_against_height(run: RunData) -> "Figure":
     figure.supxlabel("True height [R]", fontsize=8.0)
     figure.supylabel("Error [R]", fontsize=8.0)
     if len(shown) < len(run.series):
-        notes.append(f"{len(run.series) - len(shown)} more conditions are not shown")
+        notes.append(f"{len(run.series) - len(shown)} more series not shown")
     add_note(figure, "; ".join(notes))
     return figure
 
 
 def by_kind(series: Series) -> dict[str, Series]:
-    """Conditions by kind of structure; empty unless all a run sweeps is a few kinds."""
+    """Group series by kind of structure; empty unless a run sweeps only a few kinds."""
     kinds: dict[str, Series] = {}
     for cases in series.values():
         kinds.setdefault(cases[0].kind, {})[cases[0].condition] = cases
@@ -223,9 +234,9 @@ def by_kind(series: Series) -> dict[str, Series]:
 
 
 def draw_error_along_growth(run: RunData) -> "Figure":
-    """Draw each robot's error against how far along the structure it is, by join index.
+    """Draw each robot's error against its place along the structure, colored by its join index.
 
-    Each kind of structure has its panel; of several conditions the first is drawn.
+    Each kind of structure has a panel with the first condition.
     """
     kinds = by_kind(run.series)
     figure = new_figure(PAGE_WIDTH, 2.6)
@@ -242,7 +253,7 @@ def draw_error_along_growth(run: RunData) -> "Figure":
 
 
 def _errors_at(cases: list[Case], column: str) -> Array:
-    """Gather a column, error and join index of every located robot, shape (robots, 3)."""
+    """Gather a column, error and join index of all robots with an error, shape (robots, 3)."""
     tables = []
     for case in cases:
         values = case.columns("robots.csv", [column, "error_R"])
@@ -253,7 +264,7 @@ def _errors_at(cases: list[Case], column: str) -> Array:
 
 
 def _scatter(panels: "list[Axes]", tables: list[Array]) -> None:
-    """Draw rows of `_errors_at`, a table a panel, in colors of the join index; of many, some."""
+    """Draw a table of `_errors_at` in each panel, colored by join index."""
     from matplotlib.colors import LinearSegmentedColormap
 
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
@@ -267,5 +278,6 @@ def _scatter(panels: "list[Axes]", tables: list[Array]) -> None:
         )  # fmt: skip
     panels[0].set_ylim(bottom=0.0)
     figure = panels[0].figure
-    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=25, pad=0.02)
+    rows = -(-len(panels) // 3)
+    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=25 * rows, pad=0.02)
     bar.ax.spines["outline"].set_visible(False)

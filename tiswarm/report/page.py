@@ -40,6 +40,22 @@ MOST_ROBOTS = 10_000
 DIGITS = 4
 """Decimals of positions in the 3D view."""
 
+CAPTIONS = {
+    "accuracy": "Mean RMSE and Procrustes disparity with 95 % confidence intervals",
+    "convergence": "RMSE against iteration",
+    "error-against-height": "Error of each robot against its true height",
+    "error-along-growth": "Error of each robot against its place along the structure",
+    "profiles": "RMSE by join index, height, hops and contacts",
+    "scaling": "Accuracy and cost against the number of robots",
+    "contact-graph": "Contact graph, colored by hops from the anchor",
+    "error": "True structure, colored by error",
+    "growth": "Growth of the structure",
+    "sensed-force": "True structure, colored by the force that robots sense in their links",
+    "structure": "True structure, colored by join index",
+    "truth-and-estimate": "True and estimated structure",
+}
+"""Captions by file name; a longer name adds a sweep point or a case."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
@@ -190,14 +206,21 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
         room -= len(source)
         fits = room > 0
         where = f"{folder.name}/{path.name}"
-        caption = f"{path.stem.replace('-', ' ').capitalize()}: {where}"
+        caption = f"{caption_of(path.stem)} ({where})"
         yield Shown(
             source=source if fits else where,
-            caption=caption if fits else f"{caption} (separate file: page size limit)",
+            caption=caption if fits else f"{caption}; separate file: page size limit",
             width=width,
             height=height,
             wide=round(width * (ON_PAGE[folder.name] if kind == "webp" else SMALL_ON_PAGE)),
         )
+
+
+def caption_of(name: str) -> str:
+    """Describe a picture by the longest known part of its name."""
+    known = max((key for key in CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
+    rest = name.removeprefix(known).strip("-")
+    return ", ".join(filter(None, [CAPTIONS.get(known, ""), rest]))
 
 
 def _read_text(path: Path) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from tiswarm.records.messages import counted
-from tiswarm.report.run_data import swept_columns
+from tiswarm.report.run_data import swept_words
 
 MOST_CASES = 2_000
 """Rows of the table of cases; `summary.csv` has all."""
@@ -80,7 +80,7 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
             "standard deviation implies. Precision: wrong contacts among those reported as "
             "outliers; recall: reported outliers among wrong contacts."
         )
-        tables.append(_labeled(_swept(table), calibration, "Calibration", note))
+        tables.append(_labeled(swept_words(table), calibration, "Calibration", note))
     if "wilcoxon_p" in paired:
         tables.append(_differences(paired))
     return tables
@@ -100,7 +100,7 @@ def _localization(table: pd.DataFrame) -> Table:
     columns |= {label: _numbers(table[name], n) for label, name, n in published[:1]}
     columns |= _means(table, [disparity])
     columns |= {label: _numbers(table[name], n) for label, name, n in published[1:]}
-    return _labeled(_swept(table), columns | _means(table, LIMITS), "Localization", note)
+    return _labeled(swept_words(table), columns | _means(table, LIMITS), "Localization", note)
 
 
 def _aligned(table: pd.DataFrame) -> Table:
@@ -108,14 +108,14 @@ def _aligned(table: pd.DataFrame) -> Table:
         "Alignment removes a rotated or shifted frame; the rest is a wrong shape. The last column "
         "is the error of one robot's position relative to a robot in contact."
     )
-    return _labeled(_swept(table), _means(table, ALIGNED), "RMSE after alignment [R]", note)
+    return _labeled(swept_words(table), _means(table, ALIGNED), "RMSE after alignment [R]", note)
 
 
 def _differences(paired: pd.DataFrame) -> Table:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
     rows = paired[first & paired["measure"].isin(list(MEASURES))]
-    words = _swept(rows, before="measure").assign(measure=rows["measure"].map(MEASURES))
+    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(MEASURES))
     p = rows["wilcoxon_p"]
     columns = {
         "difference": _mean(rows, "difference", 3, sign="+"),
@@ -167,11 +167,6 @@ def _labeled(words: pd.DataFrame, columns: dict[str, pd.Series], title: str, not
     """Put columns of words beside columns of formatted numbers."""
     frame = pd.concat([words, pd.DataFrame(columns, index=words.index)], axis=1)
     return Table(frame=frame, words=words.columns.astype(str), title=title, note=note)
-
-
-def _swept(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
-    """Format the columns that identify a row; a swept section loses its braces."""
-    return table[swept_columns(table, before=before)].astype(str).replace(r"[{}']", "", regex=True)
 
 
 def _means(table: pd.DataFrame, columns: Sequence[Column]) -> dict[str, pd.Series]:

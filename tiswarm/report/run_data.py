@@ -175,3 +175,9 @@ def read_table(
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:
     """List the columns that identify a row: the condition and the swept keys."""
     return list(table.columns[: table.columns.get_loc(before)])
+
+
+def swept_words(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
+    """Write the columns that identify a row as YAML does, without braces."""
+    words = table[swept_columns(table, before=before)].astype(str)
+    return words.replace({"True": "true", "False": "false"}).replace(r"[{}']", "", regex=True)

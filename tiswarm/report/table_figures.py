@@ -11,6 +11,7 @@ import pandas as pd
 
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
+from tiswarm.records.messages import counted
 from tiswarm.report.figure_style import (
     MARKERS,
     PAGE_WIDTH,
@@ -23,7 +24,7 @@ from tiswarm.report.figure_style import (
     png,
     shortened,
 )
-from tiswarm.report.run_data import RunData, read_table, swept_columns
+from tiswarm.report.run_data import RunData, read_table, swept_columns, swept_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,28 +34,28 @@ MEASURES = {
     "rmse_R": ("RMSE [R]", "paper_rmse_radii"),
     "procrustes_disparity": ("Procrustes disparity", "paper_procrustes_disparity"),
 }
-"""By measure, what stands below its axis, and its published counterpart."""
+"""Axis label and published counterpart of each measure."""
 
 MOST_ROWS = 60
 MOST_COLUMNS = 4
 LEGEND_MARK, LEGEND_LETTER = 0.5, 0.055
-"""Width of an entry's marker with the space around it, and of a letter [inch]."""
+"""Widths of a legend's marker with the space around it, and of a letter [inch]."""
 
 PROFILED = {
-    "join": "Join",
+    "join": "Join index",
     "height_R": "True height [R]",
-    "hops_from_anchor": "Contacts from the anchor",
+    "hops_from_anchor": "Hops from the anchor",
     "contacts": "Contacts of the robot",
-    "hops_apart": "Contacts between two robots",
+    "hops_apart": "Hops between two robots",
 }
 MOST_POINTS = 4
-"""Points of a sweep that have a figure of profiles each."""
+"""Most points of a sweep that have a figure of profiles each."""
 
 SCALING_PANELS = {
     "rmse_R": "RMSE [R]",
     "procrustes_disparity": "Procrustes disparity",
-    "grow_cpu_s": "Growth, processor time [s]",
-    "localize_cpu_s": "Localization, processor time [s]",
+    "grow_cpu_s": "Growth, CPU time [s]",
+    "localize_cpu_s": "Localization, CPU time [s]",
     "localize_wall_s": "Localization, wall time [s]",
     "localize_peak_memory_MB": "Localization, peak memory [MB]",
 }
@@ -69,13 +70,14 @@ def draw_accuracy(run: RunData) -> "Figure":
     numbers, whose unit of length is not defined.
 
     Raises:
-        InputError: where the table is damaged.
+        InputError: the table is damaged.
     """
     published = [column for _, column in MEASURES.values()]
     table = run.table("table.csv", ["condition", "cases", *published])
-    told = [f"{name}=" + table[name].astype(str) for name in swept_columns(table)[1:]]
-    points = pd.Series([shortened(", ".join(point)) for point in zip(*told, strict=True)])
-    points = points if told else pd.Series("", table.index)
+    swept = swept_words(table).drop(columns="condition")
+    values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
+    texts = [", ".join(f"{key}={value}" for key, value in row) for row in values]
+    points = pd.Series([shortened(text) for text in texts], table.index)
     names = list(dict.fromkeys(table["condition"]))
     shown = list(dict.fromkeys(points))[: max(1, MOST_ROWS // len(names))]
     figure = new_figure(PAGE_WIDTH, 0.9 + 0.12 * len(names) * (1 + len(shown)))
@@ -88,10 +90,8 @@ def draw_accuracy(run: RunData) -> "Figure":
                 "color": PALETTE[index % len(PALETTE)], "marker": MARKERS[index % len(MARKERS)],
                 "linestyle": "", "markersize": 3.5,
             }  # fmt: skip
-            spread = rows[f"{measure}_ci95"].fillna(0.0)
-            axes.errorbar(
-                rows[f"{measure}_mean"], place, xerr=spread, label=point or "mean", **look
-            )
+            mean, ci95 = rows[f"{measure}_mean"], rows[f"{measure}_ci95"].fillna(0.0)
+            axes.errorbar(mean, place, xerr=ci95, label=point or "mean", **look)
             axes.plot(rows[counterpart], place, markerfacecolor="white", **look)
     _finish_rows(panels, names)
     if table[published].notna().any(axis=None):
@@ -99,13 +99,16 @@ def draw_accuracy(run: RunData) -> "Figure":
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
             label="published (robot radii)",
         )  # fmt: skip
-    if len(shown) > 1:
-        handles, labels = panels[0].get_legend_handles_labels()
+    handles, labels = panels[0].get_legend_handles_labels()
+    if labels[0].startswith("published"):  # matplotlib lists lines before error bars
+        handles, labels = [*handles[1:], handles[0]], [*labels[1:], labels[0]]
+    if len(handles) > 1:
         width = LEGEND_MARK + LEGEND_LETTER * max(map(len, labels))
         columns = max(1, min(MOST_COLUMNS, int(PAGE_WIDTH / width)))
         figure.legend(handles, labels, loc="outside upper right", ncols=columns)
     left = len(set(points)) - len(shown)
-    notes = [f"{left} more points are in table.csv" if left else "", run.note]
+    more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
+    notes = ["mean and 95 % confidence interval over structures", more, run.note]
     add_note(figure, "; ".join(text for text in notes if text))
     return figure
 
@@ -124,10 +127,10 @@ def draw_comparison(folder: Path, progress: Progress) -> Path:
 def comparison_figure(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each row with its confidence interval, one color a run."""
     shown = table.head(MOST_ROWS)
-    swept = swept_columns(table)[1:]
+    swept = swept_words(shown).iloc[:, 1:]
     labels = [
-        ", ".join(str(row[name]) for name in reversed(swept) if not pd.isna(row[name]))
-        for row in shown.to_dict("records")
+        ", ".join(value for value in reversed(row.values()) if value != "nan")
+        for row in swept.to_dict("records")
     ]
     figure = new_figure(PAGE_WIDTH, 0.9 + 0.17 * len(shown))
     panels = panel_grid(figure, len(MEASURES), len(MEASURES), sharey=True)
@@ -149,10 +152,11 @@ def comparison_figure(table: pd.DataFrame) -> "Figure":
 
 
 def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
-    """Name the rows, from the top, and what is drawn in each panel."""
+    """Label rows, from the top, and axes."""
     for axes, (label, _) in zip(panels, MEASURES.values(), strict=True):
         axes.set_xlabel(label)
         axes.set_xlim(left=0.0)
+        axes.locator_params(axis="x", nbins=6)
         axes.grid(axis="y", color="0.92", linewidth=0.5)
         axes.set_axisbelow(True)
     panels[0].set_yticks(np.arange(len(names)), names)
@@ -160,17 +164,18 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
 
 
 def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
-    """By file name, what draws the profiles of a run: a figure for each of a few sweep points.
+    """List the profile figures of a run by file name: one for each of a few sweep points.
 
-    Of many points, or of none, all conditions share a figure; without the table there is none.
+    All series share a figure if there are many points, or no sweep.
 
     Raises:
-        InputError: where the table is damaged.
+        InputError: the table is damaged.
     """
     table = run.table("profiles.csv", optional=True)
     if "rmse_R" not in table:  # no case was finished
         return {}
     swept = swept_columns(table, before="by")[1:]
+    table[swept] = swept_words(table, before="by")[swept]
     points = dict(list(table.groupby(swept, sort=False))) if swept else {}
     if not 1 < len(points) <= MOST_POINTS:
         return {"profiles": partial(draw_profiles, table=table)}
@@ -181,7 +186,7 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 
 
 def draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
-    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops apart."""
+    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops."""
     swept = swept_columns(table, before="by")
     figure = new_figure(PAGE_WIDTH, 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10))
     panels = panel_grid(figure, len(PROFILED), 3)
@@ -204,18 +209,18 @@ def draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
 
 
 def _slug(point: object) -> str:
-    """A file name for values of the sweep."""
+    """Write values of the sweep as part of a file name."""
     values = point if isinstance(point, tuple) else (point,)
     return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, values))).strip("-")
 
 
 def draw_scaling(run: RunData) -> "Figure":
-    """Draw means over structures against N on logarithmic axes; p is the exponent of N^p.
+    """Draw means over structures against the number of robots N on logarithmic axes.
 
-    That of all sizes is followed by that of the two largest.
+    Legends state the power of N fitted to all sizes, and to the two largest.
 
     Raises:
-        InputError: where the table is damaged.
+        InputError: the table is damaged.
     """
     table = run.table("scaling.csv", SCALING_COLUMNS)
     figure = new_figure(PAGE_WIDTH, 4.4)
@@ -238,7 +243,9 @@ def draw_scaling(run: RunData) -> "Figure":
         sizes = sorted(set(table["robots"]))
         axes.set_xticks(sizes, [f"{n:g}" if n < THOUSAND else f"{n / THOUSAND:g}k" for n in sizes])
         axes.minorticks_off()
-        if not measure.endswith("_MB"):
+        if measure.endswith("_MB"):
+            axes.set_ylim(0.0, 1.5 * rows["mean"].max())
+        else:
             _show_decades(axes, rows["mean"])
         if len(rows):
             axes.legend(fontsize=5.5, loc="upper left")
@@ -247,14 +254,15 @@ def draw_scaling(run: RunData) -> "Figure":
 
 
 def _powers(part: "pd.DataFrame") -> str:
-    """Exponents of a series as a label says them."""
+    """Write the powers of N that fit a series."""
     if part.empty or pd.isna(part["exponent"].iloc[0]):
         return ""
-    return f": p = {part['exponent'].iloc[0]:.2f}, {part['slope'].iloc[-1]:.2f} at the end"
+    every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
+    return f": $N^{{{every:.2f}}}$, last two sizes $N^{{{largest:.2f}}}$"
 
 
 def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
-    """Make the y axis logarithmic, from one power of ten to another, with room for a legend."""
+    """Make the y axis logarithmic, with limits at powers of ten and room for a legend."""
     positive = means[means > 0.0]
     if len(positive):
         low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
