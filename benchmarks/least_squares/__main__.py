@@ -24,7 +24,7 @@ from benchmarks.least_squares.factor_graph import levenberg_marquardt
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.localization import virtual_force
-from tiswarm.localization.least_squares.method import improve, trust_region
+from tiswarm.localization.least_squares import improve, trust_region
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.records.sensing_log import SensingLog
 

@@ -1,7 +1,7 @@
 """The least-squares problem as a factor graph of GTSAM: one factor a residual.
 
 The factors compute residuals and derivatives by themselves, robot by robot. So they check the
-formulas of `tiswarm.localization.least_squares.problem` too, not only its solver.
+formulas of `tiswarm.measurements.model` too, not only its solver.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,8 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.localization.least_squares.method import Minimum
-from tiswarm.localization.least_squares.problem import Problem
+from tiswarm.localization.least_squares import Minimum, Problem
 from tiswarm.localization.params import LeastSquaresParams
 
 Array = NDArray[np.float64]
@@ -25,7 +24,7 @@ CONVERGED = 1e-8
 def levenberg_marquardt(problem: Problem, unknowns: Array, params: LeastSquaresParams) -> Minimum:
     """Minimize the residuals by GTSAM's Levenberg-Marquardt method; the loss is linear.
 
-    Keys are robots: position N is that of robot N, key R + N its yaw as an arc [dock radius],
+    Keys are robots: position N is that of robot N, key R + N its yaw [rad],
     with R robots. The anchor has no position key.
     """
     robots = problem.robots
@@ -39,7 +38,7 @@ def levenberg_marquardt(problem: Problem, unknowns: Array, params: LeastSquaresP
         if problem.yaw_sd or max(involved) > 0:
             graph.push_back(_factor(problem, involved, residual))
     if problem.yaw_sd:
-        prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.unit * problem.yaw_sd)
+        prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.yaw_sd)
         for robot in range(robots):
             graph.push_back(gtsam.PriorFactorVector(robots + robot, np.zeros(1), prior))
     settings = gtsam.LevenbergMarquardtParams()
@@ -55,14 +54,20 @@ def levenberg_marquardt(problem: Problem, unknowns: Array, params: LeastSquaresP
 
 def _residuals(problem: Problem) -> Iterator[tuple[list[int], Residual]]:
     """List the residuals with the robots that they depend on."""
-    for i, j, a, b, width, hinge in zip(*problem.pairs, strict=True):
-        yield [int(i), int(j)], _distance(a, b, width, problem.spacing, hinge=bool(hinge))
-    for j, axis, walk, value, width in zip(*problem.places, strict=True):
-        yield [int(j)], _coordinate(int(axis), walk, value, width)
+    rows = problem.rows
+    for n, j in enumerate(rows.other.tolist()):
+        d = rows.distances
+        residual = _distance(
+            rows.other_arm[n], rows.arm[n], problem.width[n], d.length[n], hinge=bool(d.is_hinge[n])
+        )
+        yield [j, int(rows.robot[n])], residual
+    for k, (way, value) in enumerate(zip(rows.places.direction, rows.places.value, strict=True)):
+        n = len(rows.other) + k
+        yield [int(rows.robot[n])], _coordinate(way, rows.arm[n], value, problem.width[n])
 
 
 def _distance(a: Array, b: Array, width: float, spacing: float, *, hinge: bool) -> Residual:
-    """Distance of dock b of the second robot from dock a of the first, less D, over its width."""
+    """Distance between docks a and b of two robots, less its measured length, over its width."""
 
     def residual(position: list[Array], yaw: list[float]) -> tuple[float, list[Array], list[float]]:
         from_i, from_j = _turned(a, yaw[0]), _turned(b, yaw[1])
@@ -77,13 +82,13 @@ def _distance(a: Array, b: Array, width: float, spacing: float, *, hinge: bool) 
     return residual
 
 
-def _coordinate(axis: int, walk: Array, value: float, width: float) -> Residual:
-    """Coordinate of a point at the end of an arm of a robot, less its value, over its width."""
+def _coordinate(way: Array, arm: Array, value: float, width: float) -> Residual:
+    """Coordinate of the end of a robot's arm along a direction, less its value, over its width."""
 
     def residual(position: list[Array], yaw: list[float]) -> tuple[float, list[Array], list[float]]:
-        arm = _turned(walk, yaw[0])
-        off = float(position[0][axis] + arm[axis] - value)
-        return off / width, [np.eye(3)[axis] / width], [float(_swept(arm)[axis]) / width]
+        turned = _turned(arm, yaw[0])
+        off = float(way @ (position[0] + turned) - value)
+        return off / width, [way / width], [float(way @ _swept(turned)) / width]
 
     return residual
 
@@ -97,11 +102,11 @@ def _factor(problem: Problem, robots: list[int], residual: Residual) -> "gtsam.C
         _this: "gtsam.CustomFactor", values: "gtsam.Values", slopes: list[Array] | None
     ) -> Array:
         position = [values.atVector(r) if r else problem.anchor for r in robots]
-        yaw = [values.atVector(problem.robots + r)[0] / problem.unit for r in turned]
+        yaw = [values.atVector(problem.robots + r)[0] for r in turned]
         off, by_position, by_yaw = residual(position, yaw or [0.0] * len(robots))
         if slopes is not None:
             rows = [slope for slope, r in zip(by_position, robots, strict=True) if r]
-            rows += [np.array([slope / problem.unit]) for slope in by_yaw[: len(turned)]]
+            rows += [np.array([slope]) for slope in by_yaw[: len(turned)]]
             for n, row in enumerate(rows):
                 slopes[n] = row[None]
         return np.array([off])

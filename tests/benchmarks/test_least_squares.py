@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from tests.benchmarks.commands import call
-from tiswarm.localization.least_squares.method import improve, trust_region
+from tiswarm.localization.least_squares import improve, trust_region
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.sensing import SensingParams, observe
 

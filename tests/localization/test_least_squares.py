@@ -5,11 +5,12 @@ import pytest
 
 from tests.localization.test_problem import true_yaw
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.least_squares.method import improve
-from tiswarm.localization.least_squares.problem import Pairs, Places, Problem
+from tiswarm.localization.least_squares import Problem, improve
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
 from tiswarm.localization.registry import localize
+from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
 from tiswarm.measurements.observability import observability
+from tiswarm.measurements.odometry import Odometry
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = LeastSquaresParams(
@@ -27,12 +28,18 @@ def log(towers):
 def test_derivatives_are_those_of_the_residuals(log, yaw_sd):
     """Central differences agree, on both sides of D, for the anchor's partners and turns too."""
     rng = np.random.default_rng(0)
-    i = rng.integers(0, 29, 60)
-    a, b = rng.normal(size=(2, 60, 3))
-    pairs = Pairs(i, i + 1, a, b, rng.uniform(0.1, 1.0, 60), rng.random(60) < 0.5)
-    robots, walk = rng.integers(1, 30, 20), rng.normal(size=(20, 3))
-    axis, value, width = rng.integers(0, 3, 20), rng.normal(size=20), rng.uniform(0.1, 1, 20)
-    problem = Problem(log, [pairs], [Places(robots, axis, walk, value, width)], yaw_sd)
+    walks = Odometry(log)
+    last = walks.final[rng.integers(0, 29, (2, 60))]
+    dock = rng.integers(0, 3, (2, 60))
+    distances = Distances.of(
+        last[0], dock[0], last[1] + (last[0] == last[1]), dock[1], length=SPACING, sd=0.3
+    )._replace(is_hinge=rng.random(60) < 0.5, own_variance=rng.uniform(0.1, 1.0, 60))
+    stance, way = walks.first[rng.integers(1, 30, 20)], rng.normal(size=(20, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    places = Places.of(stance, dock[0, :20], way, rng.normal(size=20), variance=0.2)
+    problem = Problem(
+        Measurements.gather(walks, [distances], [places]), log.anchor_position, yaw_sd
+    )
     unknowns = problem.unknowns(rng.normal(size=(30, 3)), rng.normal(size=30))
     motion = rng.normal(size=unknowns.shape)
 
@@ -42,8 +49,8 @@ def test_derivatives_are_those_of_the_residuals(log, yaw_sd):
 
     np.testing.assert_allclose(problem.jacobian(unknowns) @ motion, change / 2e-6, atol=1e-6)
     gap = problem.residuals(unknowns)[:60]
-    assert (gap[pairs.hinge] <= 0.0).all()
-    assert (gap[~pairs.hinge] > 0.0).any()
+    assert (gap[distances.is_hinge] <= 0.0).all()
+    assert (gap[~distances.is_hinge] > 0.0).any()
 
 
 def test_a_bias_of_yaw_is_solved_for(towers):

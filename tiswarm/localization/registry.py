@@ -3,9 +3,8 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from tiswarm.localization import virtual_force
+from tiswarm.localization import least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
-from tiswarm.localization.least_squares import method as least_squares
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import Estimate

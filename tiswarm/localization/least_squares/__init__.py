@@ -1,1 +1,0 @@
-"""All robots at once by a general optimiser: the problem, and rounds of solving it."""
