@@ -34,7 +34,7 @@ def test_tables_are_data_frames(run):
 
 def test_figures_show_themselves(run):
     """A notebook asks for the bytes of a picture."""
-    assert {"convergence", "positions"} <= set(run.figures)
+    assert {"convergence", "accuracy"} <= set(run.figures)
     assert run.figures["convergence"]._repr_png_().startswith(b"\x89PNG")
 
 

@@ -8,7 +8,13 @@ from hypothesis import strategies as st
 
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.scenario import find_mistakes, load_scenario, localization_params, variants
+from tiswarm.scenario import (
+    find_mistakes,
+    load_scenario,
+    localization_params,
+    validation,
+    variants,
+)
 from tiswarm.sensing import SensingParams
 
 SMALL = "name: tower\nstructure: {kind: tower}\n"
@@ -61,6 +67,44 @@ def test_run_folders_of_earlier_versions_load(scenario):
     old = f"{SMALL}localization: {{method: least-squares, optimizer: scipy}}\nscorecard: none\n"
 
     assert load_scenario(scenario(old)) == load_scenario(scenario(small))
+
+
+@pytest.fixture
+def _renamed_key(monkeypatch):
+    """Let iterations have had another name in an earlier version."""
+    monkeypatch.setitem(validation.RENAMED, "localization.rounds", "localization.iterations")
+
+
+@pytest.mark.usefixtures("_renamed_key")
+@pytest.mark.parametrize(
+    ("text", "options", "iterations"),
+    [
+        ("localization: {rounds: 3}", [], [3]),
+        ("conditions: {a: {}, b: {localization.rounds: 4}}", [], [300, 4]),
+        ("sweep: {'robots, localization.rounds': [[5, 9], [6, 8]]}", [], [9, 8]),
+        ("sweep: {localization: [{rounds: 6}]}", [], [6]),
+        ("sweep: {localization.iterations: [1, 2]}", ["localization.rounds=8"], [8]),
+        ("localization: {iterations: 3}", ["localization={rounds: 9}"], [9]),
+        ("conditions: {a: {}}", ["conditions.a.localization.rounds=8"], [8]),
+    ],
+)
+def test_keys_of_earlier_versions_are_accepted(scenario, text, options, iterations):
+    """Scenarios and options may use the old name of a key."""
+    found = variants(load_scenario(scenario(SMALL + text), options))
+
+    assert [variant.settings.localization.iterations for variant in found] == iterations
+
+
+@pytest.mark.usefixtures("_renamed_key")
+def test_mistakes_in_old_keys_keep_their_line(scenario):
+    """The message names the key of today; one that a section has by both names is refused."""
+    path = scenario(f"{SMALL}localization:\n  z_correction: true\n  rounds: 0\n")
+
+    with pytest.raises(InputError, match=r":5: localization.iterations: 0 should be greater"):
+        load_scenario(path)
+    with pytest.raises(InputError, match=r"localization.rounds: unknown key"):
+        load_scenario(scenario(f"{SMALL}localization: {{rounds: 1, iterations: 2}}"))
+    assert localization_params("virtual-force", ["rounds=7"]).iterations == 7
 
 
 def test_what_is_written_is_what_is_loaded(scenario):

@@ -27,6 +27,8 @@ from tiswarm.scenario.validation import (
     Setting,
     find_culprit,
     parse_setting,
+    renamed,
+    renamed_path,
     set_key,
 )
 from tiswarm.scenario.yaml_source import YamlSource, read_yaml
@@ -101,6 +103,10 @@ def variants(scenario: Scenario) -> list[Variant]:
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
     source = read_yaml(path)
+    source = YamlSource(
+        data=renamed(source.data),
+        lines={renamed_path(at): line for at, line in source.lines.items()},
+    )
     data = source.data
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"

@@ -26,6 +26,9 @@ DISCRIMINATORS = {"structure": "kind", "localization": "method"}
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
+RENAMED: dict[str, str] = {}
+"""New names of dotted keys of earlier versions, which scenarios and options may still use."""
+
 _REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
     ("scorecard",): (
         "none",
@@ -105,6 +108,37 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         return [_mistake(error, adapter) for error in found.errors(include_url=False)]
 
 
+def renamed(value: object, at: tuple[Part, ...] = ()) -> object:
+    """Replace the keys of earlier versions in plain data, which has a path in a scenario."""
+    if isinstance(value, list):
+        return [renamed(entry, (*at, n)) for n, entry in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    names = {key: _new_name(at, key) for key in value}
+    return {  # a section that has both names keeps the old one, which is refused
+        key if names[key] in value else names[key]: renamed(inner, (*at, key))
+        for key, inner in value.items()
+    }
+
+
+def renamed_path(path: Sequence[Part]) -> tuple[Part, ...]:
+    """Replace the keys of earlier versions in a path in a scenario."""
+    return tuple(
+        part if isinstance(part, int) else _new_name(tuple(path[:n]), part)
+        for n, part in enumerate(path)
+    )
+
+
+def _new_name(at: tuple[Part, ...], key: str) -> str:
+    section = at[2:] if at[:1] == ("conditions",) else at
+    if at[:1] == ("sweep",):
+        section = (*at[1:2], *at[3:])
+    prefix = "".join(f"{part}." for part in section)
+    old = [part.strip() for part in key.split(",")]
+    new = [RENAMED.get(f"{prefix}{part}", f"{prefix}{part}").removeprefix(prefix) for part in old]
+    return key if new == old else ", ".join(new)
+
+
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:
     """Set a value in plain data in place; return why that is impossible, or nothing."""
     for place, part in enumerate(path[:-1], start=1):
@@ -127,7 +161,8 @@ def parse_setting(text: str, *section: str) -> Setting:
         raise InputError(problem, key=f"--set {text}")
     try:
         path = (*section, *_setting_path(key.strip()))
-        return Setting(text, path, parse_yaml(value).data)
+        data = renamed(parse_yaml(value).data, path)
+        return Setting(text, tuple(map(str, renamed_path(path))), data)
     except InputError as error:
         raise InputError(error.problem, key=f"--set {text}") from error
 
@@ -167,7 +202,8 @@ def localization_params(
             raise InputError(problem, key="--cues")
     switches = {} if cues is None else {cue: cue in cues for cue in CUES}
     settings = [parse_setting(text, "localization") for text in overrides]
-    data: Plain = {"localization": {"method": method, **switches, **(values or {})}}
+    section = {"method": method, **switches, **(values or {})}
+    data: Plain = {"localization": renamed(section, ("localization",))}
     for setting in settings:
         if problem := set_key(data, setting.path, setting.value):
             raise setting.error(problem)
