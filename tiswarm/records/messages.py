@@ -17,7 +17,9 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
     """Write one pydantic error as a message; `allowed` are the keys of the section at fault."""
     kind, message, context = error["type"], error["msg"], error.get("ctx", {})
     if kind in UNKNOWN_KEY:
-        return unknown_key(str(error["loc"][-1]), allowed)
+        near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=1)
+        keys = f"the keys here are {', '.join(allowed)}" if allowed else "leave it out"
+        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; {keys}"
     if kind in MISSING_KEY:
         return "is missing; add it"
     if kind == "value_error":
@@ -27,17 +29,6 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
     if message.startswith("Input should"):
         message = shown(error["input"]) + message.removeprefix("Input")
     return message.replace(" after validation", "")
-
-
-def unknown_key(key: str, allowed: Collection[str]) -> str:
-    """Point to the key that was probably meant, or list the keys that are allowed."""
-    near = difflib.get_close_matches(key, allowed, n=1)
-    return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; {keys(allowed)}"
-
-
-def keys(allowed: Collection[str]) -> str:
-    """List the keys that a section may hold."""
-    return f"the keys here are {', '.join(allowed)}" if allowed else "leave it out"
 
 
 def shown(value: object) -> str:
