@@ -16,8 +16,7 @@ from typing import Any
 
 from tiswarm.compute import backend
 from tiswarm.robot import RobotGeometry
-from tiswarm.study.costs import peak_memory_mb
-from tiswarm.study.manifest import machine
+from tiswarm.study.provenance import machine, peak_memory_mb
 from tiswarm.world import mechanics, site
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams

@@ -179,9 +179,9 @@ def run(
 
     texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
     plan, progress = load_scenario(Path(scenario), texts), ConsoleProgress(quiet=quiet)
-    dispatch = study.Dispatch(workers=workers)
+    execution = study.Execution(workers=workers)
     result = study.run(
-        plan, Path(out), progress=progress, arch=arch, threads=threads, dispatch=dispatch
+        plan, Path(out), progress=progress, arch=arch, threads=threads, execution=execution
     )
     draw_all(result, progress, pictures=pictures)
     if result.failed:

@@ -15,7 +15,7 @@ from tiswarm.params import ARCHS
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
 from tiswarm.report.render.scene import Look, Robots, build_scene
 from tiswarm.robot import RobotGeometry
-from tiswarm.study.manifest import machine
+from tiswarm.study.provenance import machine
 
 PROBE_SECONDS = 60
 OPEN3D_LIBRARIES = {

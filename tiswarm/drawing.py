@@ -7,7 +7,7 @@ from tiswarm.report.render.animation import Movie, animate_run
 from tiswarm.report.render.pictures import render_run
 from tiswarm.report.run_data import RunData, load_run
 from tiswarm.study import RunResult
-from tiswarm.study.manifest import write_manifest
+from tiswarm.study.provenance import write_manifest
 
 
 def draw_all(

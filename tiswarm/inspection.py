@@ -159,8 +159,7 @@ def _inspect_log(path: Path) -> Inspection:
 def _inspect_scenario(path: Path) -> Inspection:
     # slow to import
     from tiswarm.scenario import find_mistakes, load_scenario  # noqa: PLC0415
-    from tiswarm.study.cases import plan  # noqa: PLC0415
-    from tiswarm.study.forecast import forecast  # noqa: PLC0415
+    from tiswarm.study import forecast, plan  # noqa: PLC0415
 
     mistakes = tuple(find_mistakes(path))
     if mistakes:

@@ -6,7 +6,7 @@ import platform
 import shutil
 import subprocess
 
-from tiswarm.study.manifest import machine
+from tiswarm.study.provenance import machine
 
 PACKAGES = (
     "jax",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from benchmarks.swarm_step import reference
 from benchmarks.swarm_step.engines.registry import ENGINES, Engine
 from benchmarks.swarm_step.scenes import Scene, StepParams
-from tiswarm.study.costs import peak_memory_mb
+from tiswarm.study.provenance import peak_memory_mb
 
 UNLIMITED = 1e6
 """Largest displacement that no force reaches [R]."""

@@ -55,27 +55,8 @@ def test_version_is_told(tiswarm):
         (("run", "scenarios/tower.yaml", "--threads", "0"), "give 1 or more"),
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "invalid shard 3/2: use I/N"),
         (
-            ("run", "scenarios/tower.yaml", "--slurm", "jobs=two,cores=1,memory=1GB"),
-            '--slurm jobs: "two" should be a valid integer',
-        ),
-        (
-            ("run", "scenarios/tower.yaml", "--slurm", "jobs=2,cores=1"),
-            "--slurm memory: is missing",
-        ),
-        (
-            ("run", "scenarios/tower.yaml", "--plan", "--slurm", "jobs=2,cores=1,memory=much"),
-            "--slurm memory: 'much' is no size",
-        ),
-        (
-            (
-                "run",
-                "scenarios/tower.yaml",
-                "--slurm",
-                "jobs=1,cores=1,memory=1GB",
-                "--workers",
-                "2",
-            ),
-            "choose only one of --workers, --scheduler, --slurm",
+            ("run", "scenarios/tower.yaml", "--scheduler", "tcp://here:1", "--workers", "2"),
+            "choose only one of --workers, --scheduler",
         ),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),

@@ -3,22 +3,19 @@
 import pandas as pd
 import pytest
 
+from tests.runs import REPOSITORY
 from tiswarm.errors import InputError
-from tiswarm.study.comparison import compare
-
-pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
+from tiswarm.progress import Progress
+from tiswarm.scenario import load_scenario
+from tiswarm.study import compare, run
 
 
 @pytest.fixture(scope="module")
-def other_run(tiswarm, tmp_path_factory):
+def other_run(tmp_path_factory):
     """Folder of a run that has one structure in common with the small run."""
-    out = tmp_path_factory.mktemp("other")
-    done = tiswarm(
-        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=[1, 7]",
-        "--set", "name=other", "--no-pictures", "--out", out,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return next(out.iterdir())
+    overrides = ["robots=12", "seeds=[1, 7]", "name=other"]
+    other = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+    return run(other, tmp_path_factory.mktemp("other"), progress=Progress()).folder
 
 
 def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_run, tmp_path):
@@ -41,9 +38,9 @@ def test_every_row_of_every_run_is_kept(tiswarm, small_run, other_run, tmp_path)
     tiswarm("compare", small_run, other_run, "--out", tmp_path)
 
     both = pd.read_csv(tmp_path / "comparison.csv")
-    for run in (small_run, other_run):
-        table = pd.read_csv(run / "table.csv")
-        rows = both[both["run"] == run.name].reset_index(drop=True)
+    for folder in (small_run, other_run):
+        table = pd.read_csv(folder / "table.csv")
+        rows = both[both["run"] == folder.name].reset_index(drop=True)
         pd.testing.assert_frame_equal(rows[table.columns], table)
     assert (tmp_path / "comparison.png").stat().st_size > 10_000
 

@@ -1,33 +1,26 @@
-"""Studies in pieces: interrupted, broken, sharded, in processes and on clusters."""
+"""Studies that are interrupted, broken, sharded, in processes and on clusters."""
 
 import fcntl
-import json
 import os
 import signal
 import textwrap
-import time
-from contextlib import suppress
 from pathlib import Path
 
-import psutil
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_results
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.scenario import load_scenario
-from tiswarm.study import Dispatch, Slurm, run
-from tiswarm.study import work as work_room
-
-pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
+from tiswarm.study import Execution, run, runner
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
 QUIET = Progress()
 
 
-def _run(out, *overrides, **dispatch):
+def _run(out, *overrides, **execution):
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [*SMALL, *overrides])
-    return run(scenario, out, progress=QUIET, dispatch=Dispatch(**dispatch))
+    return run(scenario, out, progress=QUIET, execution=Execution(**execution))
 
 
 @pytest.fixture(scope="module")
@@ -79,75 +72,16 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
     assert_same_results(whole, result.folder)
 
 
-@pytest.fixture
-def slurm(tmp_path, monkeypatch):
-    """Have jobs run in the background of this machine, each in a group of processes."""
-    pytest.importorskip("dask_jobqueue")
-    commands = tmp_path / "bin"
-    commands.mkdir()
-    log = tmp_path / "jobs.txt"
-    # Submitted scripts are deleted at once; the first job never becomes a worker.
-    (commands / "sbatch").write_text(f"""#!/bin/sh
-        if [ "$1" = --test-only ]; then ! grep -- '-p nowhere' "$2" >&2; exit; fi
-        cp "$1" {tmp_path}/job-$$.sh
-        if mkdir {tmp_path}/first 2>/dev/null; then setsid sleep 1 &
-        else setsid bash {tmp_path}/job-$$.sh > {tmp_path}/$$.out 2>&1 & fi
-        echo $! >> {log}
-        echo "Submitted batch job $!"
-    """)
-    (commands / "scancel").write_text('#!/bin/sh\nkill -- "-$1"\n')
-    for command in commands.iterdir():
-        command.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{commands}{os.pathsep}{os.environ['PATH']}")
-    return log
-
-
-def _alive(groups) -> list[int]:
-    """Processes of some groups."""
-    found = []
-    for process in psutil.pids():
-        with suppress(ProcessLookupError):
-            if os.getpgid(process) in groups:
-                found.append(process)
-    return found
-
-
-def test_jobs_of_slurm_change_no_byte(slurm, whole, tmp_path):
-    """Of the jobs one never begins to work; nothing is left running."""
-    result = _run(tmp_path, slurm=Slurm(jobs=2, cores=1, memory="1GB", interface="lo"))
-
-    assert result.computed == 8
-    assert_same_results(whole, result.folder)
-    jobs = {int(job) for job in slurm.read_text().split()}
-    for _ in range(100):
-        if not _alive(jobs):
-            return
-        time.sleep(0.1)
-    pytest.fail("jobs outlive their run")
-
-
-def test_a_job_that_slurm_does_not_take_is_told(slurm, tmp_path):
-    """Nobody waits for jobs that were never queued."""
-    with pytest.raises(EnvironmentTroubleError, match="takes no such job: #SBATCH -p nowhere"):
-        _run(tmp_path, slurm=Slurm(jobs=1, cores=1, memory="1GB", queue="nowhere"))
-
-
-def test_a_machine_without_slurm_is_told(tmp_path):
-    """Before anything is computed."""
-    pytest.importorskip("dask_jobqueue")
-    with pytest.raises(EnvironmentTroubleError, match="needs sbatch, which is not here"):
-        _run(tmp_path, slurm=Slurm(jobs=1, cores=1, memory="1GB"))
-
-
 def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
     """Nobody waits for a cluster without end."""
     pytest.importorskip("distributed")
-    monkeypatch.setattr("tiswarm.study.pool.CONNECT_S", 0.1)
+    monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.1)
 
     with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers"):
         _run(tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
+@pytest.mark.slow
 def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
     """Each gets its reason, and a later run makes good for all of them."""
     inject("""
@@ -172,23 +106,36 @@ def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
     reasons = {record.seed: record.reason for record in broken.failed}
     assert reasons == {
         1: "ValueError: a sensor broke",
-        2: "its process was killed by SIGKILL, perhaps for want of memory",
+        2: "its process was killed by SIGKILL, perhaps for lack of memory",
     }
     assert (mended.found, mended.failed) == (1, ())
 
 
+@pytest.mark.slow
 def test_a_case_that_takes_too_long_is_given_up(tmp_path):
     """No study waits for a case without end."""
     result = _run(tmp_path, "seeds=1", "conditions={a: {}}", case_limit_s=0.001)
 
     assert [record.reason for record in result.failed] == [
-        "took longer than 0.001 s; give --case-limit more"
+        "took longer than 0.001 s; raise --case-limit"
+    ]
+
+
+def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
+    """A study does not wait without end for a process that hangs before its first job."""
+    inject("import time; time.sleep(60)")
+    monkeypatch.setattr("tiswarm.study.executors.START_S", 0.5)
+
+    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+
+    assert [record.reason for record in result.failed] == [
+        "its process did not start within 0.5 s; run it again"
     ]
 
 
 def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
     """A method that fails for one condition of one structure costs that case alone."""
-    real = work_room.localize_many
+    real = runner.localize_many
 
     def fail(logs, methods, **told):
         if any(m.iterations == 20 and log.seed == 2 for log, m in zip(logs, methods, strict=True)):
@@ -200,9 +147,9 @@ def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
         object.__setattr__(log, "seed", history.seed)
         return log
 
-    observe = work_room.observe
-    monkeypatch.setattr(work_room, "observe", mark)
-    monkeypatch.setattr(work_room, "localize_many", fail)
+    observe = runner.observe
+    monkeypatch.setattr(runner, "observe", mark)
+    monkeypatch.setattr(runner, "localize_many", fail)
 
     result = _run(tmp_path)
 
@@ -218,13 +165,14 @@ def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
     def fail(*_):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(work_room, "observe", fail)
+    monkeypatch.setattr(runner, "observe", fail)
 
     with pytest.raises(CasesFailedError, match=r"0-a: ZeroDivisionError"):
         _run(tmp_path, fail_fast=True)
     assert len([*tmp_path.glob("*/cases/[!.]*")]) == 1
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject):
     """Kill -9 within the fourth case loses none before it; that one is not trusted half-written."""
     inject("""
@@ -260,17 +208,7 @@ def test_a_folder_takes_one_run_at_a_time(whole):
         assert _run(whole.parent, shard=(1, 2)).missing == 0
 
 
-def test_cases_of_another_version_are_computed_anew(whole, tmp_path):
-    """A run never mixes what two versions made."""
-    folder = _run(tmp_path, "seeds=1").folder
-    record = folder / "cases" / "0-a" / "case.json"
-    record.write_text(json.dumps(json.loads(record.read_text()) | {"version": "0.0"}))
-
-    again = _run(tmp_path, "seeds=1")
-
-    assert (again.found, again.computed) == (1, 1)
-
-
+@pytest.mark.slow
 def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
     """Structures that grow together are not all localized in the precision of the first."""
     swept = _run(tmp_path, "seeds=1", "sweep.precision=[f64, f32]").folder / "cases"

@@ -19,10 +19,10 @@ from tiswarm.localization import virtual_force
 from tiswarm.progress import Progress
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario import load_scenario
-from tiswarm.study import storage, tables, work
-from tiswarm.study.cases import chunks, plan
-from tiswarm.study.storage import RunFolder
-from tiswarm.study.work import failure
+from tiswarm.study import provenance, runner, store, tables
+from tiswarm.study.cases import batches, plan
+from tiswarm.study.runner import SAMPLE_ROBOTS, failure
+from tiswarm.study.store import RunFolder
 from tiswarm.version import code_digest
 from tiswarm.world.growth import grow
 
@@ -119,7 +119,7 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
     only = () if len(published) > 1 else ("sweep={}", "conditions={baseline: {}}")
     paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=1", *only, changed])
     cases = study.plan(paper)
-    records = [replace(failure(case, ""), scores={"rmse_R": 3.0}) for case in cases]
+    records = [replace(failure(case, ""), status="done", scores={"rmse_R": 3.0}) for case in cases]
 
     table = tables.table(records, [case.settings for case in cases])
 
@@ -241,11 +241,10 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and says what it does."""
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
-    monkeypatch.setattr(storage, "CODE", "0123456789ab")
+    for module in (provenance, store):
+        monkeypatch.setattr(module, "CODE", "0123456789ab")
     old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
-    [*cases] = plan(small)
-    old_name = storage.structure_name(cases[0])
     monkeypatch.undo()
 
     new = study.run(small, tmp_path, progress=progress)
@@ -256,7 +255,6 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     assert record["code"] == code_digest()
     assert json.loads((new.folder / "manifest.json").read_text())["code"] == code_digest()
-    assert storage.structure_name(cases[0]) != old_name
     assert study.run(small, tmp_path, progress=progress).found == 6
 
 
@@ -296,19 +294,47 @@ def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
     assert set(manifest["stages"]) == {"grow", "sense", "localize"}
 
 
+def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
+    """Each method and the growth have run once when the first stage begins."""
+    events = []
+    stage, localize_many = provenance.Costs.stage, runner.localize_many
+
+    def record_stage(costs, name, cases):
+        events.append(name)
+        return stage(costs, name, cases)
+
+    def record_method(logs, params, **settings):
+        events.append((params[0].method, logs[0].robot_count))
+        return localize_many(logs, params, **settings)
+
+    monkeypatch.setattr(provenance.Costs, "stage", record_stage)
+    monkeypatch.setattr(runner, "localize_many", record_method)
+    monkeypatch.setattr(runner, "_compiled", {})
+    sets = ["robots=8", "seeds=3", "conditions={a: {}, b: {localization.method: joint}}"]
+
+    study.run(
+        load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets), tmp_path, progress=Progress()
+    )
+
+    assert events == [
+        ("virtual-force", SAMPLE_ROBOTS), ("joint", SAMPLE_ROBOTS), "grow", "sense", "localize",
+        ("joint", 8), "evaluate and store", "localize", ("virtual-force", 8), "evaluate and store",
+    ]  # fmt: skip
+
+
 def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     """A run is stopped while it localizes by the second method; what it had done is kept."""
     sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
     progress = Progress()
     whole = study.run(small, tmp_path / "whole", progress=progress)
-    monkeypatch.setattr(work, "KEPT_FROM_S", 0.0)
+    monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)
 
     with monkeypatch.context() as patched:
         patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
         with pytest.raises(KeyboardInterrupt):
             study.run(small, tmp_path / "stopped", progress=progress)
-    monkeypatch.setattr(work, "grow", _interrupt)
+    monkeypatch.setattr(runner, "grow", _grow_samples_only)
     stopped = study.run(small, tmp_path / "stopped", progress=progress)
 
     assert (whole.computed, stopped.computed, stopped.found) == (4, 2, 2)
@@ -355,24 +381,24 @@ def test_small_structures_are_computed_first():
     overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
 
-    robots = [[case.settings.robots for case in chunk] for chunk in chunks(plan(scenario))]
+    robots = [[case.settings.robots for case in batch] for batch in batches(plan(scenario))]
 
     assert robots == [[4] * 6, [30] * 6, [100] * 6]
 
 
-def test_a_damaged_structure_is_grown_again(tmp_path):
-    """And one that was kept is read back as it was."""
+def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
+    """It is read as it was, unless its file is damaged or other code grew it."""
     scenario = load_scenario(REPOSITORY / "scenarios" / "bridge.yaml", ["robots=30", "seeds=1"])
     [case] = plan(scenario)[:1]
     settings = case.settings
     [history] = grow(settings.structure, robots=30, seeds=[case.seed], robot=settings.robot)
     folder = RunFolder.of(scenario, tmp_path)
     cost = {"wall_s": 1.5, "cpu_s": 1.0, "peak_memory_MB": 3.0}
-    assert folder.grown(case) is None
+    assert folder.read_structure(case) is None
 
-    folder.keep_grown(case, history, cost)
+    folder.keep_structure(case, history, cost)
 
-    read, share = folder.grown(case)
+    read, share = folder.read_structure(case)
     assert share == cost
     assert (read.seed, read.terrain, read.spawns) == (history.seed, history.terrain, history.spawns)
     np.testing.assert_equal(
@@ -380,21 +406,29 @@ def test_a_damaged_structure_is_grown_again(tmp_path):
         [dataclasses.asdict(part) for part in (*history.walks, *history.strain)],
     )
     np.testing.assert_array_equal(read.sensed, history.sensed)
+    with monkeypatch.context() as patched:
+        patched.setattr(store, "CODE", "0123456789ab")
+        assert folder.read_structure(case) is None
     [kept] = (folder.path / "structures").glob("*.npz")
     data = bytearray(kept.read_bytes())
     data[len(data) // 2] ^= 1
     kept.write_bytes(data)
-    assert folder.grown(case) is None
+    assert folder.read_structure(case) is None
     kept.write_bytes(data[:100])
-    assert folder.grown(case) is None
+    assert folder.read_structure(case) is None
     kept.write_bytes(b"")
-    assert folder.grown(case) is None
+    assert folder.read_structure(case) is None
     np.savez(kept, facts="{}")
-    assert folder.grown(case) is None
+    assert folder.read_structure(case) is None
 
 
 def _interrupt(*_args, **_settings):
     raise KeyboardInterrupt
+
+
+def _grow_samples_only(*settings, robots, **others):
+    assert robots == SAMPLE_ROBOTS
+    return grow(*settings, robots=robots, **others)
 
 
 def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):

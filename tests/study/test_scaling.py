@@ -13,8 +13,6 @@ from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import SCALING_PANELS, draw_scaling
 from tiswarm.scenario import load_scenario
 
-pytestmark = pytest.mark.slow  # many whole runs, each in a process of its own
-
 SIZES = (6, 9, 14)
 
 

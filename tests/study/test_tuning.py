@@ -57,7 +57,12 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
     [
         (8, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
         (8, "1", ["no-zz"], "--condition: no condition 'no-zz'; choose among baseline"),
-        (9, "1", [], "is the record of a fit with other settings; give another --out"),
+        (
+            9,
+            "1",
+            [],
+            "is the record of a fit with other settings or other code",
+        ),
     ],
 )
 def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, told):
@@ -80,7 +85,7 @@ def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise AssertionError
 
-    monkeypatch.setattr(registry, "certainty", fail)
+    monkeypatch.setattr(registry, "observability", fail)
     small = load_scenario(PAPER, ["robots=6", "sweep={}", "conditions={a: {}}"])
 
     fit = tune(

@@ -63,10 +63,10 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare runs: a table, a figure, and differences on the structures that they share."""
+    from tiswarm import study
     from tiswarm.report.table_figures import draw_comparison
-    from tiswarm.study.comparison import compare as tabulate
 
-    tabulate(runs, out)
+    study.compare(runs, out)
     draw_comparison(out, Progress())
     if not quiet:
         typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")

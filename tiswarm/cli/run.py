@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,9 +10,6 @@ from tiswarm.cli.app import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Thre
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
 from tiswarm.records.messages import counted
-
-if TYPE_CHECKING:
-    from tiswarm import study
 
 
 @app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
@@ -25,14 +22,6 @@ def run(
     workers: Annotated[int | None, typer.Option(min=1, help="Number of worker processes.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
-    ] = None,
-    slurm: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KEY=VALUE,...",
-            help="SLURM jobs to submit: jobs, cores, memory; optional: walltime, queue, account, "
-            "interface.",
-        ),
     ] = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Compute part I of N only.")] = "1/1",
     case_limit: Annotated[
@@ -61,24 +50,22 @@ def run(
 
     progress = ConsoleProgress(quiet=quiet)
     plan = load_scenario(scenario, overrides)
-    jobs = None if slurm is None else _slurm(slurm)
     if only_plan:
         typer.echo(study.forecast(study.plan(plan)))
-        if jobs is not None:
-            typer.echo(study.job_script(jobs, threads or 1))
         return
-    if len([place for place in (workers, scheduler, slurm) if place is not None]) > 1:
-        msg = "choose only one of --workers, --scheduler, --slurm"
+    if workers is not None and scheduler is not None:
+        msg = "choose only one of --workers, --scheduler"
         raise InputError(msg)
-    dispatch = study.Dispatch(
+    execution = study.Execution(
         workers=workers,
         scheduler=scheduler,
-        slurm=jobs,
         shard=_shard(shard),
         case_limit_s=case_limit,
         fail_fast=fail_fast,
     )
-    result = study.run(plan, out, progress=progress, arch=arch, threads=threads, dispatch=dispatch)
+    result = study.run(
+        plan, out, progress=progress, arch=arch, threads=threads, execution=execution
+    )
     if result.missing:
         progress.info(
             f"part {shard} is done; other parts still lack {counted(result.missing, 'case')}"
@@ -101,21 +88,6 @@ def _shard(text: str) -> tuple[int, int]:
         msg = f"invalid shard {text}: use I/N with 1 <= I <= N"
         raise InputError(msg)
     return number, count
-
-
-def _slurm(text: str) -> "study.Slurm":
-    from pydantic import TypeAdapter, ValidationError
-
-    from tiswarm.records.messages import explain
-    from tiswarm.study import Slurm
-
-    settings = dict(setting.partition("=")[::2] for setting in text.split(","))
-    try:
-        return TypeAdapter(Slurm).validate_strings(settings)
-    except ValidationError as found:
-        first = found.errors(include_url=False)[0]
-        allowed = Slurm.__dataclass_fields__
-        raise InputError(explain(first, allowed), key=f"--slurm {first['loc'][-1]}") from found
 
 
 @app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")

@@ -1,23 +1,21 @@
-"""Studies: cases are seeds x sweep points x conditions; run, stored, resumed, tabulated.
+"""Studies: run, store, resume and tabulate cases, which are seeds x sweep points x conditions.
 
-The only room that holds the truth and an estimate together.
+No other room holds the truth and an estimate together.
 """
 
 from tiswarm.study.cases import plan
-from tiswarm.study.forecast import forecast
-from tiswarm.study.pool import Dispatch
+from tiswarm.study.executors import Execution
+from tiswarm.study.provenance import forecast
 from tiswarm.study.run import RunResult, run, tabulate
-from tiswarm.study.slurm import Slurm, job_script
-from tiswarm.study.tables import headline
+from tiswarm.study.tables import compare, headline
 from tiswarm.study.tuning import tune
 
 __all__ = [
-    "Dispatch",
+    "Execution",
     "RunResult",
-    "Slurm",
+    "compare",
     "forecast",
     "headline",
-    "job_script",
     "plan",
     "run",
     "tabulate",

@@ -1,4 +1,4 @@
-"""Runs a scenario case by case; goes on where an earlier run ended."""
+"""Runs a scenario case by case, and continues where an earlier run ended."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -12,36 +12,40 @@ from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.messages import counted
 from tiswarm.scenario import Scenario, load_scenario
-from tiswarm.study import manifest, tables
-from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, chunks, halves, plan, robots_to_grow, shard
-from tiswarm.study.pool import Dispatch, Pool, opened, reason
-from tiswarm.study.scaling import write_scaling
-from tiswarm.study.storage import DONE, FAILED, CaseRecord, RunFolder, write_table
-from tiswarm.study.work import Job, Outcome, failure
+from tiswarm.study import tables
+from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, shard, structures
+from tiswarm.study.executors import Execution, Executor, open_executor, reason
+from tiswarm.study.provenance import MANIFEST, manifest, write_manifest
+from tiswarm.study.runner import Job, Outcome, failure
+from tiswarm.study.store import CaseRecord, RunFolder, write_table
 
-PLAIN = Dispatch()
+HERE = Execution()
 
-WHOLE = (manifest.FILE, "report.html")
-"""Files that tell of a whole run, which it is not while cases are computed."""
+WHOLE_RUN_FILES = (MANIFEST, "report.html")
+"""Files that describe a complete run; they are removed before cases are computed."""
 
-CHUNKS_EACH = 4
-"""Chunks for each process of a pool, so that all end at about the same time."""
+BATCHES_EACH = 4
+"""Batches for each process of an executor, so that all end at about the same time."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """What a run left behind."""
+    """Result of a run."""
 
     folder: Path
+    """Folder of the run."""
+
     computed: int
-    """Cases computed now."""
+    """Cases that this run computed."""
 
     found: int
     """Cases that an earlier run had finished."""
 
     failed: tuple[CaseRecord, ...]
+    """Cases that this run could not compute."""
+
     missing: int
-    """Cases left to other shards that are not there yet; tables are written once none is."""
+    """Cases left to other shards; the shard that leaves none writes the tables."""
 
     @property
     def what_failed(self) -> str:
@@ -57,7 +61,7 @@ def run(
     progress: Progress,
     arch: Arch = "cpu",
     threads: int | None = None,
-    dispatch: Dispatch = PLAIN,
+    execution: Execution = HERE,
 ) -> RunResult:
     """Compute every case that is not yet stored, then write the tables.
 
@@ -67,40 +71,40 @@ def run(
         progress: Receives progress reports.
         arch: Device.
         threads: CPU threads; all if None.
-        dispatch: Where cases are computed, and which.
+        execution: Where cases are computed, and which.
 
     Raises:
-        CasesFailedError: a case failed and the run was to stop there.
+        CasesFailedError: a case failed and `execution` stops at failures.
     """
-    if not dispatch.is_remote:  # a device that is not there is told before anything is written
+    if execution.scheduler is None:  # a missing device is an error before anything is written
         backend.start(arch, threads=threads)
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
-    mine = shard(cases, *dispatch.shard)
-    part = "" if dispatch.shard == PLAIN.shard else "{}-of-{}".format(*dispatch.shard)
-    with folder.held(part):
-        stored = ((case, folder.stored(case.name)) for case in mine)
-        records = {case.name: record for case, record in stored if record is not None}
+    mine = shard(cases, *execution.shard)
+    part = "" if execution.shard == HERE.shard else "{}-of-{}".format(*execution.shard)
+    with folder.locked(part):
+        stored = _read_cases(folder, mine)
+        records = {name: record for name, record in stored.items() if record.is_current}
         missing = [case for case in mine if case.name not in records]
         found = len(records)
         if found:
             progress.info(f"{found} of {len(mine)} cases are already stored")
-        if outdated := sum(folder.is_outdated(case.name) for case in missing):
-            was, them = ("was", "it") if outdated == 1 else ("were", "them")
+        if outdated := len(stored) - found:
+            were, them = ("was", "it") if outdated == 1 else ("were", "them")
             many = counted(outdated, "case")
-            progress.info(f"{many} {was} computed by other code; computing {them} again")
+            progress.info(f"{many} {were} computed by other code; computing {them} again")
         used = None
         if missing:
-            for name in WHOLE:
+            for name in WHOLE_RUN_FILES:
                 (folder.path / name).unlink(missing_ok=True)
-            with opened(dispatch, threads, progress) as pool:
-                for outcome in _compute(missing, folder, pool, arch, dispatch, progress):
+            with open_executor(execution, threads, progress) as executor:
+                for outcome in _compute(missing, folder, executor, arch, execution, progress):
                     records |= {record.case: record for record in outcome.records}
                     used = outcome.backend or used
-        failed = tuple(record for record in records.values() if record.status == FAILED)
-        others = {case.name for case in cases} - set(records)
-        elsewhere = {name: folder.recorded(name) for name in others}
-        records |= {name: record for name, record in elsewhere.items() if record is not None}
+        failed = tuple(record for record in records.values() if not record.is_done)
+        others = [case for case in cases if case.name not in records]
+        read = {case.name: folder.read_case(case.name) for case in others}
+        records |= {name: record for name, record in read.items() if record and record.is_current}
         result = RunResult(
             folder=folder.path,
             computed=len(missing),
@@ -109,38 +113,50 @@ def run(
             missing=len(cases) - len(records),
         )
         if not result.missing:
-            if used is not None or not (folder.path / manifest.FILE).exists():
-                costs = [folder.cost(case.name) for case in cases]
-                described = manifest.describe(used or backend.current(), costs)
-                manifest.write_manifest(folder.path, described | {"cases": len(cases)})
+            if used is not None or not (folder.path / MANIFEST).exists():
+                costs = [folder.read_cost(case.name) for case in cases]
+                content = manifest(used or backend.current(), costs)
+                write_manifest(folder.path, content | {"cases": len(cases)})
             write_tables(folder, cases, [records[case.name] for case in cases])
-            if all(record.status == DONE for record in records.values()):
-                folder.forget_grown()
+            if all(record.is_done for record in records.values()):
+                folder.remove_structures()
     return result
 
 
+def _read_cases(folder: RunFolder, cases: Sequence[Case]) -> dict[str, CaseRecord]:
+    """Read the cases that are done."""
+    found = {case.name: folder.read_case(case.name) for case in cases}
+    return {name: record for name, record in found.items() if record and record.is_done}
+
+
 def write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
-    """Write the tables of a run from the cases."""
+    """Write the tables of a run from the records of its cases."""
     settings = [case.settings for case in cases]
-    write_table(tables.summary(records, settings), folder.path / "summary.csv")
-    write_table(tables.table(records, settings), folder.path / "table.csv")
-    write_table(tables.paired(records), folder.path / "paired.csv")
-    write_table(tables.profiles(records, folder.cases), folder.path / "profiles.csv")
-    write_scaling(folder, cases, {record.case: record for record in records})
+    costs = [folder.read_cost(case.name) for case in cases]
+    written = {
+        "summary": tables.summary(records, settings),
+        "table": tables.table(records, settings),
+        "paired": tables.paired(records),
+        "profiles": tables.profiles(records, folder.cases),
+    }
+    if len({setting.robots for setting in settings}) > 1:
+        written["scaling"] = tables.scaling(cases, records, costs)
+    for name, content in written.items():
+        write_table(content, folder.path / f"{name}.csv")
 
 
 def tabulate(path: Path) -> None:
-    """Write the tables of a run folder anew from its stored cases.
+    """Write the tables of a run folder again, from its stored cases.
 
     Raises:
-        InputError: where `path` is not a run folder.
+        InputError: `path` is not a run folder.
     """
     resolved = path / "scenario.yaml"
     if not resolved.is_file():
-        msg = "this is no run folder, for it holds no scenario.yaml; give one that a run made"
+        msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
         raise InputError(msg, path=path)
     folder = RunFolder(path)
-    stored = [(case, folder.recorded(case.name)) for case in plan(load_scenario(resolved))]
+    stored = [(case, folder.read_case(case.name)) for case in plan(load_scenario(resolved))]
     kept = [(case, record) for case, record in stored if record is not None]
     write_tables(folder, [case for case, _ in kept], [record for _, record in kept])
 
@@ -148,65 +164,66 @@ def tabulate(path: Path) -> None:
 def _compute(
     missing: Sequence[Case],
     folder: RunFolder,
-    pool: Pool,
+    executor: Executor,
     arch: Arch,
-    dispatch: Dispatch,
+    execution: Execution,
     progress: Progress,
 ) -> Iterator[Outcome]:
-    """Compute cases in chunks; a chunk that cannot be done is split until the culprit is alone."""
-    waiting = deque(chunks(missing, _robots_at_once(missing, pool, dispatch)))
-    flying: dict[Future[Outcome], list[Case]] = {}
-    while waiting or flying:
-        while waiting and len(flying) < pool.width:
-            chunk = waiting.popleft()
-            job = Job(folder=folder, cases=chunk, arch=arch, threads=pool.threads)
-            flying[pool.submit(job)] = chunk
-        for future in wait(flying, return_when=FIRST_COMPLETED).done:
-            chunk = flying.pop(future)
-            outcome = _outcome(future, chunk, folder)
+    """Compute cases in batches; a batch that fails is split until the failing case is alone."""
+    waiting = deque(batches(missing, _robots_at_once(missing, executor, execution)))
+    running: dict[Future[Outcome], list[Case]] = {}
+    while waiting or running:
+        while waiting and len(running) < executor.width:
+            batch = waiting.popleft()
+            job = Job(folder=folder, cases=batch, arch=arch, threads=executor.threads)
+            running[executor.submit(job)] = batch
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            batch = running.pop(future)
+            outcome = _outcome(future, batch, folder)
             if outcome is None:
-                waiting.extendleft(reversed(halves(chunk)))
+                waiting.extendleft(reversed(halves(batch)))
                 continue
-            _tell(outcome.records, progress)
-            first = next((r for r in outcome.records if r.status == FAILED), None)
-            if first is not None and dispatch.fail_fast:
+            _report(outcome.records, progress)
+            first = next((record for record in outcome.records if not record.is_done), None)
+            if first is not None and execution.fail_fast:
                 msg = f"stopped, for a case failed: {first.case}: {first.reason}"
                 raise CasesFailedError(msg)
             yield outcome
 
 
-def _robots_at_once(missing: Sequence[Case], pool: Pool, dispatch: Dispatch) -> int:
-    """Size of a chunk: large, but small enough to keep a pool busy and to tell who hangs."""
-    if dispatch.case_limit_s is not None:
+def _robots_at_once(missing: Sequence[Case], executor: Executor, execution: Execution) -> int:
+    """Choose the size of a batch: large, but enough batches to keep all processes busy."""
+    if execution.case_limit_s is not None:  # one structure each, to find the one that hangs
         return 1
-    if pool.width == 1:
+    if executor.width == 1:
         return ROBOTS_AT_ONCE
-    return min(ROBOTS_AT_ONCE, robots_to_grow(missing) // (CHUNKS_EACH * pool.width) + 1)
+    robots = sum(group[0].settings.robots for group in structures(missing))
+    return min(ROBOTS_AT_ONCE, robots // (BATCHES_EACH * executor.width) + 1)
 
 
-def _outcome(future: "Future[Outcome]", chunk: list[Case], folder: RunFolder) -> Outcome | None:
-    """What came of a chunk; None if it is to be split.
+def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) -> Outcome | None:
+    """Return the outcome of a batch; None if it is to be split.
 
     Raises:
-        TiswarmError: trouble that every other case would have too.
+        TiswarmError: an error that every other case would have too.
     """
     error = future.exception()
     if error is None:
         return future.result()
     if isinstance(error, TiswarmError) or not isinstance(error, Exception):
         raise error
-    if len(chunk) > 1:
+    if len(batch) > 1:
         return None
-    record = failure(chunk[0], reason(error))
+    record = failure(batch[0], reason(error))
     folder.store_failure(record)
     return Outcome(records=[record], backend=None)
 
 
-def _tell(records: Sequence[CaseRecord], progress: Progress) -> None:
-    """Say which cases failed, and which structures ended early."""
+def _report(records: Sequence[CaseRecord], progress: Progress) -> None:
+    """Report cases that failed and structures that ended early."""
     ended = {}
     for record in records:
-        if record.status == FAILED:
+        if not record.is_done:
             progress.info(f"case {record.case} failed: {record.reason}")
         elif record.reason:
             ended[record.seed] = record.reason

@@ -1,8 +1,13 @@
-"""The tables of a run.
+"""Tables of a run, and of several runs side by side.
 
-`summary.csv` has a row a case, `table.csv` a row a condition beside the paper's numbers,
-`paired.csv` a row a pair of conditions on the same structures, `profiles.csv` a row a range of
-robots that are alike.
+| file | one row for each |
+|---|---|
+| `summary.csv` | case |
+| `table.csv` | condition and point, with the paper's numbers |
+| `paired.csv` | measure and pair of conditions, on the same structures |
+| `profiles.csv` | condition and range of robots that are alike |
+| `scaling.csv` | series, measure and number of robots |
+| `comparison.csv` | row of `table.csv` of each run |
 """
 
 import itertools
@@ -15,16 +20,19 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 
-from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference
+from tiswarm.errors import InputError
+from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference, power_law_exponent
 from tiswarm.evaluation.paper import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
+from tiswarm.records.io import make_folder
 from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.study.cases import point_text
-from tiswarm.study.storage import DONE, CaseRecord
+from tiswarm.study.cases import Case, point_text, series_text, structures
+from tiswarm.study.provenance import Cost
+from tiswarm.study.store import CaseRecord, RunFolder, write_table
 
 ACCURACY = (
     "rmse_R",
@@ -48,11 +56,17 @@ AVERAGED = (
     *ACCURACY,
 )
 
+SCALED = ("rmse_R", "procrustes_disparity")
+"""Measures of accuracy in `scaling.csv`."""
+
+COMPARED = ["run", "series", "against_run", "against_series", "measure"]
+"""First columns of the paired differences between runs."""
+
 _Item = TypeVar("_Item")
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
-    """One row a case, failed ones included."""
+    """Tabulate every case, failed ones included."""
     return pd.DataFrame(
         [
             {
@@ -73,7 +87,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
 
 
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
-    """One row a sweep point and condition: mean over its seeds, and how far it can be trusted."""
+    """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers."""
     pairs = list(zip(records, settings, strict=True))
     rows = []
     for group in _grouped(pairs, lambda pair: pair[0].series):
@@ -83,32 +97,88 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     return pd.DataFrame(rows)
 
 
+def _published(setting: Scenario) -> Published | None:
+    """Return the paper's numbers for a setting of the paper.
+
+    The paper leaves open all gains, how flips end and how robots walk.
+    """
+    method, structure = setting.localization, setting.structure
+    usual = type(structure)()
+    if (
+        setting.robots != PAPER_ROBOTS
+        or replace(structure, climb=usual.climb) != usual
+        or (setting.robot, setting.sensing) != (RobotGeometry(), SensingParams())
+        or not isinstance(method, VirtualForceParams)
+        or method.back_propagation
+    ):
+        return None
+    return PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
+
+
+def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, object]:
+    """Return the paper's numbers for a setting of the paper, and ratios of ours to them."""
+    cell = _published(setting)
+    rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
+    return {
+        "paper_rmse_radii": rmse,
+        "paper_procrustes_disparity": disparity,
+        "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
+        "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
+        "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
+    }
+
+
+def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
+    """Count cases, and return means over the finished ones with their uncertainty."""
+    scores = pd.DataFrame([record.scores for record in records if record.is_done])
+    full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
+    for name in AVERAGED:
+        column = scores[name] if name in scores else pd.Series(dtype=float)
+        values = mean_std_ci95(column.to_numpy(np.float64))
+        full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
+    return full
+
+
 def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
-    """One row a measure and pair of conditions of a sweep point: differences by structure."""
+    """Tabulate differences between conditions of a point on the same structures, by measure."""
     rows = []
     for of_point in _grouped(records, lambda record: point_text(record.point)):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
-            pair = _accuracy(first).merge(_accuracy(second), on="seed")
-            rows += [
-                {
-                    "condition": second[0].condition,
-                    "against": first[0].condition,
-                    **first[0].point,
-                    "measure": name,
-                    **paired_difference(
-                        pair[f"{name}_x"].to_numpy(float), pair[f"{name}_y"].to_numpy(float)
-                    ),
-                }
-                for name in ACCURACY
-            ]
+            names = {"condition": second[0].condition, "against": first[0].condition}
+            rows += _differences(
+                {**names, **first[0].point},
+                _accuracy({record.seed: record for record in first}),
+                _accuracy({record.seed: record for record in second}),
+            )
     return pd.DataFrame(rows, columns=None if rows else ["condition", "against", "measure"])
 
 
+def _accuracy(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
+    """Tabulate the accuracy of finished cases by structure, under the keys of these."""
+    done = {key: record.scores for key, record in records.items() if record.is_done}
+    return pd.DataFrame(list(done.values()), index=pd.Index(list(done)), columns=list(ACCURACY))
+
+
+def _differences(
+    first_columns: Mapping[str, Any], before: pd.DataFrame, after: pd.DataFrame
+) -> list[dict[str, Any]]:
+    """Return a row for each measure: difference `after - before` over shared structures."""
+    a, b = before.align(after, join="inner", axis=0)
+    return [
+        {
+            **first_columns,
+            "measure": name,
+            **paired_difference(a[name].to_numpy(float), b[name].to_numpy(float)),
+        }
+        for name in ACCURACY
+    ]
+
+
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
-    """Rows of errors by what robots have in common, for each sweep point and condition."""
+    """Tabulate errors by join, height, hops and contacts, for each point and condition."""
     parts = []
-    done = [record for record in records if record.status == DONE]
+    done = [record for record in records if record.is_done]
     for of_row in _grouped(done, lambda record: record.series):
         folders = [cases / record.case for record in of_row]
         robots = [pd.read_csv(folder / "robots.csv") for folder in folders]
@@ -124,23 +194,14 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
     return pd.concat(parts) if parts else pd.DataFrame(columns=["condition", "by"])
 
 
-def _accuracy(records: Sequence[CaseRecord]) -> pd.DataFrame:
-    """Seed and accuracy of the cases that are done."""
-    return pd.DataFrame(
-        [{"seed": record.seed, **record.scores} for record in records if record.scores],
-        columns=["seed", *ACCURACY],
-    )
-
-
 def headline(folder: Path) -> str:
-    """Say in a few lines what a run came to, from its `table.csv`."""
+    """Write the results of a run in a few lines, from its `table.csv`."""
     rows = pd.read_csv(folder / "table.csv")
     lines = [_headline_row(row) for row in rows.to_dict("records")]
     return "\n".join([*lines, f"results in {folder}"])
 
 
 def _headline_row(row: dict[Hashable, Any]) -> str:
-    """One condition in words."""
     names = list(row)
     swept = names[names.index("condition") + 1 : names.index("cases")]
     point = " ".join(f"{key}={row[key]}" for key in swept)
@@ -157,50 +218,120 @@ def _headline_row(row: dict[Hashable, Any]) -> str:
     )
 
 
-def _published(setting: Scenario) -> Published | None:
-    """The paper's numbers where the setting is the paper's.
+# --- size of the swarm -----------------------------------------------------------------------
 
-    It leaves open how flips end and how robots walk, and all gains.
+
+def scaling(
+    cases: Sequence[Case], records: Sequence[CaseRecord], costs: Sequence[Mapping[str, Cost]]
+) -> pd.DataFrame:
+    """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
+
+    `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
+    constant costs matter less. The growth of a structure counts once, whatever the number of its
+    conditions. Memory is that of the whole batch that a structure was computed in.
+
+    Args:
+        cases: Every case.
+        records: Record of each case.
+        costs: Cost of each case by stage.
     """
-    method, structure = setting.localization, setting.structure
-    usual = type(structure)()
-    if (
-        setting.robots != PAPER_ROBOTS
-        or replace(structure, climb=usual.climb) != usual
-        or (setting.robot, setting.sensing) != (RobotGeometry(), SensingParams())
-        or not isinstance(method, VirtualForceParams)
-        or method.back_propagation
-    ):
-        return None
-    return PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
+    record_of = {record.case: record for record in records}
+    cost_of = {case.name: cost for case, cost in zip(cases, costs, strict=True)}
+    rows = []
+    for group in structures(cases):
+        done = [case for case in group if record_of[case.name].is_done]
+        grown = _together([cost_of[case.name].get("grow", {}) for case in done])
+        for case in done:
+            point = {key: value for key, value in case.variant.point.items() if key != "robots"}
+            measured = {name: record_of[case.name].scores[name] for name in SCALED}
+            for stage, cost in {**cost_of[case.name], "grow": grown}.items():
+                measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
+            row = {
+                "series": series_text(point, case.variant.condition),
+                "robots": case.settings.robots,
+            }
+            rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
+    table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
+    alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
+    points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
+    parts = [_with_powers(part) for _, part in points.groupby(["series", "measure"], sort=False)]
+    return pd.concat(parts) if parts else _with_powers(points)
 
 
-def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, object]:
-    """The paper's numbers for its own setting, and ours divided by them."""
-    cell = _published(setting)
-    rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
-    return {
-        "paper_rmse_radii": rmse,
-        "paper_procrustes_disparity": disparity,
-        "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
-        "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
-        "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
+def _together(costs: Sequence[Cost]) -> Cost:
+    """Return the cost that cases share."""
+    known = [cost for cost in costs if cost]
+    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
+    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
+    return {**times, "peak_memory_MB": peak} if known else {}
+
+
+def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
+    """Add the columns `exponent` and `slope` to the means of one measure, by ascending N."""
+    robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
+    known = np.log(np.where(mean > 0.0, mean, math.nan))
+    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
+    return points.assign(exponent=power_law_exponent(robots, mean), slope=slope)
+
+
+# --- several runs ----------------------------------------------------------------------------
+
+
+def compare(runs: Sequence[Path], out: Path) -> None:
+    """Write `comparison.csv`, all rows of the runs' `table.csv`, and `paired.csv`, differences.
+
+    Differences are on the structures that two runs share: those with the same true positions to
+    the last bit, whatever the names of the scenarios.
+
+    Raises:
+        InputError: fewer than two different runs are given, or a folder has no `table.csv`.
+        EnvironmentTroubleError: `out` cannot be made.
+    """
+    if len({run.resolve() for run in runs}) < max(2, len(runs)):
+        msg = "give two or more different run folders"
+        raise InputError(msg, key="RUN")
+    names = [run.resolve().name for run in runs]
+    if len(set(names)) < len(names):
+        names = [str(run) for run in runs]
+    tables = [_read_table(run).assign(run=name) for run, name in zip(runs, names, strict=True)]
+    swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in tables]
+    first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
+    both = pd.concat(tables, ignore_index=True)
+    series = {
+        (name, label): accuracy
+        for run, name in zip(runs, names, strict=True)
+        for label, accuracy in _by_series(RunFolder(run)).items()
     }
+    rows = []
+    for (one, before), (other, after) in itertools.combinations(series.items(), 2):
+        if one[0] != other[0] and not before.index.intersection(after.index).empty:
+            pair = dict(zip(COMPARED, (*other, *one), strict=False))
+            rows += _differences(pair, before, after)
+    make_folder(out)
+    write_table(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
+    write_table(pd.DataFrame(rows, columns=None if rows else COMPARED), out / "paired.csv")
 
 
-def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
-    """Counts of the cases, and means and their certainty of those that are done."""
-    scores = pd.DataFrame([record.scores for record in records if record.scores])
-    full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for name in AVERAGED:
-        column = scores[name] if name in scores else pd.Series(dtype=float)
-        values = mean_std_ci95(column.to_numpy(np.float64))
-        full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
-    return full
+def _read_table(run: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(run / "table.csv")
+    except (OSError, ValueError) as error:
+        msg = "has no table.csv; give a folder that `tiswarm run` made"
+        raise InputError(msg, path=run) from error
+
+
+def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
+    """Return the accuracy of each series of a run, by the digest of each structure's truth."""
+    series: dict[str, dict[str, CaseRecord]] = {}
+    for path in sorted(folder.cases.glob("[!.]*")):
+        record = folder.read_case(path.name)
+        if record is not None and record.is_done:
+            series.setdefault(record.series, {})[record.files["truth.csv"]] = record
+    return {name: _accuracy(records) for name, records in series.items()}
 
 
 def _grouped(items: Iterable[_Item], key: Callable[[_Item], str]) -> list[list[_Item]]:
-    """Lists of items with the same key, in the order in which each first appears."""
+    """List items with the same key, in the order in which each key first appears."""
     groups: dict[str, list[_Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)

@@ -1,7 +1,8 @@
-"""Fits the gains of a method on training structures, and writes down how.
+"""Fits the gains of a method on training structures, and records the fit.
 
-Trials come from a seeded sampler and are told back to it in turn. A record that is taken up
-again is therefore replayed, not run, and goes on as if it had never been left.
+A seeded sampler draws each trial from those before it. To resume a fit, the trials of its record
+are replayed to a new sampler; the fit then ends in the bytes of an uninterrupted one. A storage of
+the sampler's library would not: a sampler that is loaded from it draws other trials.
 """
 
 import json
@@ -24,7 +25,7 @@ from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario import Scenario, Variant, variants
 from tiswarm.sensing import observe
-from tiswarm.study.storage import CODE
+from tiswarm.study.provenance import CODE
 from tiswarm.version import __version__
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -44,22 +45,27 @@ GAINS: dict[str, Range] = {
     "initial_offset": (0.5, 8.0),
     "max_step": (0.25, 4.0),
 }
-"""Smallest and largest value tried, on a logarithmic scale; units as in `VirtualForceParams`."""
+"""Range of each gain, on a logarithmic scale; units as in `VirtualForceParams`."""
 
-OF_ROUNDS: dict[str, Range] = {"repulsion_share": (0.001, 1.0)}
-"""The same in `BackPropagation`, where a condition has it."""
+ROUND_GAINS: dict[str, Range] = {"repulsion_share": (0.001, 1.0)}
+"""Ranges of the gains of `BackPropagation`, where a condition has it."""
 
 AS_GOOD = 1.02
-"""Trials with an error up to this much above the least are as good: other seeds would rank them
-otherwise. Of these the one with the weakest repulsion is chosen, for rounding grows with it."""
+"""Error relative to the least, up to which a trial counts as equally good: other seeds would rank
+such trials otherwise. Of these the trial with the weakest repulsion is chosen, since rounding
+errors grow with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lesson:
+class TrainingCase:
     """One training structure under one condition."""
 
     label: str
+    """Point of the sweep and condition."""
+
     log: SensingLog
+    """What the swarm sensed."""
+
     true: NDArray[np.float64]
     """True centers [R], shape (N, 3)."""
 
@@ -81,11 +87,11 @@ def tune(
     """Fit gains to the least mean RMSE over training structures, one set for all conditions.
 
     Args:
-        scenario: What to grow and how to localize it; its own seeds are kept out.
-        path: Record of the fit, written after every trial; an earlier one is taken up again.
+        scenario: What to grow and how to localize it; its own seeds are excluded.
+        path: Record of the fit, written after every trial; the fit of an existing one is resumed.
         trials: Trials in all.
         training_seeds: Structures of each sweep point, from `FIRST_TRAINING_SEED` on.
-        conditions: Which count; all if none is named.
+        conditions: Conditions to include; all if empty.
         progress: Receives progress reports.
         arch: Device.
         threads: CPU threads; all if None.
@@ -96,12 +102,12 @@ def tune(
     Raises:
         InputError: for seeds that the scenario reports on, settings without gains, or a record
             of another fit.
-        EnvironmentTroubleError: where the sampler is not installed.
+        EnvironmentTroubleError: the sampler is not installed.
     """
-    seeds = _kept_apart(scenario, training_seeds)
+    seeds = _training_seeds(scenario, training_seeds)
     points = _points(scenario, conditions)
-    start = _start(points)
-    ranges = {name: limits for name, limits in (GAINS | OF_ROUNDS).items() if name in start}
+    start = _current_gains(points)
+    ranges = {name: limits for name, limits in (GAINS | ROUND_GAINS).items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": __version__,
         "code": CODE,
@@ -113,26 +119,25 @@ def tune(
         "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {SAMPLER_SEED}",
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
-    done = _taken_up(path, record)
+    done = _read_trials(path, record)
     first = {name: done[0][name] for name in ranges} if done else start
-    study = _new_study(first)
-    _replay(study, done, ranges, path)
+    study = _replayed_study(first, done, ranges, path)
     backend.start(arch, threads=threads)
     if len(done) < trials:
-        lessons = _lessons(points, seeds, progress)
+        cases = _training_cases(points, seeds, progress)
         with progress.task("fit", trials - len(done)) as advance:
             for _ in range(trials - len(done)):
                 trial = study.ask()
                 values = _suggested(trial, ranges)
-                done.append(values | _errors(lessons, values))
+                done.append(values | _errors(cases, values))
                 study.tell(trial, done[-1]["rmse_R"])
                 _write(path, record | _outcome(done), done)
                 advance(1)
     return record | _outcome(done)
 
 
-def _kept_apart(scenario: Scenario, count: int) -> list[int]:
-    """Training seeds, none of which the scenario reports on."""
+def _training_seeds(scenario: Scenario, count: int) -> list[int]:
+    """Return the training seeds, unless the scenario reports on one of them."""
     seeds = list(range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + count))
     if shared := set(seeds) & set(scenario.seed_list):
         problem = (
@@ -144,7 +149,7 @@ def _kept_apart(scenario: Scenario, count: int) -> list[int]:
 
 
 def _points(scenario: Scenario, conditions: Sequence[str]) -> list[Variant]:
-    """Sweep points under each condition that counts."""
+    """List the sweep points under each condition to include."""
     for name in conditions:
         if name not in scenario.conditions:
             problem = f"no condition {name!r}; choose among {', '.join(scenario.conditions)}"
@@ -153,7 +158,7 @@ def _points(scenario: Scenario, conditions: Sequence[str]) -> list[Variant]:
 
 
 def _params(point: Variant) -> VirtualForceParams:
-    """Settings of a point whose gains can be fitted."""
+    """Return the settings of a point, if they have gains."""
     params = point.settings.localization
     if not isinstance(params, VirtualForceParams):
         problem = f"{params.method} has no gains to fit; name conditions of virtual-force"
@@ -161,70 +166,64 @@ def _params(point: Variant) -> VirtualForceParams:
     return params
 
 
-def _lessons(points: Sequence[Variant], seeds: list[int], progress: Progress) -> list[Lesson]:
+def _current_gains(points: Sequence[Variant]) -> dict[str, float]:
+    """Return the gains of the settings, clipped to their ranges."""
+    params = [_params(point) for point in points]
+    values = {name: getattr(params[0], name) for name in GAINS}
+    if rounds := next((p.back_propagation for p in params if p.back_propagation), None):
+        values |= {name: getattr(rounds, name) for name in ROUND_GAINS}
+    ranges = GAINS | ROUND_GAINS
+    return {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
+
+
+def _training_cases(
+    points: Sequence[Variant], seeds: list[int], progress: Progress
+) -> list[TrainingCase]:
     """Grow every training structure once, and sense it under each condition."""
     grown: dict[str, list[History]] = {}
+    cases = []
     for point in points:
         settings = point.settings
-        if _structure(point) not in grown:
+        structure = repr((settings.structure, settings.robot, settings.robots))
+        if structure not in grown:
             with progress.task("grow", len(seeds) * settings.robots) as advance:
-                grown[_structure(point)] = grow(
+                grown[structure] = grow(
                     settings.structure,
                     robots=settings.robots,
                     seeds=seeds,
                     robot=settings.robot,
                     on_progress=advance,
                 )
-    return [
-        Lesson(
-            label=point.label,
-            log=observe(history, point.settings.sensing),
-            true=history.position,
-            params=_params(point),
-        )
-        for point in points
-        for history in grown[_structure(point)]
-    ]
+        cases += [
+            TrainingCase(
+                label=point.label,
+                log=observe(history, settings.sensing),
+                true=history.position,
+                params=_params(point),
+            )
+            for history in grown[structure]
+        ]
+    return cases
 
 
-def _structure(point: Variant) -> str:
-    """All that a structure grows from, but its seed."""
-    return repr((point.settings.structure, point.settings.robot, point.settings.robots))
-
-
-def _errors(lessons: Sequence[Lesson], values: Mapping[str, float]) -> dict[str, Any]:
-    """Mean RMSE with such gains, over all lessons and over those of each label [R]."""
-    params = [_with_values(lesson.params, values) for lesson in lessons]
-    estimates = localize_many([lesson.log for lesson in lessons], params)
+def _errors(cases: Sequence[TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
+    """Return the mean RMSE with such gains, over all cases and over those of each label [R]."""
+    params = [_with_gains(case.params, values) for case in cases]
+    estimates = localize_many([case.log for case in cases], params)
     of_point: dict[str, list[float]] = {}
-    for lesson, estimate in zip(lessons, estimates, strict=True):
-        error = metrics.rmse(estimate.position, lesson.true)
-        of_point.setdefault(lesson.label, []).append(error)
+    for case, estimate in zip(cases, estimates, strict=True):
+        of_point.setdefault(case.label, []).append(metrics.rmse(estimate.position, case.true))
     every = np.concatenate(list(of_point.values()))
     means = [round(float(np.mean(errors)), 4) for errors in of_point.values()]
     return {"rmse_R": round(float(every.mean()), 6), "by_point_R": means}
 
 
-def _with_values(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
-    """The same settings with other gains."""
-    gains: dict[str, Any] = {name: value for name, value in values.items() if name in GAINS}
-    rounds = params.back_propagation
-    if rounds:
-        of_rounds: dict[str, Any] = {
-            name: value for name, value in values.items() if name in OF_ROUNDS
-        }
-        gains |= {"back_propagation": replace(rounds, **of_rounds)}
+def _with_gains(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
+    gains: dict[str, Any] = {name: values[name] for name in GAINS}
+    if rounds := params.back_propagation:
+        of_rounds: dict[str, Any] = {name: values[name] for name in ROUND_GAINS}
+        gains["back_propagation"] = replace(rounds, **of_rounds)
     return replace(params, **gains)
-
-
-def _start(points: Sequence[Variant]) -> dict[str, float]:
-    """Gains that the settings have now, as far as they are in range; those of rounds if any."""
-    params = [_params(point) for point in points]
-    values = {name: getattr(params[0], name) for name in GAINS}
-    if rounds := next((p.back_propagation for p in params if p.back_propagation), None):
-        values |= {name: getattr(rounds, name) for name in OF_ROUNDS}
-    ranges = GAINS | OF_ROUNDS
-    return {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
 
 
 def _optuna_version() -> str:
@@ -237,13 +236,24 @@ def _optuna_version() -> str:
     return str(optuna.__version__)
 
 
-def _new_study(start: dict[str, float]) -> "Study":
-    """Make an empty study whose first trial is what the settings say now."""
+def _replayed_study(
+    first: dict[str, float],
+    done: Sequence[Mapping[str, Any]],
+    ranges: Mapping[str, Range],
+    path: Path,
+) -> "Study":
+    """Make a sampler that starts with the gains `first`, and bring it past the trials done."""
     import optuna  # noqa: PLC0415 - slow to import, and an extra
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(sampler=optuna.samplers.CmaEsSampler(seed=SAMPLER_SEED))
-    study.enqueue_trial(start)
+    study.enqueue_trial(first)
+    for row in done:
+        trial = study.ask()
+        if _suggested(trial, ranges) != {name: row[name] for name in ranges}:
+            problem = "its trials do not repeat here; give another --out"
+            raise InputError(problem, path=path)
+        study.tell(trial, row["rmse_R"])
     return study
 
 
@@ -253,20 +263,8 @@ def _suggested(trial: "Trial", ranges: Mapping[str, Range]) -> dict[str, Any]:
     }
 
 
-def _replay(
-    study: "Study", done: Sequence[Mapping[str, Any]], ranges: Mapping[str, Range], path: Path
-) -> None:
-    """Bring the sampler to where it was after the trials of a record."""
-    for row in done:
-        trial = study.ask()
-        if _suggested(trial, ranges) != {name: row[name] for name in ranges}:
-            problem = "its trials do not repeat here; give another --out"
-            raise InputError(problem, path=path)
-        study.tell(trial, row["rmse_R"])
-
-
-def _taken_up(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Trials of an earlier record of the same fit; none where there is no record."""
+def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Read the trials of an earlier record of the same fit; none where there is no record."""
     if not path.exists():
         return []
     try:
@@ -277,20 +275,20 @@ def _taken_up(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
         problem = "is no record of a fit; give another --out"
         raise InputError(problem, path=path) from error
     if not same:
-        problem = "is the record of a fit with other settings; give another --out"
+        problem = "is the record of a fit with other settings or other code; give another --out"
         raise InputError(problem, path=path)
     return trials
 
 
 def _outcome(done: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Best trial, and the one that is chosen."""
+    """Return the best trial, and the chosen one."""
     best = min(done, key=lambda row: row["rmse_R"])
     as_good = [row for row in done if row["rmse_R"] <= AS_GOOD * best["rmse_R"]]
     return {"best": best, "chosen": min(as_good, key=lambda row: row["repulsion_gain"])}
 
 
 def _write(path: Path, record: Mapping[str, Any], done: Sequence[Mapping[str, Any]]) -> None:
-    """Write the record, one line an entry and one line a trial."""
+    """Write the record, one line for each entry and each trial."""
     entries = [f" {json.dumps(name)}: {json.dumps(value)}" for name, value in record.items()]
     rows = ",\n".join(f"  {json.dumps(row)}" for row in done)
     text = ",\n".join([*entries, f' "trials": [\n{rows}\n ]'])

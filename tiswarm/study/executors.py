@@ -1,0 +1,255 @@
+"""Executors of jobs: this process, processes on this machine, or a Dask cluster.
+
+A job in a process of its own may hang, crash or be killed without harm to others. Processes are
+started by `subprocess`: those of `multiprocessing` are forbidden within workers of Dask, and would
+need a guard in the scripts of users.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, Pipe
+from tempfile import TemporaryFile
+from typing import Any
+
+from tiswarm.compute.backend import available_threads
+from tiswarm.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.progress import Progress
+from tiswarm.study.runner import Job, Outcome, run_job
+
+CONNECT_S = 30
+"""Time that a scheduler has to answer [s]."""
+
+START_S = 600.0
+"""Time that a process has to start and to compile the kernels of a job [s]."""
+
+READY = "ready"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Execution:
+    """Where and how the cases of a run are computed; no byte of the results depends on it."""
+
+    workers: int | None = None
+    """Processes side by side, each with its share of the threads; None computes in this one."""
+
+    scheduler: str | None = None
+    """Address of a Dask scheduler whose workers see the same folders."""
+
+    shard: tuple[int, int] = (1, 1)
+    """Part to compute, and the number of parts."""
+
+    case_limit_s: float | None = None
+    """Longest wall time of a case [s]."""
+
+    fail_fast: bool = False
+    """Whether the first case that fails ends the run."""
+
+
+class JobError(Exception):
+    """A job could not be done, for the reason in the text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Executor:
+    """Computes jobs."""
+
+    submit: Callable[[Job], "Future[Outcome]"]
+    """Starts a job."""
+
+    width: int
+    """Jobs computed at the same time."""
+
+    threads: int | None
+    """CPU threads for each job; all if None."""
+
+
+@contextmanager
+def open_executor(
+    execution: Execution, threads: int | None, progress: Progress
+) -> Iterator[Executor]:
+    """Open an executor; jobs that still run when the block ends are stopped.
+
+    Args:
+        execution: Where jobs are computed.
+        threads: CPU threads; if None, all of the machine, or one for each job on a cluster.
+        progress: Receives the progress of jobs that this process computes.
+
+    Raises:
+        EnvironmentTroubleError: Dask is not installed, or no scheduler answers.
+    """
+    limit = execution.case_limit_s
+    if execution.scheduler is not None:
+        with _connected(execution.scheduler) as client:
+            remote = client.get_executor(pure=False)
+            yield Executor(
+                submit=lambda job: remote.submit(_run_in_process, job, limit),
+                width=max(1, sum(client.nthreads().values())),
+                threads=threads or 1,
+            )
+    elif execution.workers is not None or limit is not None:
+        width = execution.workers or 1
+        with ThreadPoolExecutor(width) as waiting:
+            try:
+                yield Executor(
+                    submit=lambda job: waiting.submit(_run_in_process, job, limit),
+                    width=width,
+                    threads=max(1, (threads or available_threads()) // width),
+                )
+            finally:
+                waiting.shutdown(wait=False, cancel_futures=True)
+                _end_all()
+    else:
+        yield Executor(submit=lambda job: _run_here(job, progress), width=1, threads=threads)
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra, and slow to import
+    except ImportError as error:
+        msg = "--scheduler needs Dask; pip install 'tiswarm[cluster]'"
+        raise EnvironmentTroubleError(msg) from error
+    try:
+        client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        msg = f"no Dask scheduler answers at {address}; start one, or correct --scheduler"
+        raise EnvironmentTroubleError(msg) from error
+    with client:
+        try:
+            yield client
+        finally:
+            _end_all()  # processes of a cluster within this process
+
+
+def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
+    done: Future[Outcome] = Future()
+    try:
+        done.set_result(run_job(job, progress))
+    except Exception as error:  # noqa: BLE001 - the caller raises it from the future
+        done.set_exception(error)
+    return done
+
+
+def reason(error: BaseException) -> str:
+    """Write in one line why a job could not be done."""
+    kind = "" if isinstance(error, JobError) else type(error).__name__
+    return ": ".join(filter(None, (kind, " ".join(str(error).split()))))
+
+
+# --- processes -------------------------------------------------------------------------------
+
+_running: set["_Process"] = set()
+_own = threading.local()
+
+
+def _run_in_process(job: Job, limit_s: float | None) -> Outcome:
+    """Run a job in the process of this thread, which is replaced after any failure.
+
+    Raises:
+        JobError: the job raised, took too long, or its process was killed.
+    """
+    process: _Process = getattr(_own, "process", None) or _Process()
+    _own.process = None
+    try:
+        outcome = process.run(job, limit_s)
+    except BaseException:
+        process.end()
+        raise
+    _own.process = process
+    return outcome
+
+
+class _Process:
+    """A process that runs one job after another."""
+
+    def __init__(self) -> None:
+        self.output = TemporaryFile()  # noqa: SIM115 - closed as the process ends
+        self.connection, theirs = Pipe()
+        code = "from tiswarm.study.executors import main; main({}, {})"
+        self.process = subprocess.Popen(  # noqa: S603 - our own code
+            [sys.executable, "-c", code.format(theirs.fileno(), os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=self.output,
+            stderr=self.output,
+            pass_fds=[theirs.fileno()],
+        )
+        theirs.close()
+        _running.add(self)
+
+    def run(self, job: Job, limit_s: float | None) -> Outcome:
+        """Run a job, unless it takes longer than allowed for all of its cases."""
+        with suppress(OSError):  # the process has ended; receiving finds out why
+            self.connection.send(job)
+        found = self._receive(START_S, "its process did not start within {:g} s; run it again")
+        if found == READY:
+            total_s = None if limit_s is None else limit_s * len(job.cases)
+            found = self._receive(total_s, "took longer than {:g} s; raise --case-limit")
+        if isinstance(found, TiswarmError):
+            raise found
+        if not isinstance(found, Outcome):
+            raise JobError(found)
+        return found
+
+    def end(self) -> None:
+        """Kill the process, unless that is done."""
+        if self in _running:
+            _running.discard(self)
+            self.process.kill()
+            self.process.wait()
+            self.connection.close()
+            self.output.close()
+
+    def _receive(self, limit_s: float | None, problem: str) -> object:
+        try:
+            if not self.connection.poll(limit_s):
+                raise JobError(problem.format(limit_s))
+            return self.connection.recv()
+        except (EOFError, OSError) as error:
+            raise JobError(self._cause_of_death()) from error
+
+    def _cause_of_death(self) -> str:
+        status = self.process.wait()
+        if status < 0:
+            name = signal.Signals(-status).name
+            hint = ", perhaps for lack of memory" if name == "SIGKILL" else ""
+            return f"its process was killed by {name}{hint}"
+        self.output.seek(0)
+        lines = self.output.read().decode(errors="replace").splitlines() or ["without a message"]
+        return f"its process ended with status {status}: {lines[-1]}"
+
+
+def _end_all() -> None:
+    for process in list(_running):
+        process.end()
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Run the jobs that arrive at a connection, and send back what came of each."""
+    threading.Thread(target=_end_with, args=[parent], daemon=True).start()
+    connection: Connection[object, Any] = Connection(descriptor)
+    with suppress(EOFError):
+        while True:
+            job = connection.recv()
+            found: Outcome | TiswarmError | str
+            try:
+                found = run_job(job, Progress(), on_ready=lambda: connection.send(READY))
+            except TiswarmError as error:
+                found = error
+            except Exception as error:  # noqa: BLE001 - the parent decides what to do
+                found = reason(error)
+            connection.send(found)
+
+
+def _end_with(parent: int) -> None:
+    """End this process once its parent has ended, as nobody waits for the outcome then."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)

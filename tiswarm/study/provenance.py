@@ -1,0 +1,237 @@
+"""By which code, on which machine and at which cost a run is computed.
+
+`manifest.json` and the `cost.json` of each case hold everything that differs between machines and
+between repetitions; all other files of a run are the same to the byte.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform
+import resource
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import psutil
+
+from tiswarm.compute.backend import Backend
+from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.records.io import write_text
+from tiswarm.records.messages import counted
+from tiswarm.scenario import Scenario
+from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
+from tiswarm.version import __version__, code_digest
+
+CODE = code_digest()
+"""Digest of the code that computes in this process."""
+
+MANIFEST = "manifest.json"
+LIBRARIES = (
+    "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
+    "taichi",
+)  # fmt: skip
+
+Cost = Mapping[str, float]
+"""Share of a case in a stage, `wall_s` and `cpu_s`, and `peak_memory_MB` of its whole batch."""
+
+
+class Costs:
+    """Costs of the stages that a batch of cases goes through."""
+
+    def __init__(self) -> None:
+        """Start with no stage."""
+        self._costs: dict[str, dict[str, Cost]] = {}
+
+    @contextmanager
+    def stage(self, name: str, cases: Sequence[str]) -> Iterator[None]:
+        """Measure the block as a stage of these cases, who share its cost evenly."""
+        with suppress(OSError):  # restarts the peak of memory, on Linux
+            Path("/proc/self/clear_refs").write_text("5")
+        wall, cpu = time.perf_counter(), time.process_time()
+        yield
+        share = {
+            "wall_s": (time.perf_counter() - wall) / max(len(cases), 1),
+            "cpu_s": (time.process_time() - cpu) / max(len(cases), 1),
+            "peak_memory_MB": peak_memory_mb(),
+        }
+        self.add(name, cases, share)
+
+    def add(self, name: str, cases: Sequence[str], share: Cost) -> None:
+        """Add a stage with the share of each of these cases."""
+        for case in cases:
+            self._costs.setdefault(case, {})[name] = share
+
+    def of(self, case: str) -> Mapping[str, Cost]:
+        """Return the costs of a case by stage."""
+        return self._costs[case]
+
+
+def peak_memory_mb() -> int:
+    """Return the peak of memory since the stage began; off Linux, since the process began [MB]."""
+    with suppress(OSError, ValueError):
+        peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]
+        return int(peak) // 2**10
+    peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak_bytes // (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str, object]:
+    """Gather what a reader needs to judge or repeat a run; costs are by case and stage."""
+    stages: dict[str, dict[str, float]] = {}
+    for name, cost in (item for of_case in costs for item in of_case.items()):
+        total = stages.setdefault(name, {"wall_s": 0.0, "cpu_s": 0.0})
+        for unit in total:
+            total[unit] += cost[unit]
+    peaks = [int(cost["peak_memory_MB"]) for of_case in costs for cost in of_case.values()]
+    installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
+    return {
+        "tiswarm": __version__,
+        "code": CODE,
+        "backend": {key: value for key, value in asdict(backend).items() if key != "cache"},
+        "machine": machine(),
+        "python": platform.python_version(),
+        "libraries": {name: installed[name] for name in LIBRARIES if name in installed},
+        "stages": {
+            name: {unit: round(value, 3) for unit, value in total.items()}
+            for name, total in stages.items()
+        },
+        "peak_memory_MB": max(peaks, default=0),
+    }
+
+
+def machine() -> dict[str, object]:
+    """Return system, processor, cores and memory of this machine."""
+    return {
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "memory_MB": psutil.virtual_memory().total // 2**20,
+    }
+
+
+def _processor() -> str:
+    """Return the model name of the processor, or what the platform module knows of it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+        return platform.machine()
+    return platform.processor()
+
+
+def write_manifest(folder: Path, content: dict[str, object]) -> None:
+    """Write the manifest, keeping entries of an earlier one that `content` does not name."""
+    path = folder / MANIFEST
+    try:
+        kept = json.loads(path.read_text())
+    except (OSError, ValueError):
+        kept = {}
+    write_text(path, json.dumps(kept | content, indent=1) + "\n")
+
+
+# --- forecast --------------------------------------------------------------------------------
+# Processor time on one core of a server of 2023, measured on structures of 100 to 90,000 robots.
+
+START_S = 4.0
+"""Start of the program and its kernels [s]."""
+
+CLIMB_S = 1e-3
+"""Growth without mechanics [s per robot]."""
+
+SOLVE_S = {"flexible": (1e-3, 3e-5, 2.6e-8), "rigid": (1e-3, 2e-5, 9e-9)}
+"""A solve of the mechanics by model [s, s per robot, s per robot squared]."""
+
+VIRTUAL_FORCE_S = 1.3e-6
+"""Localization by `virtual-force` [s per robot and iteration]."""
+
+JOINT_S = 8e-7
+"""Localization by `joint` [s per robot, chain and step]."""
+
+LEAST_SQUARES_S = 0.01
+"""Localization by `least-squares` [s per robot]."""
+
+REST_S = 5e-4
+"""Sensing, evaluation and storage [s per robot]."""
+
+BASE_MB, ROBOT_MB, SOLVE_MB = 270.0, 0.02, 3e-7
+"""Memory of the program [MB], of each robot of a batch [MB per robot], and of the mechanics of the
+largest structure [MB per robot squared]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """Size of a run and its estimated cost; times on one core."""
+
+    cases: int
+    """Cases to compute."""
+
+    robots: int
+    """Robots in all cases together."""
+
+    grow_s: float
+    """Growth of every structure [s]."""
+
+    localize_s: float
+    """Localization of every case [s]."""
+
+    rest_s: float
+    """Everything else [s]."""
+
+    memory_mb: float
+    """Peak memory of a process [MB]."""
+
+    def __str__(self) -> str:
+        """Write the estimate in one line."""
+        total = self.grow_s + self.localize_s + self.rest_s
+        return (
+            f"{counted(self.cases, 'case')}, {counted(self.robots, 'robot')} in all; estimate: "
+            f"{_time(total)} of processor time (growth {_time(self.grow_s)}, localization "
+            f"{_time(self.localize_s)}), {self.memory_mb:.0f} MB"
+        )
+
+
+def forecast(cases: Sequence[Case]) -> Forecast:
+    """Estimate the cost of cases, to a factor of about three; machines differ."""
+    robots = [case.settings.robots for case in cases]
+    at_once = max(min(sum(robots), ROBOTS_AT_ONCE), *robots, 0)
+    return Forecast(
+        cases=len(cases),
+        robots=sum(robots),
+        grow_s=sum(_grow_s(group[0].settings) for group in structures(cases)),
+        localize_s=sum(_localize_s(case.settings) for case in cases),
+        rest_s=START_S + REST_S * sum(robots),
+        memory_mb=BASE_MB + ROBOT_MB * at_once + SOLVE_MB * max(robots, default=0) ** 2,
+    )
+
+
+def _grow_s(settings: Scenario) -> float:
+    """Estimate the growth of a structure, whose mechanics are solved at every size [s]."""
+    n, structure = settings.robots, settings.structure
+    once, each, squared = SOLVE_S[structure.mechanics.model]
+    solve = once + each * n / 2.0 + squared * n**2 / 3.0
+    return CLIMB_S * n + solve * n / structure.solve_every
+
+
+def _localize_s(settings: Scenario) -> float:
+    n, params = settings.robots, settings.localization
+    if isinstance(params, VirtualForceParams):
+        steps = float(params.iterations)
+        if rounds := params.back_propagation:
+            # A robot moves in the rounds after its join: half of them on average, and the last.
+            steps += rounds.sweeps * (1.0 + max(n / rounds.every, 1.0)) / 2.0
+        return VIRTUAL_FORCE_S * n * steps
+    if isinstance(params, JointParams):
+        return JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
+    return LEAST_SQUARES_S * n
+
+
+def _time(seconds: float) -> str:
+    """Write a time to two digits, in the largest unit of which there are two."""
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{float(f'{seconds / length:.2g}'):g} {unit}"
+    return f"{float(f'{seconds:.2g}'):g} s"

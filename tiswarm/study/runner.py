@@ -1,0 +1,266 @@
+"""Runs a batch of cases: grow, sense, localize, evaluate, store."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from tiswarm.compute import backend
+from tiswarm.compute.backend import Backend
+from tiswarm.evaluation import tables as scores
+from tiswarm.evaluation.outliers import outlier_scores
+from tiswarm.evaluation.profiles import by_hops_apart
+from tiswarm.localization.registry import localize_many
+from tiswarm.params import Arch, Precision
+from tiswarm.progress import Progress
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import Truth
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import observe
+from tiswarm.study.cases import Case
+from tiswarm.study.provenance import Costs
+from tiswarm.study.store import DONE, FAILED, CaseRecord, RunFolder
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.soundness import unsoundness
+
+KEPT_FROM_S = 10.0
+"""Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
+
+SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
+"""Size and seed of the structure that warms up the kernels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A batch of cases whose structures are of one kind, and where to compute and store them."""
+
+    folder: RunFolder
+    cases: Sequence[Case]
+    arch: Arch
+    threads: int | None
+    """CPU threads; all if None."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Result of a job."""
+
+    records: Sequence[CaseRecord]
+    """Record of each case, as stored."""
+
+    backend: Backend | None
+    """Backend that computed the cases, if one did."""
+
+
+def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda: None) -> Outcome:
+    """Compute and store the cases of a job; call `on_ready` once its kernels are compiled."""
+    runner = CaseRunner(job, progress)
+    runner.warm_up()
+    on_ready()
+    return Outcome(records=runner.run(), backend=backend.current())
+
+
+def failure(case: Case, reason: str) -> CaseRecord:
+    """Return the record of a case that could not be computed."""
+    return _record(case, FAILED, reason)
+
+
+_compiled: dict[str, Backend] = {}
+"""Backend that last compiled the kernels of a method, by the settings of the method."""
+
+
+class CaseRunner:
+    """Computes the cases of a job stage by stage, and measures the cost of each stage."""
+
+    def __init__(self, job: Job, progress: Progress) -> None:
+        """Prepare a job, without starting it."""
+        self.job = job
+        self.progress = progress
+        self.costs = Costs()
+        self._sample: History | None = None
+        self._sampled_on: Backend | None = None
+
+    def warm_up(self) -> None:
+        """Compile the kernels of the job, so that no stage pays for them.
+
+        A structure of a few robots is grown and localized by each method. Nothing of it is stored.
+        """
+        self._warm_up_growth()
+        for _, alike in groupby(sorted(self.job.cases, key=_precision), key=_precision):
+            self._warm_up_methods(list(alike))
+
+    def run(self) -> list[CaseRecord]:
+        """Compute and store all cases; return their records."""
+        histories = self._grow()
+        valid, records = self._store_invalid(histories)
+        logs = self._sense(valid, histories)
+        for cases, sensed in _by_method(valid, logs):
+            estimates = self._localize(cases, sensed)
+            with self._stage("evaluate and store", cases) as advance:
+                for case, log, estimate in zip(cases, sensed, estimates, strict=True):
+                    records.append(self._store(case, histories[case.seed], log, estimate))
+                    advance(1)
+            for case in cases:
+                self.job.folder.store_cost(case.name, self.costs.of(case.name))
+        return records
+
+    @contextmanager
+    def _stage(
+        self, name: str, cases: Sequence[Case], total: int | None = None
+    ) -> Iterator[Callable[[int], None]]:
+        """Report and measure a stage, whose cost its cases share."""
+        steps = len(cases) if total is None else total
+        shared = self.costs.stage(name, [case.name for case in cases])
+        with shared, self.progress.task(name, steps) as advance:
+            yield advance
+
+    def _warm_up_growth(self) -> None:
+        running = backend.start(self.job.arch, threads=self.job.threads)
+        if self._sampled_on is not running:
+            settings = self.job.cases[0].settings
+            with suppress(Exception):  # a case that cannot be computed says why itself
+                [self._sample] = grow(
+                    settings.structure, robots=SAMPLE_ROBOTS, seeds=[SAMPLE_SEED],
+                    robot=settings.robot,
+                )  # fmt: skip
+            self._sampled_on = running
+
+    def _warm_up_methods(self, cases: Sequence[Case]) -> None:
+        """Start the backend in the precision of these cases, and compile their methods."""
+        running = backend.start(
+            self.job.arch, threads=self.job.threads, precision=_precision(cases[0])
+        )
+        for settings in [case.settings for case in cases]:
+            method = repr(settings.localization)
+            if self._sample is not None and _compiled.get(method) is not running:
+                with suppress(Exception):
+                    log = observe(self._sample, settings.sensing)
+                    localize_many([log], [settings.localization])
+                _compiled[method] = running
+
+    def _grow(self) -> dict[int, History]:
+        """Grow each structure once for all of its conditions; return them by seed."""
+        cases, settings = self.job.cases, self.job.cases[0].settings
+        histories = self._read_structures()
+        missing = [case for case in cases if case.seed not in histories]
+        first = {case.seed: case for case in reversed(missing)}
+        seeds = sorted(first)
+        if not seeds:
+            return histories
+        self._warm_up_growth()
+        with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
+            grown = grow(
+                settings.structure,
+                robots=settings.robots,
+                seeds=seeds,
+                robot=settings.robot,
+                on_progress=advance,
+            )
+        for seed, history in zip(seeds, grown, strict=True):
+            share = self.costs.of(first[seed].name)["grow"]
+            if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
+                self.job.folder.keep_structure(first[seed], history, share)
+        return histories | dict(zip(seeds, grown, strict=True))
+
+    def _read_structures(self) -> dict[int, History]:
+        """Read the structures that an earlier run grew, with their cost."""
+        histories = {}
+        for seed, case in {case.seed: case for case in self.job.cases}.items():
+            if found := self.job.folder.read_structure(case):
+                histories[seed], share = found
+                self.costs.add("grow", [c.name for c in self.job.cases if c.seed == seed], share)
+                self.progress.info(f"seed {seed}: its structure was grown by an earlier run")
+        return histories
+
+    def _store_invalid(self, histories: dict[int, History]) -> tuple[list[Case], list[CaseRecord]]:
+        """Store cases whose structure is invalid as failed; return the others, and the records."""
+        cases = self.job.cases
+        gap = cases[0].settings.structure.climb.contact_gap
+        faults = {seed: _fault(history, gap) for seed, history in histories.items()}
+        failures = [failure(case, faults[case.seed]) for case in cases if faults[case.seed]]
+        for failed in failures:
+            self.job.folder.store_failure(failed)
+        return [case for case in cases if not faults[case.seed]], failures
+
+    def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> list[SensingLog]:
+        with self._stage("sense", cases) as advance:
+            logs = []
+            for case in cases:
+                logs.append(observe(histories[case.seed], case.settings.sensing))
+                advance(1)
+        return logs
+
+    def _localize(self, cases: Sequence[Case], logs: Sequence[SensingLog]) -> list[Estimate]:
+        """Localize side by side cases of one method and precision."""
+        self._warm_up_methods(cases)
+        with self._stage("localize", cases) as advance:
+            methods = [case.settings.localization for case in cases]
+            return localize_many(logs, methods, with_observability=True, on_progress=advance)
+
+    def _store(
+        self, case: Case, history: History, log: SensingLog, estimate: Estimate
+    ) -> CaseRecord:
+        """Evaluate and store one case."""
+        truth = Truth(
+            robot_id=log.robot_id,
+            position=history.position,
+            orientation_wxyz=history.orientation_wxyz,
+        )
+        cues = case.settings.localization.cues
+        scored = scores.score(truth, log, estimate, history.robot, cues=cues)
+        scored |= outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
+        return self.job.folder.store(
+            _record(case, DONE, history.ended, scored),
+            truth=truth,
+            log=log,
+            estimate=estimate,
+            tables={
+                "robots": scores.by_robot(truth, log, estimate, history.sensed),
+                "convergence": scores.by_iteration(truth, estimate),
+                "growth": scores.by_join(history),
+                "relative": by_hops_apart(truth, log, estimate),
+            },
+            cost=self.costs.of(case.name),
+        )
+
+
+def _precision(case: Case) -> Precision:
+    return case.settings.precision
+
+
+def _by_method(
+    cases: Sequence[Case], logs: Sequence[SensingLog]
+) -> Iterator[tuple[list[Case], list[SensingLog]]]:
+    """List cases of one method and precision, which are localized side by side, and their logs."""
+
+    def kind(sensed: tuple[Case, SensingLog]) -> tuple[str, Precision]:
+        return sensed[0].settings.localization.method, _precision(sensed[0])
+
+    for _, group in groupby(sorted(zip(cases, logs, strict=True), key=kind), key=kind):
+        alike = list(group)
+        yield [case for case, _ in alike], [log for _, log in alike]
+
+
+def _fault(history: History, contact_gap: float) -> str:
+    """Return the reason that a structure cannot be used, or nothing."""
+    if history.robot_count < 2:  # noqa: PLR2004 - a single robot has no contact
+        return history.ended or "only one robot joined"
+    return unsoundness(history, contact_gap=contact_gap)
+
+
+def _record(
+    case: Case, status: str, reason: str, scored: Mapping[str, float | int] | None = None
+) -> CaseRecord:
+    numbers = (scored or {}).items()
+    return CaseRecord(
+        case=case.name,
+        seed=case.seed,
+        condition=case.variant.condition,
+        point=case.variant.point,
+        status=status,
+        reason=reason,
+        scores={name: None if np.isnan(value) else value for name, value in numbers},
+    )

@@ -1,0 +1,250 @@
+"""The run folder: cases appear whole or not at all, and are identified by their content."""
+
+import fcntl
+import hashlib
+import json
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.io import make_folder, write_text
+from tiswarm.records.positions import Truth, write_estimate, write_positions
+from tiswarm.records.sensing_file import write_sensing_log
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
+from tiswarm.study.cases import Case, series_text, structure_key
+from tiswarm.study.provenance import CODE, Cost
+from tiswarm.version import __version__
+from tiswarm.world.history import History
+from tiswarm.world.history_file import read_history, write_history
+
+DONE = "done"
+FAILED = "failed"
+COST = "cost.json"
+STRUCTURES = "structures"
+TABLES = ("robots", "convergence", "growth", "relative")
+"""Tables of a finished case; a case without one of them was stored by an older version."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseRecord:
+    """Content of `case.json`; nothing in it depends on the machine or the clock."""
+
+    case: str
+    """Name of the case."""
+
+    seed: int
+    """Seed of the structure and of all noise."""
+
+    condition: str
+    """Name of the condition."""
+
+    point: Mapping[str, Any]
+    """Values of the swept keys."""
+
+    status: str
+    """"done" or "failed"."""
+
+    reason: str = ""
+    """Reason of the failure, or of the early end of growth."""
+
+    scores: Mapping[str, float | int | None] = field(default_factory=dict)
+    """Results of the evaluation; None where a number is unknown."""
+
+    version: str = __version__
+    """Version of the package that computed the case."""
+
+    code: str = field(default_factory=lambda: CODE)
+    """Digest of the code that computed the case; other code need not give the same bytes."""
+
+    files: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of each other file of the case, without its cost."""
+
+    @property
+    def series(self) -> str:
+        """Point and condition, which cases of other seeds share."""
+        return series_text(self.point, self.condition)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the case was computed."""
+        return self.status == DONE
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the code of this process computed the case, or failed to."""
+        return self.code == CODE
+
+
+class RunFolder:
+    """Folder of one run, named after the scenario and its content."""
+
+    def __init__(self, path: Path) -> None:
+        """Take an existing or future folder at `path`."""
+        self.path = path
+        self.cases = path / "cases"
+
+    @classmethod
+    def of(cls, scenario: Scenario, parent: Path) -> "RunFolder":
+        """Make the folder of a scenario below `parent`, or open it where it exists."""
+        folder = cls(parent / f"{scenario.name}-{scenario_hash(scenario)}")
+        make_folder(folder.cases)
+        write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
+        return folder
+
+    @contextmanager
+    def locked(self, shard: str = "") -> Iterator[None]:
+        """Keep other runs out of the folder, except those of other shards.
+
+        The system releases a lock when its process ends, in any way.
+
+        Args:
+            shard: Name of the part that is computed; empty for the whole run.
+
+        Raises:
+            EnvironmentTroubleError: another run computes here.
+        """
+        with ExitStack() as locks:
+            self._lock(locks, ".lock", fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
+            if shard:
+                self._lock(locks, f".lock-{shard}", fcntl.LOCK_EX)
+            else:
+                self._remove_partial_files()
+            yield
+
+    def _lock(self, locks: ExitStack, name: str, kind: int) -> None:
+        path = self.path / name
+        try:
+            fcntl.flock(locks.enter_context(path.open("a+")), kind | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            msg = f"{self.path}: another run is at work here; wait for it, or choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+        except OSError as error:
+            msg = f"{path}: cannot be locked: {error.strerror}; choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+
+    def _remove_partial_files(self) -> None:
+        for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
+            if partial.is_dir():
+                shutil.rmtree(partial, ignore_errors=True)
+            else:
+                partial.unlink(missing_ok=True)
+
+    def read_case(self, name: str) -> CaseRecord | None:
+        """Read a case, finished or failed; None where a file is missing or has another digest."""
+        folder = self.cases / name
+        try:
+            old = {"version": "", "code": ""}
+            record = CaseRecord(**old | json.loads((folder / "case.json").read_text()))
+            intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
+        except (OSError, ValueError, TypeError):
+            return None
+        complete = not record.is_done or {f"{name}.csv" for name in TABLES} <= set(record.files)
+        return record if intact and complete else None
+
+    def store_failure(self, record: CaseRecord) -> None:
+        """Store a case that failed; the next run tries it again."""
+        self._publish(record, self._new_folder(record.case))
+
+    def store(
+        self,
+        record: CaseRecord,
+        *,
+        truth: Truth,
+        log: SensingLog,
+        estimate: Estimate,
+        tables: Mapping[str, pd.DataFrame],
+        cost: Mapping[str, Cost],
+    ) -> CaseRecord:
+        """Write a case, make it appear at once, and return its record with the digests."""
+        folder = self._new_folder(record.case)
+        write_sensing_log(log, folder / "sensing.jsonl")
+        write_positions(folder / "truth.csv", truth.robot_id, truth.position)
+        write_estimate(folder / "estimate.csv", estimate)
+        for name in TABLES:
+            write_table(tables[name], folder / f"{name}.csv")
+        files = {path.name: _digest(path) for path in sorted(folder.iterdir())}
+        _write_json(folder / COST, cost)
+        complete = replace(record, files=files)
+        self._publish(complete, folder)
+        return complete
+
+    def _new_folder(self, name: str) -> Path:
+        """Make an empty folder, which the next run removes if this one is killed."""
+        folder = self.cases / f".{name}.{secrets.token_hex(4)}.part"
+        folder.mkdir()
+        return folder
+
+    def _publish(self, record: CaseRecord, folder: Path) -> None:
+        _write_json(folder / "case.json", asdict(record))
+        target = self.cases / record.case
+        shutil.rmtree(target, ignore_errors=True)
+        try:
+            folder.rename(target)
+        except OSError:
+            if not target.is_dir():
+                raise
+            # A worker that outlived its run has stored the same case a moment ago.
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def read_cost(self, name: str) -> Mapping[str, Cost]:
+        """Read the cost of a case by stage; empty where it is unknown."""
+        return _read_json(self.cases / name / COST)
+
+    def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
+        """Write the cost of a stored case by stage."""
+        _write_json(self.cases / name / COST, cost)
+
+    def read_structure(self, case: Case) -> tuple[History, Cost] | None:
+        """Read the structure of a case, and the cost of growing it; None where it is not kept."""
+        path = self._structure_path(case)
+        cost = _read_json(path.with_suffix(".json"))
+        settings = case.settings
+        history = read_history(path, settings.structure, settings.robot)
+        return None if history is None or not cost else (history, cost)
+
+    def keep_structure(self, case: Case, history: History, cost: Cost) -> None:
+        """Keep a structure that took long to grow until all cases of the run are done."""
+        path = self._structure_path(case)
+        make_folder(path.parent)
+        _write_json(path.with_suffix(".json"), cost)
+        write_history(history, path)
+
+    def remove_structures(self) -> None:
+        """Remove all structures that were kept."""
+        shutil.rmtree(self.path / STRUCTURES, ignore_errors=True)
+
+    def _structure_path(self, case: Case) -> Path:
+        grown_by = repr((structure_key(case), CODE))
+        digest = hashlib.sha256(grown_by.encode()).hexdigest()[:12]
+        return self.path / STRUCTURES / f"seed{case.seed}-{digest}.npz"
+
+
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """Write a CSV whose numbers read back to the same bits."""
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; empty where the file is missing or damaged."""
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
