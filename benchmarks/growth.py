@@ -17,7 +17,7 @@ from typing import Any
 from tiswarm.compute import backend
 from tiswarm.robot import RobotGeometry
 from tiswarm.study.provenance import machine, peak_memory_mb
-from tiswarm.world import mechanics, site
+from tiswarm.world import growth, mechanics
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.params import TowerParams
@@ -37,8 +37,8 @@ PARTS: dict[str, tuple[Any, str]] = {
     "joining (kernel)": (Walks, "join"),
     "mechanics": (mechanics.Frame, "solve"),
     "factoring (SuperLU) within mechanics": (mechanics, "splu"),
-    "relays": (site, "relay"),
-    "spawning": (site.Site, "spawn"),
+    "relays": (growth, "relay"),
+    "spawning": (growth.GrowingStructure, "spawn"),
 }
 
 

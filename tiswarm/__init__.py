@@ -8,12 +8,12 @@ from tiswarm.version import __version__
 if TYPE_CHECKING:
     from tiswarm.api import localize, read_log, run
     from tiswarm.engine.relax import RelaxResult, relax
-    from tiswarm.localization.joining import Localizer
+    from tiswarm.localization.virtual_force import Localizer
 
 __all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax", "run"]
 
 _HOME = {
-    "Localizer": "tiswarm.localization.joining",
+    "Localizer": "tiswarm.localization.virtual_force",
     "RelaxResult": "tiswarm.engine.relax",
     "localize": "tiswarm.api",
     "read_log": "tiswarm.api",

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.compute.cell_kernels import CellChains, bucket_of, cube_of, link, neighbor_cube, relink
+from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.compute.lang import Ints1, Ints2, Reals2, ti
 
 
@@ -12,20 +12,20 @@ from tiswarm.compute.lang import Ints1, Ints2, Reals2, ti
 def _count_near(
     before: Reals2, point: Reals2, reach: float, head: Ints2, following: Ints2, count: Ints1
 ):
+    cells = ti.static(CellList(head, following))
     ti.loop_config(serialize=True)
     for i in range(point.shape[0]):
         here = ti.Vector([before[i, 0], before[i, 1], before[i, 2]])
-        link(head, following, 0, i, cube_of(here, 1.0 / reach))
+        link(cells, 0, i, cube_of(here, 1.0 / reach))
     ti.loop_config(serialize=True)
     for i in range(point.shape[0]):
         old = ti.Vector([before[i, 0], before[i, 1], before[i, 2]])
         new = ti.Vector([point[i, 0], point[i, 1], point[i, 2]])
-        relink(head, following, 0, i, cube_of(old, 1.0 / reach), cube_of(new, 1.0 / reach))
+        relink(cells, 0, i, cube_of(old, 1.0 / reach), cube_of(new, 1.0 / reach))
     for i in range(point.shape[0]):
         here = ti.Vector([point[i, 0], point[i, 1], point[i, 2]])
         for which in range(27):
-            cube = neighbor_cube(cube_of(here, 1.0 / reach), which)
-            item = head[0, bucket_of(cube, head.shape[1])]
+            item = first_item(cells, 0, cube_of(here, 1.0 / reach), which)
             while item >= 0:
                 other = ti.Vector([point[item, 0], point[item, 1], point[item, 2]])
                 if (other - here).norm() < reach:
@@ -45,10 +45,10 @@ def test_nothing_is_missed_or_found_twice(seed, size, stretch):
     point = (rng.random((size, 3)) - 0.5) * stretch
     point[size // 2] = point[0]
     moved = point + rng.normal(scale=2.0, size=point.shape)
-    chains = CellChains.allocate(1, size)
+    cells = CellList.allocate(1, size)
     count = np.zeros(size, np.int32)
 
-    _count_near(moved, point, 1.5, chains.head, chains.following, count)
+    _count_near(moved, point, 1.5, *cells, count)
 
     apart = np.linalg.norm(point[:, None] - point[None], axis=2)
     np.testing.assert_array_equal(count, (apart < 1.5).sum(axis=1))

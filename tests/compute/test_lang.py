@@ -5,14 +5,6 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 MOST_PARAMETERS = 10
-NOT_YET_BUNDLED = {
-    "localization/join_order_kernels.py",
-    "localization/kernels.py",
-    "world/join_kernels.py",
-    "world/kernels.py",
-    "world/meeting.py",
-}
-NOT_YET_RENAMED = {"world/meeting.py"}
 
 
 def _kernel_functions():
@@ -27,18 +19,17 @@ def _kernel_functions():
 
 def test_kernel_functions_take_at_most_ten_arguments():
     """Only a kernel itself lists its arrays; functions take bundles of them."""
-    long = {
-        file: node.name
+    long = [
+        f"{file}: {node.name}"
         for file, node, is_kernel in _kernel_functions()
         if not is_kernel and len(node.args.args) > MOST_PARAMETERS
-    }
+    ]
 
-    assert {file: name for file, name in long.items() if file not in NOT_YET_BUNDLED} == {}
-    assert set(long) >= NOT_YET_BUNDLED
+    assert long == []
 
 
 def test_kernels_stand_in_files_named_for_them():
     """So that one pattern tells every checker which files hold kernels."""
-    files = {file for file, _, _ in _kernel_functions() if not file.endswith("kernels.py")}
+    files = {file for file, _, _ in _kernel_functions()}
 
-    assert files == NOT_YET_RENAMED
+    assert {file for file in files if not file.endswith("kernels.py")} == set()

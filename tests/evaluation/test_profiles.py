@@ -114,7 +114,7 @@ def test_tiny_structures_are_scored(towers, robots):
     """One robot has no contacts to average; all else is a number, and nothing warns."""
     history = towers[0]
     small = type(history)(
-        **{**vars(history), "walks": history.walks[:robots], "strain": history.strain[:robots]}
+        **{**vars(history), "walks": history.walks[:robots], "loads": history.loads[:robots]}
     )
     truth, log, estimate = _scored(small, np.full(3, 0.5))
 

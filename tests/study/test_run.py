@@ -402,8 +402,8 @@ def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
     assert share == cost
     assert (read.seed, read.terrain, read.spawns) == (history.seed, history.terrain, history.spawns)
     np.testing.assert_equal(
-        [dataclasses.asdict(part) for part in (*read.walks, *read.strain)],
-        [dataclasses.asdict(part) for part in (*history.walks, *history.strain)],
+        [dataclasses.asdict(part) for part in (*read.walks, *read.loads)],
+        [dataclasses.asdict(part) for part in (*history.walks, *history.loads)],
     )
     np.testing.assert_array_equal(read.sensed, history.sensed)
     with monkeypatch.context() as patched:

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
 from tiswarm.compute.lang import Reals2, ti
-from tiswarm.world.meeting import rise_angles
+from tiswarm.world.flip_kernels import crossing_angles
 
 FULL_TURN = 2.0 * np.pi
 
 
 @ti.kernel
-def _rise_angles(level: Reals2, angles: Reals2):
+def _crossing_angles(level: Reals2, angles: Reals2):
     for i in range(level.shape[0]):
-        both = rise_angles(level[i, 0], level[i, 1], level[i, 2], FULL_TURN)
+        both = crossing_angles(level[i, 0], level[i, 1], level[i, 2], FULL_TURN)
         angles[i, 0] = both[0]
         angles[i, 1] = both[1]
 
@@ -27,7 +27,7 @@ def _meeting(arm, axis, obstacle, spacing=2.0):
     level = 0.5 * (arm @ arm + obstacle @ obstacle - spacing**2) - along * (obstacle @ axis)
     query = np.array([[obstacle @ (arm - along * axis), obstacle @ np.cross(axis, arm), level]])
     angles = np.zeros((1, 2))
-    _rise_angles(query, angles)
+    _crossing_angles(query, angles)
     return angles[0]
 
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tests import frames, oracle
 from tiswarm.compute import backend
 from tiswarm.robot import TANGENT_RHO, RobotGeometry
-from tiswarm.world.growth import grow
+from tiswarm.world.growth import grow, recruit, relay
 from tiswarm.world.history import History
 from tiswarm.world.params import (
     BridgeParams,
@@ -20,8 +20,7 @@ from tiswarm.world.params import (
     GrowthParams,
     TowerParams,
 )
-from tiswarm.world.recruitment import recruit, relay
-from tiswarm.world.soundness import unsoundness
+from tiswarm.world.validity import find_fault
 
 FIREANT = RobotGeometry()
 
@@ -53,7 +52,7 @@ def test_towers_are_sound_and_touch_where_they_say(towers):
                     felt.discard((i, a, j, b))
 
         assert not felt
-        assert unsoundness(history, contact_gap=0.02) == ""
+        assert find_fault(history, contact_gap=0.02) == ""
 
 
 def test_every_robot_but_the_first_touches_an_earlier_one(towers):
@@ -100,7 +99,7 @@ def test_tangent_robots_grow_too():
     history = grow(TowerParams(), robots=12, seeds=[0], robot=robot)[0]
 
     assert history.robot_count == 12
-    assert unsoundness(history, contact_gap=0.02) == ""
+    assert find_fault(history, contact_gap=0.02) == ""
 
 
 def test_growth_that_cannot_go_on_says_why_and_keeps_what_it_has():
@@ -132,7 +131,7 @@ def _moved(history: History, j: int, by: np.ndarray) -> History:
 def test_unsound_structures_are_found_out(towers, by, fault):
     """A robot pushed into the ground, torn off, or pressed into its neighbors."""
     faults = [
-        unsoundness(_moved(towers[0], j, sign * np.array(by)), contact_gap=0.02)
+        find_fault(_moved(towers[0], j, sign * np.array(by)), contact_gap=0.02)
         for j in range(5, 30, 5)
         for sign in (1, -1)
     ]
@@ -148,7 +147,7 @@ def test_a_robot_held_by_nothing_is_found_out(towers):
     )
     history = dataclasses.replace(towers[0], walks=(*towers[0].walks[:-1], loose))
 
-    assert "held by nothing" in unsoundness(history, contact_gap=0.02)
+    assert "held by nothing" in find_fault(history, contact_gap=0.02)
 
 
 KINDS = {
@@ -166,7 +165,7 @@ def test_every_kind_grows_soundly(kind):
 
     for history in histories:
         assert history.robot_count == 25 or history.ended
-        assert unsoundness(history, contact_gap=0.02) == ""
+        assert find_fault(history, contact_gap=0.02) == ""
     assert any(history.robot_count == 25 or history.crossed for history in histories)
 
 
@@ -304,7 +303,7 @@ def test_several_movers_grow_one_sound_structure(kind):
 
     for first, *others in zip(*grown, strict=True):
         assert first.robot_count == 25
-        assert unsoundness(first, contact_gap=0.02) == ""
+        assert find_fault(first, contact_gap=0.02) == ""
         assert all(_same(first, other) for other in others)
     alone = grow(KINDS[kind], robots=25, seeds=[0, 1], robot=FIREANT)
     assert not _same(alone[0], grown[0][0])
@@ -321,7 +320,7 @@ def test_threads_do_not_change_a_structure_at_an_edge(kind):
     for one, two in zip(*histories, strict=True):
         assert _same(one, two)
         assert np.array_equal(one.sensed, two.sensed)
-        assert repr(one.strain) == repr(two.strain)
+        assert repr(one.loads) == repr(two.loads)
 
 
 def test_settled_robots_touch_with_all_docks():
@@ -333,7 +332,7 @@ def test_settled_robots_touch_with_all_docks():
     def touching(walk):
         return len({own for own, *_ in walk.at_rest(walk.contacts)} | set(_grounded(walk)))
 
-    assert unsoundness(history, contact_gap=0.02) == ""
+    assert find_fault(history, contact_gap=0.02) == ""
     assert np.mean([touching(walk) == 3 for walk in history.walks]) > 0.8
     assert np.mean([touching(walk) == 3 for walk in free.walks]) < 0.3
 

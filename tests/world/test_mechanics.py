@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests import frames, oracle_frames
 from tests.frames import BODY, Standing
 from tiswarm.world import mechanics
-from tiswarm.world.beams import stiffness
-from tiswarm.world.mechanics import Frame, MechanicsParams, StructureFailure
+from tiswarm.world.mechanics import Frame, MechanicsParams, StructureFailure, stiffness
 
 FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 
@@ -310,8 +309,8 @@ def test_robots_sense_what_a_frame_built_anew_says(towers, cantilevers, bridges,
         loads = frames.solve(frames.grown(history))
 
         assert _difference(history.sensed, loads.sensed) < 1e-9
-        assert history.strain[-1].peak == pytest.approx(loads.peak, rel=1e-9)
-        assert history.strain[-1].sensed_max == pytest.approx(loads.sensed.max(), rel=1e-9)
+        assert history.loads[-1].peak == pytest.approx(loads.peak, rel=1e-9)
+        assert history.loads[-1].sensed_max == pytest.approx(loads.sensed.max(), rel=1e-9)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiswarm.world.recruitment import RecruitParams, recruit, relay
+from tiswarm.world.growth import recruit, relay
+from tiswarm.world.params import RecruitParams
 
 USUAL = RecruitParams(force_threshold=10.0, recruit_base=3.0, recruit_limit=5)
 

@@ -9,10 +9,10 @@ from tests import oracle, oracle_terrain
 from tests.strategies import unit_vectors
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.meeting import ClimbLaw, slab_angles
+from tiswarm.world.flip_kernels import ClimbLimits, slab_angles
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.terrain import Terrain
-from tiswarm.world.walks import climb_law
+from tiswarm.world.walks import climb_limits
 
 FULL_TURN = 2.0 * np.pi
 ROBOT = RobotGeometry()
@@ -28,7 +28,7 @@ places = st.tuples(st.floats(-6.0, 11.0), st.floats(-3.0, 3.0), st.floats(-9.0, 
 
 
 @ti.kernel
-def _slab_angles(law: ClimbLaw, path: Reals2, angles: Reals2):
+def _slab_angles(law: ClimbLimits, path: Reals2, angles: Reals2):
     for i in range(path.shape[0]):
         middle = ti.Vector([path[i, 0], path[i, 1], path[i, 2]])
         across = ti.Vector([path[i, 3], path[i, 4], path[i, 5]])
@@ -45,7 +45,7 @@ def _meetings(terrain, pivot, arm, axis):
     path = np.concatenate([pivot + along, arm - along, np.cross(axis, arm)], axis=-1)
     path = np.atleast_2d(path)
     angles = np.zeros((len(path), 2))
-    _slab_angles(climb_law(ClimbParams(), ROBOT, terrain), path, angles)
+    _slab_angles(climb_limits(ClimbParams(), ROBOT, terrain), path, angles)
     return angles
 
 

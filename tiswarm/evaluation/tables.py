@@ -115,7 +115,7 @@ def by_join(history: History) -> pd.DataFrame:
 
     Mechanics are missing where the structure was not solved after the join.
     """
-    position, walks, strain = history.position, history.walks, history.strain
+    position, walks, loads = history.position, history.walks, history.loads
     joined = np.arange(1, len(walks) + 1)
     center_of_mass = np.cumsum(position[:, 0]) / joined
     return pd.DataFrame(
@@ -124,9 +124,9 @@ def by_join(history: History) -> pd.DataFrame:
             "height_R": np.maximum.accumulate(position[:, 2]) - history.ground_z,
             "depth_R": history.ground_z - np.minimum.accumulate(position[:, 2]),
             "reach_R": np.maximum.accumulate(position[:, 0]),
-            "peak_stress": [s.peak for s in strain],
-            "sensed_max": [s.sensed_max for s in strain],
-            "calling": [s.calling for s in strain],
+            "peak_stress": [s.peak for s in loads],
+            "sensed_max": [s.sensed_max for s in loads],
+            "calling": [s.calling for s in loads],
             "recruited": np.cumsum([walk.recruited for walk in walks]),
             "flips": [walk.stance_count - 1 for walk in walks],
             "contacts": [len(walk.at_rest(walk.contacts)) for walk in walks],
@@ -134,7 +134,7 @@ def by_join(history: History) -> pd.DataFrame:
                 len(walk.at_rest(walk.ground_docks)) + len(walk.at_rest(walk.edge_docks))
                 for walk in walks
             ],
-            "least_support": [s.least_support for s in strain],
+            "least_support": [s.least_support for s in loads],
             "overhang_R": center_of_mass - history.terrain.left_edge
             if not history.terrain.is_plane
             else np.nan,
@@ -144,7 +144,7 @@ def by_join(history: History) -> pd.DataFrame:
 
 def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
-    last = history.strain[-1]
+    last = history.loads[-1]
     position = history.position
     return {
         "height_R": float(position[:, 2].max() - history.ground_z),

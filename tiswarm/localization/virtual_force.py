@@ -2,30 +2,53 @@
 
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; a
-robot stops after T steps, since the error that the paper's loop tests is unknown to it. Of
-back-propagation the paper says no more than that it would follow every ten joins, of a virtual
-torque that it would align yaw by dock geometry and neighbors.
+robot stops after T steps, since the error that the paper's loop tests is unknown to it. The paper
+says only that back-propagation would follow every ten joins, and that a virtual torque would align
+yaw by dock geometry and neighbors.
+
+`localize_batch` places the robots of whole logs, `Localizer` each robot as it joins.
 """
 
-from collections.abc import Hashable, Sequence
+import json
+from collections.abc import Hashable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.compute import backend
-from tiswarm.compute.cell_kernels import CellChains
+from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.join_order_kernels import localize_in_join_order
-from tiswarm.localization.kernels import ALL_DOCKS, DOCKS_OF_NEIGHBORS, NO_DOCKS
-from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
+from tiswarm.errors import InputError
+from tiswarm.localization.params import (
+    BackPropagation,
+    LocalizationParams,
+    VirtualForceParams,
+    VirtualTorque,
+)
+from tiswarm.localization.virtual_force_kernels import (
+    ALL_DOCKS,
+    DOCKS_OF_NEIGHBORS,
+    NO_DOCKS,
+    Gains,
+    LogArrays,
+    Robots,
+    Trace,
+    localize_in_join_order,
+)
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_file import SensingLogBuilder
+from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
 NO_SWEEPS = BackPropagation(sweeps=0)
 NO_TORQUE = VirtualTorque(gain=0.0)
+
+Line = str | Mapping[str, object]
+"""A line of a sensing file, as text or as the value of its JSON."""
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
@@ -56,76 +79,191 @@ def localize_batch(
     if rounds.sweeps:
         frames = np.r_[frames, iterations + rounds.sweeps]
     start = np.cumsum([0, *(log.robot_count for log in logs)]).astype(np.int32)
-    contact_start, contact = _contacts_by_robot(logs)
-    chains = CellChains.allocate(
-        len(logs), max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
-    )
-    position = np.full((start[-1], 3), np.nan, dtype)
-    position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
-    yaw = np.zeros(start[-1], dtype)
-    trace = np.empty((len(frames), start[-1], 3), dtype)
-    step_length = np.empty((len(frames), start[-1]), dtype)
+    robots = start[-1]
     both = list(zip(logs, params, strict=True))
+    directions = [_directions(log.orientation_wxyz, p) for log, p in both]
+    heights = [log.flip_height / log.dock_radius for log in logs]
+    measured = LogArrays(
+        *_contacts_by_robot(logs),
+        initial_direction=np.concatenate(directions).astype(dtype),
+        flip_height=np.concatenate(heights).astype(dtype),
+    )
+    offsets = [
+        dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
+    ]
+    placed = Robots(
+        dock_offset=np.concatenate(offsets).astype(dtype),
+        yaw=np.zeros(robots, dtype),
+        position=np.full((robots, 3), np.nan, dtype),
+    )
+    placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
+    trace = Trace(
+        position=np.empty((len(frames), robots, 3), dtype),
+        step_length=np.empty((len(frames), robots), dtype),
+    )
+    docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, every,
-        np.array([gains(p, log.noise) for log, p in both], dtype),
-        start, np.zeros(len(logs), np.int32), contact_start, contact,
-        np.concatenate([_dock_offsets(log) for log in logs]).astype(dtype),
-        np.concatenate([directions(log.orientation_wxyz, p) for log, p in both]).astype(dtype),
-        np.concatenate([log.flip_height / log.dock_radius for log in logs]).astype(dtype),
-        chains.head, chains.following, yaw, position, trace, step_length,
+        np.array([_gains(p, log.noise) for log, p in both], dtype), start,
+        np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
+        *trace,
     )  # fmt: skip
-    check_placed(position)
+    _check_placed(placed.position)
     estimates = []
     for (log, p), a, b in zip(both, start[:-1], start[1:], strict=True):
-        turned = yaw[a:b] if torque_of(p, log.noise).gain else None
-        estimates.append(_estimate(log, frames, trace[:, a:b], step_length[:, a:b], turned))
+        scaled = trace.position[:, a:b].astype(np.float64) * log.dock_radius
+        steps = trace.step_length[:, a:b].astype(np.float64) * log.dock_radius
+        turns = bool(_torque(p, log.noise).gain)
+        estimates.append(
+            Estimate(
+                robot_id=log.robot_id,
+                position=scaled[-1],
+                disconnected=disconnected(measure(log, ["contacts"])),
+                yaw=placed.yaw[a:b].astype(np.float64) if turns else None,
+                iteration=frames,
+                trace=scaled,
+                residual=np.sqrt(np.mean(steps**2, axis=1)),
+            )
+        )
     return estimates
 
 
-def check_placed(position: NDArray[np.floating]) -> None:
-    """Refuse positions that a kernel has not written.
+class Localizer:
+    """Places robots one by one as they join, each at once and for good.
 
-    Raises:
-        EnvironmentTroubleError: there are some.
+    The kernel is the one that localizes whole logs, so the positions are the same, bit for bit.
     """
+
+    def __init__(
+        self,
+        header: Line,
+        params: LocalizationParams | None = None,
+        *,
+        capacity: int = 10_000,
+    ) -> None:
+        """Prepare for robots to join.
+
+        Args:
+            header: First line of a sensing file.
+            params: Settings of `virtual-force`; its defaults if None.
+            capacity: Robots that there is room for.
+
+        Raises:
+            InputError: the header is malformed, or robots cannot be placed one by one this way.
+        """
+        chosen = VirtualForceParams() if params is None else params
+        if not isinstance(chosen, VirtualForceParams):
+            msg = f"{chosen.method} places all robots at once; localize the log once it is whole"
+            raise InputError(msg)
+        if chosen.back_propagation is not None:
+            msg = "back_propagation moves robots that have been placed; switch it off to join"
+            raise InputError(msg)
+        head = parse_header(_text(header))
+        self._params = chosen
+        self._unit = head.dock_radius
+        self._builder = SensingLogBuilder(head)
+        self._noise = head.noise
+        self._dock_body = np.array(head.dock_offsets, np.float64) / self._unit
+        docks, dtype = len(self._dock_body), backend.current().dtype
+        self._count = 0
+        self._cells = CellList.allocate(1, capacity * docks)
+        self._contact_start = np.zeros(capacity + 1, np.int32)
+        self._direction = np.zeros((capacity, 3), dtype)
+        self._height = np.full(capacity, np.nan, dtype)
+        self._robots = Robots(
+            dock_offset=np.zeros((capacity, docks, 3), dtype),
+            yaw=np.zeros(capacity, dtype),
+            position=np.full((capacity, 3), np.nan, dtype),
+        )
+        self._robots.position[0] = np.array(head.anchor_position) / self._unit
+
+    @property
+    def log(self) -> SensingLog:
+        """LogArrays of the robots so far."""
+        return self._builder.log()
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """Estimated centers in the log's unit, in join order, shape (n, 3)."""
+        position: NDArray[np.floating] = self._robots.position[: self._count]
+        return position.astype(np.float64) * self._unit
+
+    def join(self, robot: Line) -> NDArray[np.float64]:
+        """Place the next robot; the first one is the anchor.
+
+        Args:
+            robot: Its line of a sensing file.
+
+        Returns:
+            Its estimated center, in the log's unit, shape (3,).
+
+        Raises:
+            InputError: the line is malformed, or there is no more room.
+        """
+        if self._count == len(self._height):
+            msg = f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
+            raise InputError(msg)
+        line = parse_robot(_text(robot))
+        stance = self._builder.add(line)
+        n, orientation = self._count, np.array([stance.orientation_wxyz])
+        self._robots.dock_offset[n] = dock_offsets(orientation, self._dock_body)[0]
+        self._direction[n] = _directions(orientation, self._params)[0]
+        self._height[n] = np.nan if line.flip_height is None else line.flip_height / self._unit
+        self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
+        self._count += 1
+        position: NDArray[np.floating] = self._robots.position[n]
+        return position.astype(np.float64) * self._unit
+
+    def _place(self, contact: NDArray[np.int32]) -> None:
+        """Launch Algorithm 1 for the last robot alone."""
+        dtype, count, every = self._height.dtype, self._count, self._params.iterations
+        self._contact_start[count : count + 2] = 0, len(contact)
+        measured = LogArrays(self._contact_start, contact, self._direction, self._height)
+        trace = Trace(
+            position=np.empty((2, *self._robots.position.shape), dtype),
+            step_length=np.empty((2, len(self._height)), dtype),
+        )
+        localize_in_join_order(
+            every, 1, 0, every, np.array([_gains(self._params, self._noise)], dtype),
+            np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
+            *self._cells, *self._robots, *trace,
+        )  # fmt: skip
+        _check_placed(self._robots.position[: count + 1])
+
+
+def _check_placed(position: NDArray[np.floating]) -> None:
+    """Refuse positions that a kernel has not written."""
     if np.isnan(position).any():
         raise backend.faulty_driver()
 
 
-def torque_of(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
-    """Say how robots turn, if they do: where yaw is not known to be biased, their senses stand."""
+def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
+    """Choose how robots turn; they turn only where the log states a bias of yaw."""
     is_biased = noise is not None and noise.yaw_bias_deg
     return params.virtual_torque or NO_TORQUE if is_biased else NO_TORQUE
 
 
-def gains(params: VirtualForceParams, noise: SensingNoise | None) -> list[float]:
-    """Columns of the kernel's `gains`; lengths in R, so D is 2."""
-    rounds, torque = params.back_propagation or NO_SWEEPS, torque_of(params, noise)
+def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
+    rounds, torque = params.back_propagation or NO_SWEEPS, _torque(params, noise)
     yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
-    return [
-        params.attraction_gain,
-        params.repulsion_gain,
-        params.height_gain if params.z_correction else 0.0,
-        params.initial_offset,
-        params.max_step,
-        rounds.gain,
-        rounds.repulsion_share,
-        2.0,
-        float(ALL_DOCKS if params.undocked_repulsion else undocked),
-        torque.gain,
-        params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
-        np.radians(torque.max_turn_deg),
-    ]
+    return Gains(
+        attraction_gain=params.attraction_gain,
+        repulsion_gain=params.repulsion_gain,
+        height_gain=params.height_gain if params.z_correction else 0.0,
+        initial_offset=params.initial_offset,
+        max_step=params.max_step,
+        sweep_gain=rounds.gain,
+        sweep_repulsion=rounds.repulsion_share,
+        spacing=2.0,
+        undocked=float(ALL_DOCKS if params.undocked_repulsion else undocked),
+        torque_gain=torque.gain,
+        hold=params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
+        max_turn=float(np.radians(torque.max_turn_deg)),
+    )
 
 
-def _dock_offsets(log: SensingLog) -> NDArray[np.float64]:
-    """Center to dock, world frame [R], shape (N, docks, 3)."""
-    return dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
-
-
-def directions(
+def _directions(
     orientation_wxyz: NDArray[np.float64], params: VirtualForceParams
 ) -> NDArray[np.float64]:
     """Direction of each robot's initial offset, shape (N, 3)."""
@@ -139,7 +277,7 @@ def _contacts_by_robot(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """First row of each robot, shape (N + 1,), and rows (own dock, robot, dock), shape (2 C, 3)."""
     seen = [np.concatenate([log.contacts[:, [2, 3, 0, 1]], log.contacts]) for log in logs]
-    # Earlier robots come first, in the order in which the joiner felt them.
+    # Earlier robots come first, in the order in which the joiner sensed them.
     seen = [rows[np.argsort(rows[:, 0], kind="stable")] for rows in seen]
     count = [
         np.bincount(rows[:, 0], minlength=log.robot_count)
@@ -149,22 +287,5 @@ def _contacts_by_robot(
     return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
 
 
-def _estimate(
-    log: SensingLog,
-    frames: NDArray[np.int64],
-    trace: NDArray[np.floating],
-    step_length: NDArray[np.floating],
-    yaw: NDArray[np.floating] | None,
-) -> Estimate:
-    """Bring one structure's results back to the log's unit."""
-    scaled = trace.astype(np.float64) * log.dock_radius
-    steps = step_length.astype(np.float64) * log.dock_radius
-    return Estimate(
-        robot_id=log.robot_id,
-        position=scaled[-1],
-        disconnected=disconnected(measure(log, ["contacts"])),
-        yaw=None if yaw is None else yaw.astype(np.float64),
-        iteration=frames,
-        trace=scaled,
-        residual=np.sqrt(np.mean(steps**2, axis=1)),
-    )
+def _text(line: Line) -> str:
+    return line if isinstance(line, str) else json.dumps(line)

@@ -24,7 +24,7 @@ from tiswarm.study.provenance import Costs
 from tiswarm.study.store import DONE, FAILED, CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
-from tiswarm.world.soundness import unsoundness
+from tiswarm.world.validity import find_fault
 
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
@@ -248,7 +248,7 @@ def _fault(history: History, contact_gap: float) -> str:
     """Return the reason that a structure cannot be used, or nothing."""
     if history.robot_count < 2:  # noqa: PLR2004 - a single robot has no contact
         return history.ended or "only one robot joined"
-    return unsoundness(history, contact_gap=contact_gap)
+    return find_fault(history, contact_gap=contact_gap)
 
 
 def _record(

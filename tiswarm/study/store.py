@@ -23,8 +23,7 @@ from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, series_text, structure_key
 from tiswarm.study.provenance import CODE, Cost
 from tiswarm.version import __version__
-from tiswarm.world.history import History
-from tiswarm.world.history_file import read_history, write_history
+from tiswarm.world.history import History, read_history, write_history
 
 DONE = "done"
 FAILED = "failed"

@@ -5,21 +5,33 @@ movers climb, all at once; then they join one after the other. A mover whose wal
 has just joined goes on from there in the next round, so nobody walks through anybody; only
 calls for help reach those who climb together a round late. A seed grows the same structure in
 any company and on any number of threads.
+
+Robots under great load call others to their aid, through their neighbors. A robot that senses s
+sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of its three zones passes on
+the greatest of that, the call that comes in at the same zone less 1, and the one that comes in at
+another zone less 2; so a call fades with distance (Swissler and Rubenstein, ReactiveBuild, DARS
+2021).
 """
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tiswarm.compute import backend
-from tiswarm.robot import RobotGeometry
-from tiswarm.world.history import History
-from tiswarm.world.kinds import KINDS
-from tiswarm.world.params import StructureParams
-from tiswarm.world.site import Site
-from tiswarm.world.structure import Structures
-from tiswarm.world.walks import Walks, climb_law
+from tiswarm.compute.math import uniform
+from tiswarm.robot import DOCK_COUNT, RobotGeometry
+from tiswarm.world.history import History, LoadSummary, Walk
+from tiswarm.world.mechanics import Frame, Loads, StructureFailure
+from tiswarm.world.params import KINDS, RecruitParams, StructureParams
+from tiswarm.world.walks import Structures, Walks, climb_limits
+
+Array = NDArray[np.float64]
+
+MAX_TRIES = 64
+"""Places drawn for one robot before its spawn counts as blocked."""
 
 
 def grow(
@@ -47,13 +59,13 @@ def grow(
     # A flip that stops within 1e-9 R of the true contact needs float64 on any device.
     backend.start(running.arch, threads=running.threads, precision="f64")
     with ThreadPoolExecutor(running.threads) as threads:
-        nursery = _Nursery(params, robots, seeds, robot, threads)
-        while nursery.spawn():
-            on_progress(nursery.round())
-    return [site.history() for site in nursery.sites]
+        batch = GrowthBatch(params, robots, seeds, robot, threads)
+        while batch.spawn():
+            on_progress(batch.round())
+    return [structure.history() for structure in batch.structures]
 
 
-class _Nursery:
+class GrowthBatch:
     """Structures that grow together and the robots that climb them, `movers` slots each."""
 
     def __init__(
@@ -64,66 +76,260 @@ class _Nursery:
         robot: RobotGeometry,
         threads: ThreadPoolExecutor,
     ) -> None:
+        """Prepare empty ground for each seed."""
         self.threads = threads
         self.robots = robots
-        self.sites = [Site(s, seed, params, robot) for s, seed in enumerate(seeds)]
-        self.structures = Structures.allocate(len(seeds), robots)
-        self.site_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
-        self.walks = Walks(self.site_of, params.climb, robot)
-        self.law = climb_law(params.climb, robot, KINDS[params.kind].terrain(params))
-        self.moving = np.zeros(len(self.site_of), np.bool_)
+        self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
+        self.docks = Structures(len(seeds), robots)
+        self.structure_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
+        limits = climb_limits(params.climb, robot, KINDS[params.kind].terrain(params))
+        self.walks = Walks(self.structure_of, limits, params.climb, robot)
+        self.moving = np.zeros(len(self.structure_of), np.bool_)
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
-        for slot, site in self._slots():
-            # Founders come one by one, for they found what the others climb.
-            crowd = site.founding and self.moving[self.site_of == site.number].any()
-            if not self.moving[slot] and not crowd and self._wants_more(site):
-                start = site.spawn(self.structures.joined_docks(site.number))
+        for slot, structure in self._slots():
+            climbing = int(self.moving[self.structure_of == structure.number].sum())
+            is_complete = len(structure.walks) + climbing >= self.robots
+            # Founders come one by one, since they found what the others climb.
+            is_crowded = structure.founding and climbing > 0
+            if not (self.moving[slot] or is_crowded or structure.ended or is_complete):
+                start = structure.spawn(self.docks.joined_docks(structure.number))
                 if start is not None:
                     self.walks.start(slot, *start)
                     self.moving[slot] = True
         return bool(self.moving.any())
 
-    def _slots(self) -> list[tuple[int, Site]]:
-        return [(slot, self.sites[s]) for slot, s in enumerate(self.site_of)]
-
-    def _wants_more(self, site: Site) -> bool:
-        """Whether robots are missing beyond those that climb already."""
-        climbing = int(self.moving[self.site_of == site.number].sum())
-        return not site.ended and len(site.walks) + climbing < self.robots
-
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         movers = np.flatnonzero(self.moving).astype(np.int32)
-        self.walks.climb(self.law, self.structures, movers)
-        wants = np.zeros(len(self.site_of), np.int32)
+        self.walks.climb(self.docks, movers)
+        wants = np.zeros(len(self.structure_of), np.int32)
         for slot in movers:
-            wants[slot] = self.walks.touches(slot) or self.sites[self.site_of[slot]].founding
-        self.walks.join(self.law, self.structures, movers, wants)
-        grown = {self.site_of[slot] for slot in movers if self._settle(slot, bool(wants[slot]))}
+            structure = self.structures[self.structure_of[slot]]
+            wants[slot] = self.walks.touches(slot) or structure.founding
+        self.walks.join(self.docks, movers, wants)
+        for slot in movers:
+            self._take_outcome(slot, wants=bool(wants[slot]))
+        joined = self.walks.joined[movers] >= 0
+        grown = set(self.structure_of[movers[joined]].tolist())
         list(self.threads.map(self._recruit, sorted(grown)))
-        for slot, site in self._slots():
-            self.moving[slot] &= not site.ended
-        return int((self.walks.joined[movers] >= 0).sum())
+        for slot, structure in self._slots():
+            self.moving[slot] &= not structure.ended
+        return int(joined.sum())
+
+    def _slots(self) -> list[tuple[int, "GrowingStructure"]]:
+        return [(slot, self.structures[s]) for slot, s in enumerate(self.structure_of)]
 
     def _recruit(self, number: int) -> None:
         """Let the robots of a structure call; factoring its matrix frees other threads."""
-        site = self.sites[number]
-        complete = len(site.walks) == self.robots or bool(site.ended)
-        site.recruit(self.structures, last=complete)
+        structure = self.structures[number]
+        is_last = len(structure.walks) == self.robots or bool(structure.ended)
+        relayed = structure.recruit(is_last=is_last)
+        self.docks.arrays.relay[number, : len(relayed)] = relayed
 
-    def _settle(self, slot: int, wants: bool) -> bool:  # noqa: FBT001 - one of three outcomes
-        """Take a mover's outcome to its site: joined, to go on, or gone; return if it joined."""
-        site = self.sites[self.site_of[slot]]
+    def _take_outcome(self, slot: int, *, wants: bool) -> None:
+        """Tell a structure whether its mover joined, goes on or is gone."""
+        structure = self.structures[self.structure_of[slot]]
         disturbed = self.walks.disturbed[slot]
-        joined = bool(self.walks.joined[slot] >= 0)
-        if joined:
-            site.join(self.walks.walk(slot))
+        if self.walks.joined[slot] >= 0:
+            structure.join(self.walks.walk(slot))
         elif disturbed > 0:
-            self.walks.first_stance[slot] = disturbed
-            return False
+            self.walks.climbers.first_stance[slot] = disturbed
+            return
         elif not wants:
-            site.turn_away()
+            structure.turn_away()
         self.moving[slot] = False
-        return joined
+
+
+class GrowingStructure:
+    """One growing structure: who has joined, its loads, and the next spawn."""
+
+    def __init__(
+        self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
+    ) -> None:
+        """Prepare empty ground."""
+        self.number = number
+        self.seed = seed
+        self.params = params
+        self.robot = robot
+        self.kind = KINDS[params.kind]
+        self.terrain = self.kind.terrain(params)
+        self.frame = Frame(params.mechanics, robot.dock_offset_body)
+        self.rim = [0.0] * self.kind.sides
+        self.low_docks: Array = np.empty((0, 3))
+        self.surveyed = 0
+        self.walks: list[Walk] = []
+        self.loads: list[LoadSummary] = []
+        self.sides: list[int] = []
+        self.sensed: Array = np.empty(0)
+        self.unsolved = 0
+        self.spawned = 0
+        self.rejected = 0
+        self.crossed = False
+        self.ended = ""
+
+    @property
+    def founding(self) -> bool:
+        """Whether the next robot may stay without touching another."""
+        return len(self.walks) < self.kind.sides
+
+    def spawn(self, docks: Array) -> tuple[Array, Array, Array] | None:
+        """Lay the next robot flat on the ground, turned at random.
+
+        Draws depend on the seed and the number of robots spawned before alone.
+
+        Args:
+            docks: Dock centers of the structure [R], shape (n, 3).
+
+        Returns:
+            Center [R], orientation wxyz and goal [R]; None where every place was taken.
+        """
+        self._survey(docks)
+        index = self.spawned
+        self.spawned += 1
+        side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
+        for trial in range(MAX_TRIES):
+            draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
+            x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
+            center = np.array([x, y, self.terrain.ground_z + self.robot.dock_radius])
+            if self._is_free(center):
+                half = np.pi * draw[2]
+                orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+                return center, orientation, self.kind.goal(self.params, side)
+        self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
+        return None
+
+    def _survey(self, docks: Array) -> None:
+        """Account for the docks that joined since the last spawn in the next robots' places."""
+        new = docks[self.surveyed :]
+        self.surveyed = len(docks)
+        for side, rim in enumerate(self.rim):
+            self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
+        above = new[:, 2] - (self.terrain.ground_z + self.robot.dock_radius)
+        self.low_docks = np.concatenate([self.low_docks, new[np.abs(above) <= self._clearance]])
+
+    @property
+    def _clearance(self) -> float:
+        """Distance from a robot's center beyond which it touches no dock, in any orientation."""
+        return self.robot.rho + self.robot.spacing
+
+    def _is_free(self, center: Array) -> bool:
+        """Whether a robot at `center`, on the ground, overlaps nothing in any orientation."""
+        distance = np.linalg.norm(self.low_docks - center, axis=1)
+        return bool(distance.min(initial=np.inf) > self._clearance)
+
+    def turn_away(self) -> None:
+        """Count a robot that found no place; end growth after too many in a row."""
+        self.rejected += 1
+        if self.rejected >= self.params.climb.max_spawns:
+            self.ended = (
+                f"{self.rejected} robots in a row reached no other robot; "
+                "raise structure.climb.max_spawns or move the goal"
+            )
+
+    def join(self, walk: Walk) -> None:
+        """Make a robot part of the structure."""
+        j = len(self.walks)
+        self.rejected = 0
+        self.walks.append(walk)
+        turn = Rotation.from_quat(walk.orientation_wxyz[-1], scalar_first=True).as_matrix()
+        own, other, dock = walk.at_rest(walk.contacts).T
+        contacts = np.column_stack([DOCK_COUNT * other + dock, DOCK_COUNT * j + own])
+        standing = np.concatenate(
+            [walk.at_rest(walk.ground_docks)[:, 0], walk.at_rest(walk.edge_docks)[:, 0]]
+        )
+        docks = walk.center[-1] + self.robot.dock_offset_body @ turn.T
+        footing = np.column_stack([DOCK_COUNT * j + standing, self.terrain.foot(docks[standing])])
+        self.frame.join(walk.center[-1], turn, contacts, footing)
+        self.unsolved += 1
+        self._mark_side(j, other, docks[standing, 0])
+        self.loads.append(LoadSummary())
+
+    def _mark_side(self, j: int, others: NDArray[np.int32], standing_x: Array) -> None:
+        """End growth when robots from both sides of a gap are connected."""
+        if self.kind.sides == 1:
+            return
+        touched = {self.sides[i] for i in others}
+        touched |= {int(x > 0.5 * self.terrain.right_edge) for x in standing_x}
+        self.sides.append(min(touched))
+        if len(touched) > 1:
+            self.crossed = True
+            self.ended = f"the gap is bridged by {j + 1} robots"
+
+    def recruit(self, *, is_last: bool) -> NDArray[np.int32]:
+        """Solve the mechanics if it is due, and spread every call for help anew.
+
+        Returns:
+            Call that each dock passes on, shape (3 n,); nothing if the structure fails.
+        """
+        if self.unsolved >= self.params.solve_every or (is_last and self.unsolved):
+            try:
+                self._take(self.frame.solve())
+            except StructureFailure as failure:
+                self.ended = str(failure)
+                return np.empty(0, np.int32)
+        call = np.zeros(len(self.walks), np.int32)
+        call[: len(self.sensed)] = recruit(self.sensed, self.params)
+        return relay(call, self.frame.joints)
+
+    def _take(self, loads: Loads) -> None:
+        self.unsolved = 0
+        self.sensed = loads.sensed
+        self.loads[-1] = LoadSummary(
+            peak=loads.peak,
+            sensed_max=float(loads.sensed.max()),
+            calling=int((recruit(loads.sensed, self.params) > 0).sum()),
+            least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
+            imbalance=loads.imbalance,
+        )
+
+    def history(self) -> History:
+        """Return the history of the structure."""
+        return History(
+            seed=self.seed,
+            robot=self.robot,
+            terrain=self.terrain,
+            walks=tuple(self.walks),
+            spawns=self.spawned,
+            loads=tuple(self.loads),
+            sensed=self.sensed,
+            crossed=self.crossed,
+            ended=self.ended,
+        )
+
+
+def recruit(sensed: NDArray[np.float64], params: RecruitParams) -> NDArray[np.int32]:
+    """Compute each robot's own call from its sensed load, shape (N,)."""
+    ratio = sensed / params.force_threshold
+    # Cap the power where the call exceeds J, to avoid overflow.
+    power = np.minimum(
+        ratio - 1.0, np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
+    )
+    call = np.floor(params.recruit_base**power)
+    return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
+
+
+def relay(call: NDArray[np.int32], contacts: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Spread all calls from zero, and return what each dock passes on.
+
+    Args:
+        call: Each robot's own call, shape (N,).
+        contacts: Docks that touch, rows of (dock, dock) as 3 i + k, shape (C, 2).
+
+    Returns:
+        Shape (3 N,).
+    """
+    one = np.concatenate([contacts[:, 0], contacts[:, 1]])
+    other = np.concatenate([contacts[:, 1], contacts[:, 0]])
+    own = np.repeat(call, DOCK_COUNT)
+    out = own
+    while True:
+        incoming = np.zeros_like(out)
+        np.maximum.at(incoming, one, out[other])
+        zones = incoming.reshape(-1, DOCK_COUNT)
+        others = np.maximum(np.roll(zones, 1, axis=1), np.roll(zones, -1, axis=1)).ravel()
+        spread = np.maximum(own, np.maximum(incoming - 1, others - 2))
+        if np.array_equal(spread, out):
+            return out
+        out = spread

@@ -1,13 +1,19 @@
-"""What happened while a structure grew: every stance of every robot, as it truly was."""
+"""The history of a structure's growth: the true stances of every robot; and its file."""
 
+import json
 import math
+import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.records.io import replacing
 from tiswarm.robot import RobotGeometry
+from tiswarm.world.params import KINDS, StructureParams
 from tiswarm.world.terrain import Terrain
 
 
@@ -34,7 +40,7 @@ class Walk:
     """Docks on flat ground, rows of (stance, own dock), sorted, shape (G, 2)."""
 
     edge_docks: NDArray[np.int32]
-    """Docks on the rounded edge or the underside of a slab, likewise, shape (E, 2)."""
+    """Docks on a slab's rounded edge or underside, rows of (stance, own dock), shape (E, 2)."""
 
     recruited: bool = False
     """Whether the robot stays because it was called for."""
@@ -45,19 +51,19 @@ class Walk:
         return len(self.center)
 
     def at_rest(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Rows, stance first, that are of the last stance, without it."""
+        """Select the rows, stance first, of the last stance, and drop that column."""
         return rows[rows[:, 0] == self.stance_count - 1, 1:]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Strain:
-    """How a structure bears its weight; NaN where it was not solved after that join."""
+class LoadSummary:
+    """Loads in a structure under its weight; NaN where it was not solved after that join."""
 
     peak: float = math.nan
     """Largest stress in any contact [weight of a dock / R^2]."""
 
     sensed_max: float = math.nan
-    """Most that any robot senses [weight of a dock]."""
+    """Largest load that any robot senses [weight of a dock]."""
 
     calling: int = 0
     """Robots that call for help."""
@@ -66,7 +72,7 @@ class Strain:
     """Least upward force of the ground on a dock; negative where the ground pulls."""
 
     imbalance: float = math.nan
-    """Weight less ground forces, per weight [1]."""
+    """Difference of weight and ground forces, per weight [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,19 +86,19 @@ class History:
     """One walk for each robot, in join order."""
 
     spawns: int
-    """Robots spawned in all, those that never joined included."""
+    """Robots spawned, including those that never joined."""
 
-    strain: tuple[Strain, ...]
-    """How the structure bore its weight after each join, in join order."""
+    loads: tuple[LoadSummary, ...]
+    """Loads in the structure after each join, in join order."""
 
     sensed: NDArray[np.float64]
-    """What each robot senses in the end, shape (N,)."""
+    """Load that each robot senses in the end [weight of a dock], shape (N,)."""
 
     crossed: bool = False
     """Whether a bridge joins both sides of its gap."""
 
     ended: str = ""
-    """Why growth stopped before all robots had joined; empty where it did not."""
+    """Reason why growth stopped before all robots had joined; empty where it did not."""
 
     @property
     def robot_count(self) -> int:
@@ -116,7 +122,7 @@ class History:
 
     @property
     def contacts(self) -> NDArray[np.int32]:
-        """Docked pairs as the joiner felt them, rows of (i, dock of i, j, dock of j), i < j."""
+        """Docked pairs in the joiner's order, rows of (i, dock of i, j, dock of j), i < j."""
         rows = [_contacts_at_rest(j, walk) for j, walk in enumerate(self.walks)]
         return np.concatenate(rows) if rows else np.empty((0, 4), np.int32)
 
@@ -143,3 +149,58 @@ def _contacts_at_rest(j: int, walk: Walk) -> NDArray[np.int32]:
     """Contacts of the last stance of robot `j`, earlier robot first."""
     own, other, dock = walk.at_rest(walk.contacts).T
     return np.column_stack([other, dock, np.full(len(own), j, np.int32), own])
+
+
+_TABLES = tuple(field.name for field in fields(Walk) if field.name != "recruited")
+_LOADS = tuple(field.name for field in fields(LoadSummary))
+_CALLING = _LOADS.index("calling")
+_FACTS = ("seed", "spawns", "crossed", "ended")
+
+
+def write_history(history: History, path: Path) -> None:
+    """Write a structure of at least one robot as `.npz`.
+
+    Raises:
+        EnvironmentTroubleError: it cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        "facts": json.dumps({name: getattr(history, name) for name in _FACTS}),
+        "sensed": history.sensed,
+        "strain": np.array([astuple(load) for load in history.loads]),
+        "recruited": np.array([walk.recruited for walk in history.walks]),
+    }
+    for name in _TABLES:
+        rows = [getattr(walk, name) for walk in history.walks]
+        arrays |= {name: np.concatenate(rows), f"{name}_end": np.cumsum([len(r) for r in rows])}
+    with replacing(path) as file:
+        np.savez(file, **arrays)
+
+
+def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> History | None:
+    """Read a structure that was grown by these settings; None where it is missing or damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as tables:
+            arrays: dict[str, NDArray[Any]] = dict(tables)
+        return _history(arrays, params, robot)
+    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile):
+        return None
+
+
+def _history(
+    arrays: dict[str, NDArray[Any]], params: StructureParams, robot: RobotGeometry
+) -> History:
+    parts = {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
+    return History(
+        **json.loads(str(arrays["facts"])),
+        robot=robot,
+        terrain=KINDS[params.kind].terrain(params),
+        walks=tuple(
+            Walk(recruited=recruited, **{name: parts[name][j] for name in _TABLES})
+            for j, recruited in enumerate(arrays["recruited"].tolist())
+        ),
+        loads=tuple(
+            LoadSummary(**dict(zip(_LOADS, row, strict=True)) | {"calling": int(row[_CALLING])})
+            for row in arrays["strain"].tolist()
+        ),
+        sensed=arrays["sensed"],
+    )

@@ -6,8 +6,18 @@ center, which bears no load, is eliminated beforehand, so a robot adds 18 unknow
 of its docks. In the rigid model a robot is one body with 6 unknowns; on average it senses as
 much in towers and some 15 % more in cantilevers, on the same side of F = 10 in nine of ten.
 
-What a robot feels in a link follows from what acts on its dock in either model: the forces of
-the dock's contacts and its weight.
+The load that a robot senses in a link follows from the forces on its dock in either model: those
+of the dock's contacts and its weight.
+
+Beams are Euler-Bernoulli beams in three dimensions with small deflections. A node moves by
+(u, theta): displacement [R] and rotation [rad]. For a beam of length L along the unit vector e,
+with axial stiffness EA, radius r and so EI = EA r^2 / 4 and GJ = EI / (1 + nu), the forces and
+moments at its first end are
+
+    F = (EA/L e e' + 12 EI/L^3 P) (u1 - u2) + 6 EI/L^2 S (t1 + t2)
+    M = 6 EI/L^2 S' (u1 - u2) + (GJ/L e e' + 4 EI/L P) t1 + (2 EI/L P - GJ/L e e') t2
+
+with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural Analysis, 1968).
 """
 
 from dataclasses import dataclass
@@ -17,11 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
+from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from tiswarm.params import STRICT
-from tiswarm.world.beams import Array, rigid_link, stiffness
-from tiswarm.world.blocks import BlockMatrix
+
+Array = NDArray[np.float64]
 
 GROUND = -1
 """Stands for the ground where a beam's second dock is named."""
@@ -30,6 +41,12 @@ MAX_UNBORNE = 1e-6
 """Greatest share of the weight that may be missing from the ground forces of what stands [1]."""
 
 UNHELD = "a part of the structure is held by nothing"
+
+SIDE = 6
+"""Unknowns of a node."""
+
+ROW_BITS = 32
+COLUMN_MASK = (1 << ROW_BITS) - 1
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
@@ -79,6 +96,45 @@ class Loads:
     def peak(self) -> float:
         """Largest stress anywhere."""
         return float(max(self.contact_stress.max(initial=0.0), self.ground_stress.max(initial=0.0)))
+
+
+class BlockMatrix:
+    """A symmetric sparse matrix of 6 x 6 blocks that grows; blocks of one place add up in order."""
+
+    def __init__(self) -> None:
+        self.place: NDArray[np.int64] = np.empty(0, np.int64)
+        self.block: Array = np.empty((0, SIDE, SIDE))
+        self.waiting: list[tuple[NDArray[np.int64], Array]] = []
+
+    def add(self, nodes: NDArray[np.intp], square: Array) -> None:
+        """Add square matrices that couple nodes.
+
+        Args:
+            nodes: Nodes of each, shape (n, m).
+            square: The matrices, shape (n, 6 m, 6 m).
+        """
+        n, m = nodes.shape
+        blocks = square.reshape(n, m, SIDE, m, SIDE).swapaxes(2, 3).reshape(-1, SIDE, SIDE)
+        row = np.repeat(nodes, m, axis=1).ravel()
+        column = np.tile(nodes, (1, m)).ravel()
+        place = (row.astype(np.int64) << ROW_BITS) | column  # one sortable number
+        self.waiting.append((place, blocks))
+
+    def assemble(self, nodes: int) -> csc_matrix:
+        """Build the matrix over nodes 0 to `nodes` - 1."""
+        place = np.concatenate([self.place, *(place for place, _ in self.waiting)])
+        block = np.concatenate([self.block, *(block for _, block in self.waiting)])
+        order = np.argsort(place, kind="stable")
+        place, block = place[order], block[order]
+        first = np.flatnonzero(np.r_[True, place[1:] != place[:-1]])
+        self.place, self.block = place[first], np.add.reduceat(block, first)
+        self.waiting = []
+        row, column = self.place >> ROW_BITS, self.place & COLUMN_MASK
+        start = np.searchsorted(row, np.arange(nodes + 1))
+        matrix = bsr_matrix((self.block, column, start), shape=(SIDE * nodes, SIDE * nodes))
+        by_row = matrix.tocsr()
+        # The matrix is symmetric, so rows of one format are columns of the other.
+        return csc_matrix((by_row.data, by_row.indices, by_row.indptr), shape=by_row.shape)
 
 
 class _Arrival(NamedTuple):
@@ -242,6 +298,65 @@ class Frame:
         felt = axial + np.linalg.norm(bending, axis=1)
         mean: Array = felt.reshape(-1, len(self.body)).mean(axis=1)
         return mean
+
+
+def _cross_matrix(vector: Array) -> Array:
+    """Matrices of v x, shape (n, 3, 3), for vectors v, shape (n, 3)."""
+    matrix = np.zeros((len(vector), 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrix[:, i, j] = -vector[:, k]
+        matrix[:, j, i] = vector[:, k]
+    return matrix
+
+
+def stiffness(span: Array, axial: float, radius: float, poisson: float) -> Array:
+    """Stiffness of beams, nodes in the order first end, second end.
+
+    Args:
+        span: First end to second end [R], shape (n, 3).
+        axial: EA [weight of a dock].
+        radius: r [R].
+        poisson: Poisson's ratio [1].
+
+    Returns:
+        Shape (n, 12, 12): end forces and moments from end displacements and rotations.
+    """
+    length = np.linalg.norm(span, axis=1)[:, None, None]
+    e = span[:, :, None] / length
+    along = e @ e.swapaxes(1, 2)
+    across = np.eye(3) - along
+    bending = 0.25 * axial * radius**2
+    torsion = bending / (1.0 + poisson)
+    couple = -6.0 * bending / length**2 * _cross_matrix(e[:, :, 0])
+    push = axial / length * along + 12.0 * bending / length**3 * across
+    near = torsion / length * along + 4.0 * bending / length * across
+    far = 2.0 * bending / length * across - torsion / length * along
+    turned = couple.swapaxes(1, 2)
+    matrix = np.empty((len(span), 12, 12))
+    rows = (
+        (push, couple, -push, couple),
+        (turned, near, -turned, far),
+        (-push, -couple, push, -couple),
+        (turned, far, -turned, near),
+    )
+    for i, row in enumerate(rows):
+        for j, part in enumerate(row):
+            matrix[:, 3 * i : 3 * i + 3, 3 * j : 3 * j + 3] = part
+    return matrix
+
+
+def rigid_link(arm: Array) -> Array:
+    """Motion of a point at `arm` from a rigid body's node, from the node's own.
+
+    Args:
+        arm: Node to point [R], shape (n, 3).
+
+    Returns:
+        Shape (n, 6, 6).
+    """
+    link = np.tile(np.eye(6), (len(arm), 1, 1))
+    link[:, :3, 3:] = -_cross_matrix(arm)
+    return link
 
 
 def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array:

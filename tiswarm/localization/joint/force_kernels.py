@@ -13,7 +13,7 @@ center.
 
 from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.math_kernels import vector_at
-from tiswarm.localization.kernels import with_torque
+from tiswarm.localization.virtual_force_kernels import with_torque
 from tiswarm.measurements.model import SPACING
 
 MOST_STIFFNESS = 1.2

@@ -7,7 +7,7 @@ sigma^2.
 from tiswarm.compute.lang import Ref, ti
 from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
-from tiswarm.localization.kernels import turn_dock
+from tiswarm.localization.virtual_force_kernels import turn_dock
 
 STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""

@@ -1,4 +1,4 @@
-"""Whether a structure is one that could stand in the world: checked before it is stored."""
+"""Whether a structure could stand in the world: checked before it is stored."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,15 @@ MAX_IMBALANCE = 1e-6
 """Greatest share of the weight that the ground may fail to bear in the numbers [1]."""
 
 
-def unsoundness(history: History, *, contact_gap: float) -> str:
-    """Say what is wrong with a structure, or nothing.
+def find_fault(history: History, *, contact_gap: float) -> str:
+    """Find what is wrong with a structure.
 
     Args:
         history: The structure as it grew.
         contact_gap: Docks closer than this count as touching [R].
 
     Returns:
-        The first fault found, or an empty string.
+        The first fault, or an empty string where there is none.
     """
     robot = history.robot
     turned = dock_offsets(history.orientation_wxyz, robot.dock_offset_body)
@@ -32,15 +32,14 @@ def unsoundness(history: History, *, contact_gap: float) -> str:
     checks = (
         _overlap(dock.reshape(-1, 3), robot.spacing),
         _sunken(dock, history.terrain, robot.dock_radius),
-        _loose_contact(dock, history.contacts, robot.spacing, contact_gap),
-        _unheld(history),
+        _open_contact(dock, history.contacts, robot.spacing, contact_gap),
+        _unsupported(history),
         _unbalanced(history),
     )
     return next((fault for fault in checks if fault), "")
 
 
 def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
-    """Docks of different robots that overlap."""
     pairs = cKDTree(dock).query_pairs(spacing - MAX_OVERLAP, output_type="ndarray")
     pairs = pairs[pairs[:, 0] // DOCK_COUNT != pairs[:, 1] // DOCK_COUNT]
     if len(pairs) == 0:
@@ -52,17 +51,15 @@ def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
 
 
 def _sunken(dock: NDArray[np.float64], terrain: Terrain, radius: float) -> str:
-    """Docks in the ground."""
     depth = terrain.depth(dock.reshape(-1, 3), radius)
     if depth.max() <= MAX_OVERLAP:
         return ""
     return f"robot {np.argmax(depth) // DOCK_COUNT} is {depth.max():.3g} R deep in the ground"
 
 
-def _loose_contact(
+def _open_contact(
     dock: NDArray[np.float64], contacts: NDArray[np.int32], spacing: float, gap: float
 ) -> str:
-    """Contacts whose docks do not touch."""
     i, a, j, b = contacts.T
     distance = np.linalg.norm(dock[i, a] - dock[j, b], axis=1)
     off = np.flatnonzero(distance > spacing + gap)
@@ -71,7 +68,7 @@ def _loose_contact(
     return f"robots {i[off[0]]} and {j[off[0]]} are in contact {distance[off[0]]:.3g} R apart"
 
 
-def _unheld(history: History) -> str:
+def _unsupported(history: History) -> str:
     """Robots that neither touch an earlier one nor stand on the ground."""
     held = np.zeros(history.robot_count, np.bool_)
     held[history.contacts[:, 2]] = True
@@ -82,7 +79,7 @@ def _unheld(history: History) -> str:
 
 def _unbalanced(history: History) -> str:
     """Mechanics whose ground forces do not bear the weight."""
-    worst = max((strain.imbalance for strain in history.strain), default=0.0)
+    worst = max((load.imbalance for load in history.loads), default=0.0)
     if not worst > MAX_IMBALANCE:
         return ""
     return f"weight and ground forces differ by {worst:.3g} of the weight"

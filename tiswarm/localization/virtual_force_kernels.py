@@ -1,0 +1,376 @@
+"""Algorithm 1 as one launch, with or without back-propagation.
+
+Structures are independent and run in parallel; within one, robots follow each other in join order.
+Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
+from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
+from tiswarm.compute.math_kernels import vector_at, vector_in
+from tiswarm.engine.kernels import capped, dock_pair_force, parting
+
+NO_DOCKS = 0
+DOCKS_OF_NEIGHBORS = 1
+ALL_DOCKS = 2
+"""Docks that repel each other where they overlap without being connected."""
+
+
+class Gains(NamedTuple):
+    """Columns of the kernel's `gains`; see `VirtualForceParams`."""
+
+    attraction_gain: float
+    """A of Eq. (1) [1]."""
+
+    repulsion_gain: float
+    """B of Eqs. (1) and (2) [R^-3]."""
+
+    height_gain: float
+    """k_z of Eq. (3) [1]."""
+
+    initial_offset: float
+    """Distance of a robot from the mean of its earlier neighbors at first [R]."""
+
+    max_step: float
+    """Longest step of a robot [R]."""
+
+    sweep_gain: float
+    """Share of a step that a robot takes in back-propagation [1]."""
+
+    sweep_repulsion: float
+    """Share of repulsion with which back-propagation begins [1]."""
+
+    spacing: float
+    """D: distance between the centers of two docks that touch [R]."""
+
+    undocked: float
+    """NO_DOCKS, DOCKS_OF_NEIGHBORS or ALL_DOCKS."""
+
+    torque_gain: float
+    """Turn per unit of torque [rad / R^2]."""
+
+    hold: float
+    """Torque back to the sensed yaw [R^2 / rad]."""
+
+    max_turn: float
+    """Largest turn of a robot in a step [rad]."""
+
+
+class LogArrays(NamedTuple):
+    """Logs of N robots of all structures, end to end."""
+
+    contact_start: Ints1
+    """First contact row of each robot, shape (N + 1,)."""
+
+    contact: Ints2
+    """Rows of (own dock, other robot within the structure, its dock), shape (2 C, 3)."""
+
+    initial_direction: Reals2
+    """Unit vector of the initial offset, shape (N, 3)."""
+
+    flip_height: Reals1
+    """Height from the flips [R], NaN where unknown, shape (N,)."""
+
+
+class Robots(NamedTuple):
+    """Estimated poses of N robots."""
+
+    dock_offset: Reals3
+    """Center to dock, world frame [R], turned with the robots, shape (N, docks, 3)."""
+
+    yaw: Reals1
+    """Turn of each robot from its sensed orientation [rad], shape (N,)."""
+
+    position: Reals2
+    """Centers [R], shape (N, 3); those of anchors and of robots placed before are read."""
+
+
+class Trace(NamedTuple):
+    """Recorded frames, F in all."""
+
+    position: Reals3
+    """Centers at each frame [R], shape (F, N, 3)."""
+
+    step_length: Reals2
+    """Last step before each frame [R], shape (F, N)."""
+
+
+@ti.func
+def gains_of(gains: Ref, structure):
+    """Read the gains of a structure, columns in the order of `Gains`."""
+    return ti.Struct(
+        attraction_gain=gains[structure, 0],
+        repulsion_gain=gains[structure, 1],
+        height_gain=gains[structure, 2],
+        initial_offset=gains[structure, 3],
+        max_step=gains[structure, 4],
+        sweep_gain=gains[structure, 5],
+        sweep_repulsion=gains[structure, 6],
+        spacing=gains[structure, 7],
+        undocked=ti.cast(gains[structure, 8], ti.i32),
+        torque_gain=gains[structure, 9],
+        hold=gains[structure, 10],
+        max_turn=gains[structure, 11],
+    )
+
+
+@ti.func
+def dock_at(robots: Ref, robot, k):
+    """Compute where dock `k` of a robot is estimated to be."""
+    return vector_at(robots.position, robot) + vector_in(robots.dock_offset, robot, k)
+
+
+@ti.func
+def turn_dock(turn, robot, k, dock_offset: Ref):
+    """Turn dock `k` of a robot about the vertical through its center."""
+    if turn != 0.0:
+        c, s = ti.cos(turn), ti.sin(turn)
+        x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
+        dock_offset[robot, k, 0] = c * x - s * y
+        dock_offset[robot, k, 1] = s * x + c * y
+
+
+@ti.func
+def is_connected(contact: Ref, first, last, own, robot, k):
+    """Whether the contact rows `first` to `last` hold (own dock, robot, dock `k`)."""
+    found = False
+    for row in range(first, last):
+        found = found or (
+            contact[row, 0] == own and contact[row, 1] == robot and contact[row, 2] == k
+        )
+    return found
+
+
+@ti.func
+def touches(contact: Ref, first, last, robot):
+    """Whether the contact rows `first` to `last` hold any dock of a robot."""
+    found = False
+    for row in range(first, last):
+        found = found or contact[row, 1] == robot
+    return found
+
+
+@ti.func
+def with_torque(force, arm):
+    """Append to a force its torque about the vertical where it acts at `arm`."""
+    return ti.Vector([force[0], force[1], force[2], arm[0] * force[1] - arm[1] * force[0]])
+
+
+@ti.func
+def connected_force(
+    gains: Ref, robot, base, placed, ramp, attract_inward, measured: Ref, robots: Ref
+):
+    """Sum Eq. (1) over the robot's contacts with the first `placed` robots, with its torque.
+
+    Where `attract_inward` is 1, attraction also parts docks nearer than D.
+    """
+    here = vector_at(robots.position, robot)
+    force = with_torque(0.0 * here, here)
+    for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
+        partner = measured.contact[row, 1]
+        if partner < placed:
+            own = dock_at(robots, robot, measured.contact[row, 0])
+            other = dock_at(robots, base + partner, measured.contact[row, 2])
+            pull = dock_pair_force(
+                other - own, gains.attraction_gain, gains.repulsion_gain, gains.spacing, ramp
+            )
+            stiffness = gains.attraction_gain * ramp
+            pull += attract_inward * parting(other - own, stiffness, gains.spacing)
+            force += with_torque(pull, own - here)
+    return force
+
+
+@ti.func
+def undocked_force(
+    gains: Ref, robot, base, structure, ramp, measured: Ref, robots: Ref, cells: Ref
+):
+    """Sum Eq. (2) over listed docks closer than D, but not connected, to the robot's.
+
+    The paper prints the force with a unit vector from the other dock to the robot's own and
+    a minus sign, which would pull them together; here it pushes them apart, as the text says.
+    """
+    docks = robots.dock_offset.shape[1]
+    first, last = measured.contact_start[robot], measured.contact_start[robot + 1]
+    here = vector_at(robots.position, robot)
+    force = with_torque(0.0 * here, here)
+    for k in range(docks):
+        own = dock_at(robots, robot, k)
+        cube = cube_of(own, 1.0 / gains.spacing)
+        for which in range(27):
+            item = first_item(cells, structure, cube, which)
+            while item >= 0:
+                other = item // docks
+                offset = dock_at(robots, base + other, item % docks) - own
+                if offset.norm_sqr() < gains.spacing * gains.spacing and other != robot - base:
+                    if (
+                        gains.undocked == ALL_DOCKS or touches(measured.contact, first, last, other)
+                    ) and not is_connected(measured.contact, first, last, k, other, item % docks):
+                        push = dock_pair_force(
+                            offset, 0.0, gains.repulsion_gain, gains.spacing, ramp
+                        )
+                        force += with_torque(push, own - here)
+                item = cells.following[structure, item]
+    return force
+
+
+@ti.func
+def virtual_force(
+    gains: Ref, robot, base, structure, placed, ramp, attract_inward, measured: Ref, robots: Ref,
+    cells: Ref,
+):  # fmt: skip
+    """Sum Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure.
+
+    Each force acts at a dock; the fourth component is their torque about the vertical.
+    """
+    force = connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
+    if gains.undocked != NO_DOCKS:
+        force += undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
+    if not ti.math.isnan(measured.flip_height[robot]):
+        lift = measured.flip_height[robot] - robots.position[robot, 2]
+        force[2] += gains.height_gain * lift
+    return force
+
+
+@ti.func
+def initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
+    """Average the earlier neighbors, each counted once, and add the offset of Algorithm 1.
+
+    A robot that touches no earlier one starts from the anchor instead.
+    """
+    total = 0.0 * vector_at(robots.position, base)
+    count = 0
+    first = measured.contact_start[robot]
+    for row in range(first, measured.contact_start[robot + 1]):
+        partner = measured.contact[row, 1]
+        counted = partner >= robot - base
+        for earlier in range(first, row):
+            counted = counted or measured.contact[earlier, 1] == partner
+        if not counted:
+            total += vector_at(robots.position, base + partner)
+            count += 1
+    if count == 0:
+        total = vector_at(robots.position, base)
+        count = 1
+    offset = vector_at(measured.initial_direction, robot)
+    return total / count + gains.initial_offset * offset
+
+
+@ti.func
+def write_position(robots: Ref, robot, place):
+    """Move a robot's center to a place."""
+    for c in ti.static(range(3)):
+        robots.position[robot, c] = place[c]
+
+
+@ti.func
+def record(trace: Ref, frame, robot, place, moved):
+    """Write a robot's estimated center in a frame, and the length of its last step."""
+    for c in ti.static(range(3)):
+        trace.position[frame, robot, c] = place[c]
+    trace.step_length[frame, robot] = moved
+
+
+@ti.func
+def step_of(gains: Ref, force, share):
+    """Step by a share of a force, no farther than the longest step."""
+    return capped(share * ti.Vector([force[0], force[1], force[2]]), gains.max_step)
+
+
+@ti.func
+def turn_of(gains: Ref, torque, share, turned):
+    """Compute a robot's turn [rad]: by a share of the torque, and back to the sensed yaw."""
+    pace = share * gains.torque_gain
+    turn = pace * (torque - gains.hold * turned) / (1.0 + pace * gains.hold)
+    return ti.min(ti.max(turn, -gains.max_turn), gains.max_turn)
+
+
+@ti.func
+def move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref):
+    """Let a robot that has been placed take a step, its docks in the cell list with it."""
+    docks = robots.dock_offset.shape[1]
+    for k in range(docks):
+        item = (robot - base) * docks + k
+        old = cube_of(dock_at(robots, robot, k), 1.0 / gains.spacing)
+        turn_dock(turn, robot, k, robots.dock_offset)
+        new = cube_of(dock_at(robots, robot, k) + step, 1.0 / gains.spacing)
+        relink(cells, structure, item, old, new)
+    robots.yaw[robot] += turn
+    write_position(robots, robot, vector_at(robots.position, robot) + step)
+
+
+@ti.kernel
+def localize_in_join_order(
+    iterations: I32, sweep_every: I32, sweeps: I32, trace_every: I32, gains_table: Reals2,
+    start: Ints1, placed_before: Ints1,
+    # LogArrays
+    contact_start: Ints1, contact: Ints2, initial_direction: Reals2, flip_height: Reals1,
+    head: Ints2, following: Ints2,  # CellList of the robots placed before
+    dock_offset: Reals3, yaw: Reals1, position: Reals2,  # Robots, read and written
+    trace_position: Reals3, step_length: Reals2,  # Trace, written
+):  # fmt: skip
+    """Place each robot by its contacts with those that joined before it, Algorithm 1.
+
+    In back-propagation, all robots that have been placed step one after the other, in join
+    order, each by its contacts with all others; the next one sees where it went. Attraction then
+    also parts docks: at the end of its ramp Eq. (1) alone would let them stay too near.
+
+    Args:
+        iterations: T, refinement steps of each robot.
+        sweep_every: Joins between two rounds of back-propagation; the last join has one too.
+        sweeps: Steps of every robot in a round, 0 without back-propagation.
+        trace_every: Steps between recorded frames: those of T from the start on, then those of
+            the last round.
+        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 12).
+        start: First robot of each structure, shape (S + 1,).
+        placed_before: Robots of each structure that have been placed already, shape (S,).
+    """
+    measured = ti.static(LogArrays(contact_start, contact, initial_direction, flip_height))
+    cells = ti.static(CellList(head, following))
+    robots = ti.static(Robots(dock_offset, yaw, position))
+    trace = ti.static(Trace(trace_position, step_length))
+    for i in range((start.shape[0] - 1) * GRAIN):
+        if i % GRAIN == 0:
+            s = i // GRAIN
+            gains = gains_of(gains_table, s)
+            base = start[s]
+            for robot in range(base + placed_before[s], start[s + 1]):
+                here = vector_at(position, robot)
+                if robot > base:
+                    here = initial_position(gains, robot, base, measured, robots)
+                moved = 0.0
+                frame = 0
+                for t in range(iterations + 1):
+                    write_position(robots, robot, here)
+                    if t % trace_every == 0 or t == iterations:
+                        record(trace, frame, robot, here, moved)
+                        frame += 1
+                    if robot > base and t < iterations:
+                        force = virtual_force(
+                            gains, robot, base, s, robot - base, (t + 1.0) / iterations, 0.0,
+                            measured, robots, cells,
+                        )  # fmt: skip
+                        step = step_of(gains, force, 1.0)
+                        turn = turn_of(gains, force[3], 1.0, yaw[robot])
+                        moved = step.norm()
+                        here += step
+                        yaw[robot] += turn
+                        for k in range(dock_offset.shape[1]):
+                            turn_dock(turn, robot, k, dock_offset)
+                for k in range(dock_offset.shape[1]):
+                    item = (robot - base) * dock_offset.shape[1] + k
+                    link(cells, s, item, cube_of(dock_at(robots, robot, k), 1.0 / gains.spacing))
+                placed = robot - base + 1
+                if placed % sweep_every == 0 or robot == start[s + 1] - 1:
+                    for sweep in range(sweeps):
+                        left = 1.0 - (sweep + 1.0) / sweeps
+                        ramp = 1.0 - gains.sweep_repulsion * left
+                        for j in range(base, base + placed):
+                            force = virtual_force(
+                                gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
+                            )
+                            step = step_of(gains, force, ti.select(j > base, gains.sweep_gain, 0.0))
+                            turn = turn_of(gains, force[3], gains.sweep_gain, yaw[j])
+                            move(gains, j, base, s, step, turn, robots, cells)
+                            there = vector_at(position, j)
+                            record(trace, frame + sweep // trace_every, j, there, step.norm())

@@ -1,0 +1,533 @@
+"""Walks: how robots climb a structure that stands still meanwhile, flip by flip.
+
+A flip turns a robot about an axis through one of its attached docks (the pivot), at right
+angles to the line from that dock to the robot's center, until another dock first touches
+something: another dock, flat ground, a rounded edge. Lengths in R, angles in rad, everything in
+float64.
+
+A dock that turns about a pivot by the angle t has, along any fixed direction, a coordinate of
+the form a cos t + b sin t + c. Against a dock at w from the pivot the direction is w, against
+flat ground it is straight down; both ask where a cos t + b sin t first rises through a level,
+which has a closed form. At a rounded edge the squared distance to its axis is followed in
+steps that cannot jump over a contact.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.cell_kernels import CellList, cube_of, first_item
+from tiswarm.compute.lang import (  # fmt: skip
+    F64,
+    GRAIN,
+    I32,
+    Ints1,
+    Ints2,
+    Ints3,
+    Ints4,
+    Reals2,
+    Reals3,
+    Ref,
+    Vec3,
+    Vec4,
+    kernel_struct,
+    ti,
+)
+from tiswarm.compute.math_kernels import (
+    axis_rotation,
+    quaternion_at,
+    quaternion_product,
+    rotate,
+    vector_at,
+    vector_in,
+)
+
+DOCKS = 3
+
+WALKING = 0
+ENDED = 1
+RECRUITED = 2
+OUT_OF_FLIPS = 3
+SCRATCH_FULL = 4
+"""States of a walk."""
+
+FLAT = 1
+EDGE = 2
+"""Ground that a dock stands on; 0 for none."""
+
+SETTLED_RISE = 1e-12
+"""A dock whose coordinate swings by less than this [R] slides along: it never enters."""
+
+RESTING_ANGLE = 1e-7
+"""A contact met this little before the start of a turn is the one the dock rests on [rad]."""
+
+RESTING_GAP = 1e-10
+"""Squared distances to an edge this close to contact are contact [R^2]."""
+
+MET = 1e-13
+"""Largest step that counts as arrival at the edge [rad]."""
+
+NUDGE = 1e-3
+"""Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
+
+MAX_STEPS = 500
+"""Most steps along an edge; 10 to 40 are usual."""
+
+MAX_TOUCHING = 12
+"""No more unit spheres than this can touch one (the kissing number)."""
+
+
+@kernel_struct
+class ClimbLimits:
+    """Numbers that do not change during a climb; see `ClimbParams` and `Terrain`."""
+
+    spacing: F64
+    contact_gap: F64
+    ground_z: F64
+    left_edge: F64
+    right_edge: F64
+    min_flip: F64
+    max_flip: F64
+    revisit_distance: F64
+    full_turn: F64
+    reach: F64
+    inverse_edge: F64
+    twists: I32
+    patience: I32
+
+
+class StructureArrays(NamedTuple):
+    """S structures with room for N robots each; dock 3 i + k is dock k of robot i."""
+
+    cells: CellList
+    """The joined docks by place."""
+
+    dock: Reals3
+    """Dock centers [R]; rows of robots that have not joined are meaningless, (S, 3 N, 3)."""
+
+    relay: Ints2
+    """Call that each dock passes on; a robot that touches a positive one is recruited, (S, 3 N)."""
+
+
+class Climbers(NamedTuple):
+    """Robots that climb at the same time, one slot each."""
+
+    structure: Ints1
+    """Structure that each slot's robots climb, ascending, shape (slots,)."""
+
+    first_stance: Ints1
+    """Stance to go on from; those before it are kept, shape (slots,)."""
+
+    goal: Reals2
+    """Goal of each [R], shape (slots, 3)."""
+
+    dock_offset_body: Reals2
+    """Center to dock in the body frame [R], shape (3, 3)."""
+
+    near: Reals3
+    """Scratch: vectors from the pivot to docks in reach, shape (slots, near, 3)."""
+
+
+class WalkArrays(NamedTuple):
+    """Stances of the climbers' walks, by slot."""
+
+    center: Reals3
+    """Centers [R], shape (slots, stances, 3)."""
+
+    orientation: Reals3
+    """Body to world, wxyz, shape (slots, stances, 4)."""
+
+    pivot_dock: Ints2
+    """Dock that stays put as the robot leaves a stance, shape (slots, stances)."""
+
+    touching: Ints4
+    """Docks of the structure that each dock touches, or -1, (slots, stances, 3, MAX_TOUCHING)."""
+
+    on_ground: Ints3
+    """0, FLAT or EDGE, shape (slots, stances, 3)."""
+
+    last: Ints1
+    """Last stance of each walk, shape (slots,)."""
+
+    best: Ints1
+    """Best stance of each walk, shape (slots,)."""
+
+    stay: Ints1
+    """Stance where each robot stays, settled or not, shape (slots,)."""
+
+
+@kernel_struct
+class Flip:
+    """A flip that could be taken: where it ends and about which dock."""
+
+    distance: F64
+    center: Vec3
+    orientation: Vec4
+    pivot: I32
+    overflow: I32
+
+
+@ti.func
+def ahead(angle, full_turn):
+    """Wrap an angle to [0, a full turn); an angle just behind 0 is the contact it rests on."""
+    wrapped = angle - full_turn * ti.floor(angle / full_turn)
+    if wrapped > full_turn - RESTING_ANGLE:
+        wrapped = 0.0
+    return wrapped
+
+
+@ti.func
+def crossing_angles(a, b, level, full_turn):
+    """Find where a cos t + b sin t first rises through `level`, turning forward and backward.
+
+    Returns a full turn where it never does. Rising means entering: the obstacle lies above the
+    level.
+    """
+    angles = ti.Vector([full_turn, full_turn])
+    swing = ti.sqrt(a * a + b * b)
+    if swing > ti.abs(level) and swing > SETTLED_RISE:
+        peak = ti.atan2(b, a)
+        half_width = ti.acos(level / swing)
+        angles[0] = ahead(peak - half_width, full_turn)
+        angles[1] = ahead(-peak - half_width, full_turn)
+    return angles
+
+
+@ti.func
+def beyond_edge(x, edge, side):
+    """Compute how far `x` is beyond the edge of a slab that ends at `side` (1 right, -1 left)."""
+    return ti.max(side * (x - edge), 0.0)
+
+
+@ti.func
+def edge_angle(middle, across, onward, edge, side, limits):
+    """Find the turn after which a dock first meets a slab with a rounded edge, or a full turn.
+
+    The dock is at middle + across cos t + onward sin t. Its squared distance to the slab's
+    spine less D^2, g(t), is smooth with |g''| <= m, so up to the root of
+    g + g' h - m h^2 / 2 nothing can be met.
+    """
+    depth = 0.5 * limits.spacing
+    height = middle[2] - (limits.ground_z - depth)
+    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
+    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
+    reach_x = ti.max(side * (middle[0] - edge) + swing_x, 0.0)
+    bend = 2.0 * (swing_x * (swing_x + reach_x) + swing_z * (swing_z + ti.abs(height) + swing_z))
+    met = limits.full_turn
+    t = 0.0 * height
+    steps = 0
+    if swing_z < SETTLED_RISE and ti.abs(height) > limits.spacing - RESTING_GAP:
+        t = limits.full_turn  # it slides along the flat and never enters
+    while t < limits.full_turn and steps < MAX_STEPS:
+        steps += 1
+        c = ti.cos(t)
+        s = ti.sin(t)
+        out = beyond_edge(middle[0] + across[0] * c + onward[0] * s, edge, side)
+        up = height + across[2] * c + onward[2] * s
+        gap = out * out + up * up - limits.spacing * limits.spacing
+        slope = 2.0 * side * out * (onward[0] * c - across[0] * s)
+        slope += 2.0 * up * (onward[2] * c - across[2] * s)
+        if gap < RESTING_GAP and t == 0.0 and slope > -RESTING_GAP:
+            gap = 0.0
+            t = ti.max(slope / bend, NUDGE)
+        else:
+            room = slope * slope + 2.0 * bend * gap
+            step = (slope + ti.sqrt(ti.max(room, 0.0))) / bend
+            if step < MET:
+                met = t
+                break
+            t += step
+    return ti.min(met, limits.full_turn)
+
+
+@ti.func
+def slab_angles(middle, across, onward, edge, side, limits):
+    """Find the angles, forward and backward, at which a dock first meets a slab."""
+    angles = ti.Vector([limits.full_turn, limits.full_turn])
+    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
+    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
+    top = limits.ground_z + 0.5 * limits.spacing
+    if middle[2] - swing_z < top + RESTING_GAP:
+        inland = side * (middle[0] - edge) + swing_x <= 0.0
+        if inland and middle[2] > limits.ground_z:
+            angles = crossing_angles(-across[2], -onward[2], middle[2] - top, limits.full_turn)
+        elif side * (middle[0] - edge) - swing_x < limits.spacing:
+            angles[0] = edge_angle(middle, across, onward, edge, side, limits)
+            angles[1] = edge_angle(middle, across, -onward, edge, side, limits)
+    return angles
+
+
+@ti.func
+def ground_kind(point, limits):
+    """Find the ground that a dock at `point` stands on: 0, FLAT or EDGE."""
+    kind = 0
+    depth = 0.5 * limits.spacing
+    up = point[2] - (limits.ground_z - depth)
+    for way in ti.static(range(2)):
+        side = 1.0 - 2.0 * way
+        edge = limits.left_edge if way == 0 else limits.right_edge
+        out = beyond_edge(point[0], edge, side)
+        limit = limits.spacing + limits.contact_gap
+        if out * out + up * up < limit * limit:
+            kind = ti.select(out == 0.0 and up > 0.0, FLAT, EDGE)
+    return kind
+
+
+@ti.func
+def flip_contact(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
+    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped."""
+    along = arm.dot(axis)
+    across = arm - along * axis
+    onward = axis.cross(arm)
+    middle = pivot + along * axis
+    first = slab_angles(middle, across, onward, limits.left_edge, 1.0, limits)
+    first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
+    for k in range(near_count):
+        to_other = vector_in(near, mover, k)
+        level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - limits.spacing * limits.spacing)
+        level -= along * to_other.dot(axis)
+        met = crossing_angles(to_other.dot(across), to_other.dot(onward), level, limits.full_turn)
+        first = ti.min(first, met)
+    return first
+
+
+@ti.func
+def gather_near(limits: Ref, structures: Ref, s, pivot, near: Ref, mover):
+    """List the vectors from `pivot` to the structure's docks in reach; return how many."""
+    count = 0
+    cube = cube_of(pivot, limits.inverse_edge)
+    for which in range(27):
+        item = first_item(structures.cells, s, cube, which)
+        while item >= 0:
+            offset = vector_in(structures.dock, s, item) - pivot
+            if offset.norm_sqr() < limits.reach * limits.reach:
+                if count < near.shape[1]:
+                    for c in ti.static(range(3)):
+                        near[mover, count, c] = offset[c]
+                count += 1
+            item = structures.cells.following[s, item]
+    return count
+
+
+@ti.func
+def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
+    """Record what dock `k` at `point` touches; return how many things, and if one recruits."""
+    count = 0
+    called = 0
+    limit = limits.spacing + limits.contact_gap
+    for slot in range(MAX_TOUCHING):
+        walks.touching[mover, stance, k, slot] = -1
+    cube = cube_of(point, limits.inverse_edge)
+    for which in range(27):
+        item = first_item(structures.cells, s, cube, which)
+        while item >= 0:
+            if (vector_in(structures.dock, s, item) - point).norm_sqr() < limit * limit:
+                walks.touching[mover, stance, k, count] = item
+                count += 1
+                if structures.relay[s, item] > 0:
+                    called = 1
+            item = structures.cells.following[s, item]
+    ground = ground_kind(point, limits)
+    walks.on_ground[mover, stance, k] = ground
+    return ti.Vector([count + ground, called])
+
+
+@ti.func
+def revisits(limits: Ref, walks: Ref, mover, stance, point):
+    """Whether the walk up to `stance` has had its center at `point` before."""
+    seen = False
+    for earlier in range(stance + 1):
+        offset = point - vector_in(walks.center, mover, earlier)
+        seen = seen or offset.norm() < limits.revisit_distance
+    return seen
+
+
+@ti.func
+def nearest_flip(limits: Ref, structures: Ref, s, climbers: Ref, walks: Ref, mover, stance, k):
+    """Of all flips about dock `k`, find the one that ends nearest to the goal."""
+    body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    here = vector_in(walks.center, mover, stance)
+    q = quaternion_at(walks.orientation, mover, stance)
+    goal = vector_at(climbers.goal, mover)
+    chosen = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+    body_in = vector_at(body, k)
+    to_center = -rotate(q, body_in)
+    pivot = here - to_center
+    count = gather_near(limits, structures, s, pivot, near, mover)
+    if count > near.shape[1]:
+        chosen.overflow = 1
+        count = near.shape[1]
+    normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
+    side = normal.cross(to_center.normalized())
+    for twist in range(limits.twists):
+        turn = 0.5 * limits.full_turn * twist / limits.twists
+        axis = ti.cos(turn) * normal + ti.sin(turn) * side
+        first = ti.Vector([limits.full_turn, limits.full_turn])
+        for step in range(1, DOCKS):
+            arm = rotate(q, vector_at(body, (k + step) % DOCKS) - body_in)
+            first = ti.min(first, flip_contact(limits, arm, axis, pivot, near, mover, count))
+        for way in ti.static(range(2)):
+            angle = first[way]
+            if angle >= limits.min_flip and angle <= limits.max_flip:
+                flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
+                turned = quaternion_product(flip, q).normalized()
+                end = pivot - rotate(turned, body_in)
+                distance = (end - goal).norm()
+                if distance < chosen.distance and not revisits(limits, walks, mover, stance, end):
+                    chosen.distance = distance
+                    chosen.center = end
+                    chosen.orientation = turned
+                    chosen.pivot = k
+    return chosen
+
+
+@ti.func
+def move_to(walks: Ref, mover, stance, here, q):
+    """Write a robot's center and orientation at a stance."""
+    for c in ti.static(range(3)):
+        walks.center[mover, stance, c] = here[c]
+    for c in ti.static(range(4)):
+        walks.orientation[mover, stance, c] = q[c]
+
+
+@ti.kernel
+def climb(
+    limits: ClimbLimits, movers: Ints1, state: Ints1,
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays
+    # Climbers
+    structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
+    # WalkArrays, written from the first stance on
+    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
+    last: Ints1, best: Ints1, stay: Ints1,
+):  # fmt: skip
+    """Walk each mover up its structure, one flip at a time, toward its goal.
+
+    Of all flips about all attached docks the one that ends nearest to the goal is taken,
+    unless the walk has been there before. A robot that is recruited stops where it is. Else
+    the walk ends after `limits.patience` steps without a new best, or when no flip is left, and
+    the caller lets the robot walk back to its best stance.
+
+    Args:
+        limits: Terrain, distances and limits.
+        movers: Slots of the robots that move, shape (M,).
+        state: Written: how each walk ended, shape (slots,).
+    """
+    structures = ti.static(StructureArrays(CellList(head, following), dock, relay))
+    climbers = ti.static(Climbers(structure, first_stance, goal, dock_offset_body, near))
+    walks = ti.static(
+        WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
+    )
+    for i in range(movers.shape[0] * GRAIN):
+        if i % GRAIN == 0:
+            m = movers[i // GRAIN]
+            s = structure[m]
+            target = vector_at(goal, m)
+            stance = first_stance[m]
+            best_stance = 0
+            best_distance = (vector_in(center, m, 0) - target).norm()
+            for earlier in range(1, stance + 1):
+                distance = (vector_in(center, m, earlier) - target).norm()
+                if distance < best_distance:
+                    best_distance = distance
+                    best_stance = earlier
+            state[m] = WALKING
+            while state[m] == WALKING:
+                here = vector_in(center, m, stance)
+                q = quaternion_at(orientation, m, stance)
+                flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+                attached = ti.Vector([0, 0, 0])
+                called = 0
+                for k in range(DOCKS):
+                    point = here + rotate(q, vector_at(dock_offset_body, k))
+                    sensed = sense_contacts(limits, structures, s, walks, m, stance, k, point)
+                    attached[k] = sensed[0]
+                    called = ti.max(called, sensed[1])
+                if called:
+                    state[m] = RECRUITED
+                    best_stance = stance
+                elif stance - best_stance < limits.patience:
+                    for k in range(DOCKS):
+                        if attached[k] > 0:
+                            other = nearest_flip(
+                                limits, structures, s, climbers, walks, m, stance, k
+                            )
+                            if other.overflow:
+                                state[m] = SCRATCH_FULL
+                            if other.distance < flip.distance:
+                                flip = other
+                if state[m] == WALKING:
+                    if flip.pivot < 0:
+                        state[m] = ENDED
+                    elif stance + 2 >= center.shape[1]:  # the last is kept for settling
+                        state[m] = OUT_OF_FLIPS
+                    else:
+                        pivot_dock[m, stance] = flip.pivot
+                        stance += 1
+                        move_to(walks, m, stance, flip.center, flip.orientation)
+                        if flip.distance < best_distance:
+                            best_distance = flip.distance
+                            best_stance = stance
+            last[m] = stance
+            best[m] = best_stance
+            stay[m] = best_stance
+
+
+@ti.func
+def only_free_dock(walks: Ref, mover, stance):
+    """Find the only dock that touches nothing, or -1 where none or several do."""
+    free = -1
+    count = 0
+    for k in range(DOCKS):
+        if walks.touching[mover, stance, k, 0] < 0 and walks.on_ground[mover, stance, k] == 0:
+            free = k
+            count += 1
+    return ti.select(count == 1, free, -1)
+
+
+@ti.kernel
+def settle(
+    limits: ClimbLimits, movers: Ints1,
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays
+    # Climbers
+    structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
+    # WalkArrays, of which the stance behind the last and `stay` are written
+    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
+    last: Ints1, best: Ints1, stay: Ints1,
+):  # fmt: skip
+    """Let robots that touch with two docks turn about these until the third touches too.
+
+    They turn the way that takes the smaller angle. The stance they come to is written behind
+    the last of the walk, with the pivot that leads to it. Arguments as for `climb`.
+    """
+    structures = ti.static(StructureArrays(CellList(head, following), dock, relay))
+    climbers = ti.static(Climbers(structure, first_stance, goal, dock_offset_body, near))
+    walks = ti.static(
+        WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
+    )
+    for i in range(movers.shape[0] * GRAIN):
+        if i % GRAIN == 0:
+            m = movers[i // GRAIN]
+            s = climbers.structure[m]
+            body = ti.static(climbers.dock_offset_body)
+            free = only_free_dock(walks, m, best[m])
+            if free >= 0:
+                one = (free + 1) % DOCKS
+                here = vector_in(center, m, best[m])
+                q = quaternion_at(orientation, m, best[m])
+                body_in = vector_at(body, one)
+                across = rotate(q, vector_at(body, (free + 2) % DOCKS) - body_in)
+                arm = rotate(q, vector_at(body, free) - body_in)
+                pivot = here + rotate(q, body_in)
+                axis = across.normalized()
+                count = gather_near(limits, structures, s, pivot, climbers.near, m)
+                count = ti.min(count, climbers.near.shape[1])
+                met = flip_contact(limits, arm, axis, pivot, climbers.near, m, count)
+                angle = ti.min(met[0], met[1])
+                if angle <= limits.max_flip:
+                    flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
+                    turned = quaternion_product(flip, q).normalized()
+                    end = pivot - rotate(turned, body_in)
+                    stay[m] = last[m] + 1
+                    pivot_dock[m, stay[m]] = one
+                    move_to(walks, m, stay[m], end, turned)
+                    for k in range(DOCKS):
+                        point = end + rotate(turned, vector_at(body, k))
+                        sense_contacts(limits, structures, s, walks, m, stay[m], k, point)
