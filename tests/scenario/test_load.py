@@ -107,6 +107,16 @@ def test_mistakes_in_old_keys_keep_their_line(scenario):
     assert localization_params("virtual-force", ["rounds=7"]).iterations == 7
 
 
+def test_old_names_of_the_settings_of_joint_load(scenario):
+    """Scenarios and run folders of earlier versions have them."""
+    old = "{method: joint, stretch: 1.0, start_tolerance: 0.5, end_tolerance: 0.02}"
+    now = "{method: joint, extension_prior: 1.0, start_sigma: 0.5, end_sigma: 0.02}"
+
+    loaded = [load_scenario(scenario(f"{SMALL}localization: {text}")) for text in (old, now)]
+
+    assert loaded[0] == loaded[1]
+
+
 def test_what_is_written_is_what_is_loaded(scenario):
     """Values end up where they belong, whole numbers as floats where floats are wanted."""
     full = load_scenario(scenario(FULL))

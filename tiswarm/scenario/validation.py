@@ -26,7 +26,11 @@ DISCRIMINATORS = {"structure": "kind", "localization": "method"}
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
 
-RENAMED: dict[str, str] = {}
+RENAMED = {
+    "localization.stretch": "localization.extension_prior",
+    "localization.start_tolerance": "localization.start_sigma",
+    "localization.end_tolerance": "localization.end_sigma",
+}
 """New names of dotted keys of earlier versions, which scenarios and options may still use."""
 
 _REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
