@@ -1,4 +1,4 @@
-"""Structures come in from other programs and go out to them."""
+"""Structures are imported from and exported to other programs."""
 
 import json
 import re
@@ -28,12 +28,12 @@ def exported(small_run, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def robots(small_run):
-    """What the run says of the robots of that case."""
+    """The robots of that case."""
     return pd.read_csv(small_run / "cases" / "0-baseline" / "robots.csv")
 
 
 def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
-    """Docks of half a centimetre, another offset, no order: in, located, and out in cm."""
+    """Units, dock size and order differ from ours; results are in the unit of the file."""
     imported = tiswarm(
         "import", EXAMPLE, "--dock-radius", 0.5, "--dock-offset", 1, "--out", tmp_path
     )
@@ -55,19 +55,19 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
 
 
 def test_what_is_exported_can_be_imported(tiswarm, small_run, exported, tmp_path):
-    """The log made of exported poses has the contacts that the robots felt, in their order."""
+    """The log made of exported poses has the contacts of the original log, in their order."""
     done = tiswarm("import", exported / "structure.csv", "--out", tmp_path, "--quiet")
 
     assert done.returncode == 0, done.stderr
-    felt = read_sensing_log(small_run / "cases" / "0-baseline" / "sensing.jsonl")
+    original = read_sensing_log(small_run / "cases" / "0-baseline" / "sensing.jsonl")
     log = read_sensing_log(tmp_path / "sensing.jsonl")
-    np.testing.assert_array_equal(log.contacts, felt.contacts)
+    np.testing.assert_array_equal(log.contacts, original.contacts)
     assert log.length_unit == "R"
 
 
 @pytest.mark.parametrize("name", ["structure", "estimate", "contacts"])
 def test_parquet_holds_the_same_as_csv(exported, name):
-    """Names, types and every bit."""
+    """Names and values are equal."""
     csv = pd.read_csv(exported / f"{name}.csv", float_precision="round_trip")
 
     parquet = pd.read_parquet(exported / f"{name}.parquet")
@@ -88,7 +88,7 @@ def _docks_and_hubs(robots, columns):
     [("structure", ["x_R", "y_R", "z_R"]), ("estimate", ["x_est_R", "y_est_R", "z_est_R"])],
 )
 def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
-    """Another library reads the same solid from both formats, closed and in its place."""
+    """Both formats contain the same closed solid, at the positions of the robots."""
     ply = trimesh.load(exported / f"{name}.ply")
     scene = trimesh.load(exported / "case.glb")
     turn, _ = scene.graph.get(name)

@@ -1,4 +1,4 @@
-"""The page of a run opens from disk, draws, sorts, and says what the tables say."""
+"""The page of a run works in a browser and agrees with the tables."""
 
 import base64
 import io
@@ -68,7 +68,7 @@ const acts = {
 
 @pytest.fixture(scope="module")
 def seen(small_run, tmp_path_factory):
-    """What a browser makes of the page of a small run."""
+    """Results of a script in the page of a small run, in a browser."""
     if CHROMIUM is None:
         pytest.skip("no chromium or chrome here; install the package chromium")
     page = (small_run / "report.html").read_text()
@@ -88,13 +88,13 @@ def seen(small_run, tmp_path_factory):
 
 
 def test_the_page_draws_without_a_complaint(seen):
-    """Nothing is thrown, and the view in space shows something."""
+    """The browser reports no error, and the 3D view shows robots."""
     assert seen["troubles"] == []
     assert _colored(seen["whole"]) > 0.01
 
 
 def test_the_view_takes_the_structure_apart(seen):
-    """Four robots cover less than twelve, a turn changes the picture, and boxes empty it."""
+    """Slider, rotation and check boxes change the view."""
     assert _colored(seen["part"]) < 0.7 * _colored(seen["whole"])
     assert seen["turned"] != seen["part"]
     assert _colored(seen["emptied"]) < 1e-4  # rims of letters
@@ -111,7 +111,7 @@ def _colored(picture: str) -> float:
 
 
 def test_the_table_of_cases_sorts_and_filters(seen, small_run):
-    """By number, both ways; rows show that hold every word."""
+    """Sorting is numeric in both directions; rows that contain all words remain."""
     rmse = pd.read_csv(small_run / "summary.csv")["rmse_R"]
     ascending = [f"{value:.2f}" for value in sorted(rmse)]
 
@@ -122,7 +122,7 @@ def test_the_table_of_cases_sorts_and_filters(seen, small_run):
 
 
 class _Sources(HTMLParser):
-    """Gathers what a page would load."""
+    """Gathers the addresses that a page loads."""
 
     def __init__(self, page):
         super().__init__()
@@ -134,7 +134,7 @@ class _Sources(HTMLParser):
 
 
 def test_the_page_is_one_small_file(small_run):
-    """It loads nothing, and can be sent by mail."""
+    """It loads no other file."""
     page = small_run / "report.html"
 
     sources = _Sources(page.read_text()).found
@@ -145,7 +145,7 @@ def test_the_page_is_one_small_file(small_run):
 
 
 def test_the_page_says_what_the_tables_say(small_run):
-    """Means with their intervals, and how to repeat the run."""
+    """It contains means with their intervals, and the command that repeats the run."""
     page = (small_run / "report.html").read_text()
 
     for row in pd.read_csv(small_run / "table.csv").to_dict("records"):
@@ -154,7 +154,7 @@ def test_the_page_says_what_the_tables_say(small_run):
 
 
 def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
-    """As it stands, from the files of the run alone."""
+    """The command needs only the files of the run."""
     run = tmp_path / "run"
     shutil.copytree(small_run, run)
     page = (run / "report.html").read_text()
@@ -170,7 +170,7 @@ def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
 
 
 def test_an_animation_becomes_part_of_the_page(tiswarm, tmp_path):
-    """Asked for with the run; the page shows it even where no other picture is drawn."""
+    """`--animate` adds it to the page even without other pictures."""
     done = tiswarm(
         "run", "scenarios/tower.yaml", "--set", "robots=4", "--set", "seeds=1",
         "--set", "conditions={baseline: {}}", "--no-pictures", "--animate", "--out", tmp_path,

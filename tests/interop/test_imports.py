@@ -46,7 +46,7 @@ def named_contacts(log):
 
 
 def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
-    """From poses alone, with the order of joining in a column, even if rows are shuffled."""
+    """Poses and the column `join` suffice, even if rows are shuffled."""
     history = towers[0]
     sensed = observe(history, SensingParams())
     rows = [[*row, join] for join, row in enumerate(poses_of(history))]
@@ -61,7 +61,7 @@ def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
 
 
 def test_without_an_order_robots_join_outward_from_the_anchor(towers, tmp_path):
-    """Each touches one that came before, by ever more contacts from the anchor; this is said."""
+    """Each robot touches an earlier one, hops from the anchor increase, and progress says so."""
     progress = Recorder()
 
     log, _ = bring_in(tmp_path, POSES, poses_of(towers[0])[::-1], progress, anchor=100)
@@ -94,7 +94,7 @@ def test_spheres_say_the_same_as_poses(towers, tmp_path):
 
 
 def test_gaps_within_the_tolerance_are_contacts_and_overlaps_beyond_it_are_told(tmp_path):
-    """Two robots side by side, their nearest docks 2 R apart, give or take."""
+    """Two robots stand side by side, and the gap between their docks varies."""
     found = {}
     for gap in (0.05, -0.05, 0.2, -0.2):
         progress = Recorder()

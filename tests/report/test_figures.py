@@ -30,7 +30,7 @@ def test_every_figure_is_drawn(run_folder):
 
 
 def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
-    """Neither the folder nor the page shows what an earlier state of the run had."""
+    """Figures that the run no longer has disappear from the folder and from the page."""
     stale = run_folder / "figures" / "profiles.png"
     stale.parent.mkdir()
     stale.touch()
@@ -44,14 +44,14 @@ def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
 
 
 def test_the_same_tables_give_the_same_bytes(run_folder):
-    """A figure holds neither the time nor the place of its making."""
+    """A figure contains neither the time nor the folder."""
     first = [path.read_bytes() for path in draw_figures(load_run(run_folder), Progress())]
 
     assert [path.read_bytes() for path in draw_figures(load_run(run_folder), Progress())] == first
 
 
 def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkeypatch):
-    """Nobody takes three structures for four."""
+    """A note on each figure states the number of failed cases."""
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
@@ -63,7 +63,7 @@ def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkey
 
 
 def test_a_run_without_results_has_no_figures(tmp_path):
-    """Where every case failed, this is said and nothing is written."""
+    """If every case failed, nothing is written, and progress says so."""
     write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "failed"]])
     progress = Recorder()
 
@@ -72,7 +72,7 @@ def test_a_run_without_results_has_no_figures(tmp_path):
 
 
 def test_one_case_of_two_robots_is_enough(tmp_path):
-    """The smallest run has all figures, even if one robot was never located."""
+    """The smallest run has all figures, even if one robot has no estimate."""
     folder = tmp_path / "cases" / "0-baseline"
     write_case(folder, seed=0)
     header, *robots = (folder / "robots.csv").read_text().splitlines()
@@ -85,7 +85,7 @@ def test_one_case_of_two_robots_is_enough(tmp_path):
 
 
 def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
-    """The mean over seeds does not jump where one of them stops."""
+    """The mean over seeds does not jump where one case stops."""
     long = write_case(tmp_path / "cases" / "0-baseline", seed=0, last_iteration=40)
     short = write_case(tmp_path / "cases" / "1-baseline", seed=1, last_iteration=20)
     rows = [["0-baseline", "done"], ["1-baseline", "done"]]
@@ -93,12 +93,12 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
 
     figure = draw_convergence(load_run(tmp_path))
 
-    held = np.array([*short, short[-1], short[-1]])
-    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + held) / 2.0)
+    extended = np.array([*short, short[-1], short[-1]])
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + extended) / 2.0)
 
 
 def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
-    """And the axis says so; others are not squeezed by it."""
+    """The axis label states the cut, and the other lines keep their width."""
     last = {"baseline": 40, "no-z": 40, "back-propagation": 400}
     for name, iteration in last.items():
         write_case(tmp_path / "cases" / f"0-{name}", seed=0, last_iteration=iteration)
@@ -114,7 +114,7 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
 
 
 def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch):
-    """Where a run grows several kinds, none is drawn into the other's axes."""
+    """Kinds of structures do not share axes."""
     rows = [
         [f"0-{kind}-{condition}", "done", condition, f"{point}, {condition}", point, kind]
         for kind in ("tower", "cantilever")
@@ -141,7 +141,7 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
 
 
 def test_many_points_and_conditions_have_room(tmp_path):
-    """Each point of a sweep has its panel, and what is drawn says nothing twice."""
+    """Each point of a sweep has a panel, and labels appear once."""
     conditions = [f"condition-{number}" for number in range(8)]
     rows = [
         [f"0-{point},{condition}", "done", condition, f"{point}, {condition}", point, kind]
@@ -181,7 +181,7 @@ def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
 
 
 def test_published_numbers_stand_beside_ours(tmp_path):
-    """An open marker in the row of the condition that was published, none in the others."""
+    """Only the row of the published condition has an open marker."""
     header = (
         "condition,structure.kind,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,"
         "procrustes_disparity_ci95,paper_rmse_radii,paper_procrustes_disparity"
@@ -221,7 +221,7 @@ def test_a_damaged_run_is_refused_by_name(run_folder, damage):
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):
-    """The message says which folder is meant."""
+    """The message names the folder."""
     with pytest.raises(InputError, match="name a folder that"):
         draw_figures(load_run(tmp_path), Progress())
 
@@ -235,7 +235,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
     ],
 )
 def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
-    """A figure for each kind of structure; of a long sweep, one for all; values are the table's."""
+    """Few points have a figure each, many share one; values are those of the table."""
     rows = [
         ["baseline", *point, by, low, low + 1, 4, 0.5, 1.0 + low]
         for point in ([[value] for value in points] or [[]])

@@ -1,4 +1,4 @@
-"""The page of a run: what it warns of, and what it does with odd runs."""
+"""The page of a run warns of limits, and shows runs without results."""
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: t
 
 @pytest.fixture
 def odd_run(tmp_path):
-    """A run whose only case failed, and whose texts are not to be trusted."""
+    """A run whose only case failed, and whose texts contain HTML."""
     row = ["0-baseline", 0, "baseline", "failed", "no <b>robot</b> came", "", "", ""]
     write_table(tmp_path / "summary.csv", SUMMARY, [row])
     write_table(tmp_path / "table.csv", "condition,cases,failed,paper_rmse_radii,"
@@ -28,7 +28,7 @@ def odd_run(tmp_path):
 
 
 def test_a_run_without_results_has_a_page(odd_run):
-    """It says why; there is nothing to look at in space, so no library is part of it."""
+    """It states the reason and has no 3D view."""
     page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
@@ -37,7 +37,7 @@ def test_a_run_without_results_has_a_page(odd_run):
 
 
 def test_texts_stay_texts(odd_run):
-    """Descriptions and reasons cannot become part of the page."""
+    """HTML in descriptions and reasons is escaped."""
     page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "<script>boom" not in page
@@ -68,7 +68,7 @@ def test_a_damaged_run_is_refused_by_name(odd_run, name):
 
 
 def test_the_view_shows_each_series_once(run_folder):
-    """The first case that is done of each, every robot in join order."""
+    """The view contains the first finished case of each series, robots in join order."""
     view = build_view(load_run(run_folder))
 
     names = [case["name"] for case in view.data["cases"]]
@@ -80,7 +80,7 @@ def test_the_view_shows_each_series_once(run_folder):
 
 
 def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
-    """A page stays small, and says what it leaves out."""
+    """The page stays small, and a note states the limit."""
     monkeypatch.setattr(page, "MOST_ROBOTS", 5)
 
     view = build_view(load_run(run_folder))

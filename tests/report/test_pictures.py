@@ -78,7 +78,7 @@ def test_an_unknown_choice_is_refused(run_folder, choice, problem):
 
 
 def test_pictures_of_a_chosen_case_carry_its_name(run_folder):
-    """They do not replace those of the run."""
+    """They do not overwrite the pictures of the run."""
     drawn = render_run(load_run(run_folder), progress=Progress(), renderer="taichi", case="0-no-z")
 
     assert all(picture.path.name.endswith("-0-no-z.png") for picture in drawn)

@@ -1,4 +1,4 @@
-"""Scenes are framed and traced exactly."""
+"""Cameras contain the scene, and rays hit the right capsule."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_every_ball_is_inside_the_picture(shape):
 
 
 def test_robots_without_an_estimate_are_drawn_once(run_folder):
-    """A robot that was never located appears among the true ones only."""
+    """A robot without an estimate appears among the true robots only."""
     case = load_run(run_folder).cases[0]
     whole = build_pictures(case)["truth-and-estimate"].scene
     table = case.folder / "robots.csv"
@@ -50,7 +50,7 @@ def test_robots_without_an_estimate_are_drawn_once(run_folder):
 
 
 def test_first_capsule_along_each_ray_is_found(scene):
-    """Tiles and kernel agree with marching along each ray past all capsules."""
+    """Tiles and kernel agree with ray marching."""
     camera = scene.camera
     pixels = np.random.default_rng(0).uniform((0, 0), (camera.width, camera.height), (300, 2))
     pixels = pixels.astype(np.float32)

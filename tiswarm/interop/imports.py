@@ -119,8 +119,13 @@ def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: flo
     Raises:
         InputError: the table cannot be read or a row is malformed; names file and line.
     """
-    table, unit = _read_table(path)
-    table = _by_robot(table, path)
+    text = Table(path)
+    columns, unit = _columns(text.columns, path)
+    numbers = {
+        name: text.integers(column) if name in WHOLE else text.numbers(column)
+        for name, column in columns.items()
+    }
+    table = _by_robot(pd.DataFrame(numbers | {"line": list(text.rows)}), path)
     first = table.drop_duplicates("robot")
     count = len(first)
     place = table[[*"xyz"]].to_numpy(float).reshape(count, -1, 3)
@@ -139,17 +144,6 @@ def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: flo
         join=first["join"].to_numpy(np.int64) if "join" in first else None,
         length_unit=unit,
     )
-
-
-def _read_table(path: Path) -> tuple[pd.DataFrame, str]:
-    """Read the columns of poses as numbers, and the line of each row; returns the unit too."""
-    text = Table(path)
-    columns, unit = _columns(text.columns, path)
-    table = pd.DataFrame({
-        name: text.integers(column) if name in WHOLE else text.numbers(column)
-        for name, column in columns.items()
-    })  # fmt: skip
-    return table.assign(line=list(text.rows)), unit
 
 
 def _columns(header: list[str], path: Path) -> tuple[dict[str, str], str]:

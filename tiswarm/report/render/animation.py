@@ -23,7 +23,7 @@ from tiswarm.report.render.pictures import (
     read_case_view,
 )
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import Robots, Scene, build_scene
+from tiswarm.report.render.scene import Scene, build_scene
 from tiswarm.report.run_data import RunData
 
 Movie = Literal["gif", "mp4"]
@@ -94,11 +94,8 @@ def _scenes(view: CaseView, joined: Sequence[int]) -> list[Scene]:
     around = whole.dock.reshape(-1, 3)
     scenes = []
     for count in joined:
-        robots = Robots(
-            center=whole.center[:count],
-            dock=whole.dock[:count],
-            color=whole.color[:count],
-            look=whole.look,
+        robots = replace(
+            whole, center=whole.center[:count], dock=whole.dock[:count], color=whole.color[:count]
         )
         scene = build_scene([robots], view.ground_z, around=around)
         camera = scene.camera
@@ -109,7 +106,7 @@ def _scenes(view: CaseView, joined: Sequence[int]) -> list[Scene]:
 
 def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
     """Add a legend to a frame, and make its size even, as MP4 requires."""
-    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}, {count} of {robots} robots")
+    legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {count} of {robots} robots")
     band = add_legend(Image.new("RGB", (SHRINK * picture.width, 0)), legend)
     band = band.resize((picture.width, band.height // SHRINK), Image.Resampling.LANCZOS)
     height = picture.height + band.height

@@ -8,7 +8,7 @@ FAR = 1e30
 
 @ti.func
 def sphere_depth(direction, center, radius):
-    """Depth at which a ray from the origin meets a sphere, or FAR."""
+    """Find the depth at which a ray from the origin meets a sphere, or FAR."""
     depth = FAR
     a = direction.dot(direction)
     b = direction.dot(center)
@@ -21,7 +21,7 @@ def sphere_depth(direction, center, radius):
 
 @ti.func
 def tube_depth(direction, start, span, radius):
-    """Depth at which a ray from the origin meets an open cylinder about a segment, or FAR."""
+    """Find the depth at which a ray from the origin meets a tube about a segment, or FAR."""
     depth = FAR
     length2 = span.dot(span)
     flat = direction - span * (direction.dot(span) / length2)
@@ -55,8 +55,8 @@ def trace_capsules(
         end: Other end, shape (P, 3).
         radius: Radius [R], shape (P,).
         nearest: Depth before which a capsule has no point [R], shape (P,).
-        depth: Written: depth of the first capsule [R], shape (n,).
-        seen: Written: which it is, or -1, shape (n,).
+        depth: Output: depth of the first capsule [R], shape (n,).
+        seen: Output: index of the first capsule, or -1, shape (n,).
     """
     for i in range(pixel.shape[0]):
         right = (pixel[i, 0] - camera[0, 1]) / camera[0, 0]
