@@ -23,6 +23,7 @@ from benchmarks.reactivebuild.figures import draw_figures
 from benchmarks.reactivebuild.laws import count_verdicts, curves_of, law_points, measure, scorecard
 from benchmarks.reactivebuild.structures import read_structures
 from tiswarm.errors import TiswarmError
+from tiswarm.records.messages import counted
 
 SCENARIO = Path("scenarios/reactivebuild-laws.yaml")
 
@@ -64,13 +65,16 @@ def compare(folder: Path) -> str:
     Raises:
         InputError: if `folder` is not a run folder.
     """
-    rows = measure(read_structures(folder))
+    structures = read_structures(folder)
+    rows = measure(structures)
     table, curves = scorecard(rows), curves_of(rows)
     place = folder / "reactivebuild"
     place.mkdir(exist_ok=True)
     table.to_csv(place / "laws.csv", index=False, lineterminator="\n")
     law_points(curves).to_csv(place / "law-points.csv", index=False, lineterminator="\n")
     summary = f"laws.csv: {count_verdicts(table)}"
+    if structures.failed:
+        summary += f"; {counted(structures.failed, 'case')} failed"
     figures = [path.name for path in draw_figures(curves, place)]
     (place / "laws.html").write_text(_page(folder.resolve().name, summary, table, figures))
     return f"results in {place}\n{summary}"

@@ -313,13 +313,13 @@ LAWS: tuple[Law | Mean, ...] = (
         least=1.0,
         numbers=(
             Number(
-                "reach gained from N = 25 to 100 [R]", _gained_reach, GROWTH,
+                f"reach gained from N = {SETTLED} to {FULL} [R]", _gained_reach, GROWTH,
                 {
                     1.0: below(1.0), 2.5: below(1.0), 5.0: below(2.5),
                     10.0: above(2.5), 25.0: above(6.0),
                 },
             ),
-            Number("reach at N = 100 [R]", lambda curve: curve.at(FULL)),
+            Number(f"reach at N = {FULL} [R]", lambda curve: curve.at(FULL)),
         ),
     ),
     Mean("cantilever shape", "cantilever", "rms_radius_R", "rms radius [R]", within(8.0, 10.5)),

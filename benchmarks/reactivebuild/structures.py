@@ -56,6 +56,9 @@ class Structures:
     spheres: pd.DataFrame
     """One row a dock sphere: `case` and the height `z_R` of its center [R]."""
 
+    failed: int = 0
+    """Number of cases that failed, so that their structures are missing."""
+
     def where(self, **settings: str | float) -> "Structures":
         """Keep structures with these settings."""
         kept = self.totals
@@ -133,12 +136,12 @@ def read_structures(folder: Path) -> Structures:
         raise InputError(msg, path=folder) from error
     cases = plan(load_scenario(folder / "scenario.yaml", ["scorecard=none"]))
     done = set(summary.index[summary["status"] == "done"])
-    first = cases[0].variant.condition
+    cases = [case for case in cases if case.variant.condition == cases[0].variant.condition]
     totals: list[dict[str, object]] = []
     joins = [pd.DataFrame(columns=["case", *JOINS], dtype=float)]
     spheres = [pd.DataFrame(columns=["case", "z_R"], dtype=float)]
     for case in cases:
-        if case.name not in done or case.variant.condition != first:
+        if case.name not in done:
             continue
         settings = {name: getattr(case.settings.structure, name, None) for name in SETTINGS}
         scores = {name: summary.loc[case.name, name] for name in TOTALS}
@@ -154,6 +157,7 @@ def read_structures(folder: Path) -> Structures:
         totals=pd.DataFrame(totals, columns=["case", *SETTINGS, *TOTALS]),
         joins=pd.concat(joins[1:] or joins),
         spheres=pd.concat(spheres[1:] or spheres),
+        failed=len(cases) - len(totals),
     )
 
 

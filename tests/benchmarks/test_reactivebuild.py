@@ -10,6 +10,7 @@ import yaml
 from PIL import Image
 
 from benchmarks.reactivebuild import laws
+from benchmarks.reactivebuild.__main__ import compare
 from benchmarks.reactivebuild.curves import Curve, Form, fit
 from benchmarks.reactivebuild.figures import FIGURES, draw_cross_section, draw_figures, draw_towers
 from benchmarks.reactivebuild.laws import (
@@ -143,7 +144,7 @@ def good(exact):
 
 
 def test_where_every_law_holds_every_row_is_in_band(exact):
-    """Each law has rows, and none of those with a band is missed."""
+    """Each law has rows, and every row with a band is in it."""
     rows, points = scorecard(exact)
 
     judged = rows[rows["band"] != ""]
@@ -155,7 +156,7 @@ def test_where_every_law_holds_every_row_is_in_band(exact):
 
 
 def test_what_follows_a_law_exactly_is_fitted_exactly(exact):
-    """R2 is 1, the formula is that of the data, and exponents are those of a power."""
+    """R2 is 1; formula and exponents are those of the data."""
     rows, _ = scorecard(exact)
     rows = rows.set_index(["law", "quantity"])
 
@@ -195,7 +196,7 @@ BREACHES = [
 def test_a_total_that_breaks_a_law_is_out_of_band(
     exact, good, law, quantity, kind, column, value, where
 ):
-    """The row says so, and the other laws' rows do not."""
+    """The row of the law is out of band; rows of other laws are not."""
     broken = changed(exact, kind, column, value, **where)
 
     said = verdicts(broken)
@@ -214,7 +215,7 @@ def test_a_total_that_breaks_a_law_is_out_of_band(
     ],
 )
 def test_growth_that_breaks_a_law_is_out_of_band(exact, good, law, quantity, column, value):
-    """Laws of N look at every join, not at the end alone."""
+    """Laws of N use every join, not only the last."""
     broken = replace(exact, joins=exact.joins.assign(**{column: value(exact.joins["robots"])}))
 
     assert good[law, quantity] == "in band"
@@ -230,7 +231,7 @@ def test_a_tower_as_thick_at_the_top_as_below_breaks_the_cross_section_law(exact
 
 
 def test_without_structures_every_row_is_there_and_not_measured(exact):
-    """A run of other things than the laws ask for cannot pass by leaving rows out."""
+    """A run of other structures has all rows, so it cannot pass by omission."""
     nothing = Structures(totals=exact.totals[:0], joins=exact.joins[:0], spheres=exact.spheres[:0])
 
     rows, points = scorecard(nothing)
@@ -242,7 +243,7 @@ def test_without_structures_every_row_is_there_and_not_measured(exact):
 
 
 def test_cross_sections_count_spheres_within_one_radius():
-    """By hand: spheres 0, 1, 1.5 and 4 below the top, then a tower that is less tall."""
+    """Counts agree with those by hand, for one tower and for two."""
     low = pd.DataFrame({"case": "low", "z_R": [1.0, 3.5, 4.0, 5.0]})
     tall = pd.DataFrame({"case": "tall", "z_R": [1.0, 9.0]})
     table = pd.DataFrame({"case": ["low", "tall"]})
@@ -258,7 +259,7 @@ def test_cross_sections_count_spheres_within_one_radius():
 
 
 def test_only_complete_structures_are_behind_a_law_of_robots(exact):
-    """One that ended early would make the mean jump where it ends."""
+    """A structure that ended early would make the mean jump."""
     table = exact.totals[exact.totals["kind"] == "chain"].copy()
     short = table["case"].iloc[0]
     table.loc[table["case"] == short, "robots"] = 60
@@ -293,7 +294,7 @@ def test_fits_recover_exact_coefficients():
     ],
 )
 def test_bands_know_their_ends(band: Band, inside, outside):
-    """A band with an end includes it if it says so; NaN is neither in nor out."""
+    """Only closed bands include their ends; NaN is neither in nor out."""
 
     def verdict(value):
         return Row("law", "quantity", "", value, band, structures=1).verdict
@@ -349,10 +350,10 @@ def finished(tmp_path_factory):
     """Call the command with two seeds of eight robots under two conditions."""
     out = tmp_path_factory.mktemp("laws")
     scenario = yaml.safe_load((REPOSITORY / "scenarios" / "reactivebuild-laws.yaml").read_text())
-    scenario |= {"robots": 8, "seeds": 2, "scorecard": "reactivebuild-laws"}  # as it once was
+    scenario |= {"robots": 20, "seeds": 2, "scorecard": "reactivebuild-laws"}  # as it once was
     scenario |= {"conditions": {"a": {}, "b": {"localization.iterations": 2}}}
     (out / "old.yaml").write_text(yaml.safe_dump(scenario))
-    done = call("reactivebuild", out / "old.yaml", "--set", "precision=f32", "--out", out)
+    done = call("reactivebuild", out / "old.yaml", "--set", "robots=8", "--out", out)
     assert done.returncode == 0, done.stderr
     return next(out.glob("reactivebuild-laws-*")), done.stdout
 
@@ -404,6 +405,17 @@ def test_a_run_folder_gives_the_same_files_again(finished):
         f"{n}.png" for n in FIGURES
     }
     assert done.stdout.splitlines()[-1] == printed.splitlines()[-1]
+
+
+def test_failed_cases_are_counted(finished, tmp_path):
+    """Structures of failed cases are left out, and the summary says how many."""
+    folder, _ = finished
+    copy = shutil.copytree(folder, tmp_path / folder.name)
+    summary = pd.read_csv(copy / "summary.csv")
+    summary.loc[0, "status"] = "failed"
+    summary.to_csv(copy / "summary.csv", index=False)
+
+    assert compare(copy).endswith("; 1 case failed")
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):

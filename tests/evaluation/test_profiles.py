@@ -1,4 +1,4 @@
-"""Errors are told apart by what robots have in common, and by how far apart they are."""
+"""Error profiles group robots by variables, and pairs of robots by hops."""
 
 import numpy as np
 import pandas as pd

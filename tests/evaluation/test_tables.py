@@ -1,4 +1,4 @@
-"""One row says how good an estimate is, and how good it says it is."""
+"""Scores measure the accuracy of an estimate and the calibration of its uncertainty."""
 
 import dataclasses
 
@@ -16,8 +16,8 @@ from tiswarm.sensing import SensingParams, observe
 SHAPE = np.random.default_rng(1).normal(size=(6, 3)) * [1.0, 2.0, 6.0]
 
 
-def test_intervals_cover_whom_they_cover(towers):
-    """A robot counts where it is within so many standard deviations; the anchor does not."""
+def test_coverage_is_the_share_of_robots_in_their_interval(towers):
+    """Robots count if their error is within the interval; the anchor does not count."""
     history = towers[0]
     log = observe(history, SensingParams())
     pose = {"position": history.position, "orientation_wxyz": history.orientation_wxyz}
@@ -29,15 +29,15 @@ def test_intervals_cover_whom_they_cover(towers):
     within[1] = 1.1 * MOST_WITHIN
     sure = dataclasses.replace(estimate, sd=error / within)
 
-    silent, told = (score(truth, log, e, history.robot, cues=[]) for e in (estimate, sure))
+    silent, calibrated = (score(truth, log, e, history.robot, cues=[]) for e in (estimate, sure))
 
     assert "coverage_50" not in silent
-    assert told["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
-    assert told["coverage_90"] == 1.0 - 1.0 / (count - 1)
+    assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
+    assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
 
 
 def test_robots_are_matched_by_name(tmp_path):
-    """Rows may come in any order; a turn about the vertical is told from a wrong shape."""
+    """Rows may have any order; yaw alignment removes a turn about the vertical."""
     order = np.array([3, 1, 4, 0, 5, 2])
     turned = SHAPE @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     write_positions(tmp_path / "truth.csv", np.arange(6), SHAPE, length_unit="mm")
@@ -56,7 +56,7 @@ def test_robots_are_matched_by_name(tmp_path):
     [([0, 1], "R", "robot 2 is in one of the two tables only"), ([0, 1, 2], "cm", "rename them")],
 )
 def test_what_does_not_match_is_refused(tmp_path, robots, unit, problem):
-    """Neither missing robots nor another unit pass for errors."""
+    """Missing robots and another unit are input errors."""
     write_positions(tmp_path / "truth.csv", np.arange(3), SHAPE[:3])
     path = tmp_path / "estimate.csv"
     write_positions(path, np.array(robots), SHAPE[: len(robots)], length_unit=unit)
