@@ -109,7 +109,7 @@ def read_log(path: str | PathLike[str]) -> SensingLog:
 
 def localize(
     log: SensingLog | str | PathLike[str],
-    method: str = "virtual-force",
+    method: str = "joint",
     *,
     cues: Sequence[str] | None = None,
     arch: Arch = "cpu",

@@ -67,7 +67,7 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
     """
     found = list(found)
     if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
-        yield f"no measurement ties them to the anchor, positions are guesses: {_robots(log, lost)}"
+        yield f"disconnected from the anchor (positions are guesses): {_robots(log, lost)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
         yield f"one contact only: {_robots(log, single)}"
     gauge_yaw_sd = None

@@ -75,6 +75,17 @@ def test_settings_of_numpy_are_plain_numbers(run):
         library.localize(log, "virtual-force", iterations=object())
 
 
+def test_joint_is_the_default_method(run):
+    """Of the methods it is the most accurate."""
+    log = run.folder / "cases" / "0-baseline" / "sensing.jsonl"
+    quick = {"chains": 1, "steps": 1000}
+
+    found = library.localize(log, **quick)
+
+    expected = library.localize(log, "joint", **quick)
+    np.testing.assert_array_equal(found.position, expected.position)
+
+
 def test_failed_cases_are_warned_of(tmp_path):
     """What is done is kept; nobody overlooks what is not."""
     far = {"spawn_min": 300, "spawn_max": 310, "climb.max_flips": 2, "climb.max_spawns": 2}

@@ -60,9 +60,15 @@ def test_version_is_told(tiswarm):
         ),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
-        (("localize", "log.jsonl", "--set", "z_corection=no"), "z_correction"),
-        (("localize", "log.jsonl", "--seed", "3"), "--set seed=3: unknown key"),
-        (("localize", "log.jsonl", "--cues", "contacts"), "--cues: unknown key; the keys here are"),
+        (("localize", "log.jsonl", "--set", "solve_yav=no"), "did you mean solve_yaw"),
+        (
+            ("localize", "log.jsonl", "--method", "virtual-force", "--seed", "3"),
+            "--set seed=3: unknown key",
+        ),
+        (
+            ("localize", "log.jsonl", "--method", "virtual-force", "--cues", "contacts"),
+            "--cues: unknown key; the keys here are",
+        ),
         (
             ("localize", "log.jsonl", "--method", "joint", "--cues", "contacts, height"),
             "log.jsonl: there is no such file",
@@ -142,23 +148,23 @@ def test_what_cannot_be_known_is_said_and_marked(tiswarm, small_run, tmp_path):
     """A robot without contacts and a contact that cannot be are named with file and line."""
     log = small_run / "cases" / "0-baseline" / "sensing.jsonl"
     lines = [json.loads(line) for line in log.read_text().splitlines()]
-    last = lines[-1]
     lines[-2]["flip_height"] += 50.0
+    for pose in (lines[-1], *lines[-1]["stances"]):
+        pose["contacts"] = []
     broken = tmp_path / "broken.jsonl"
-    broken.write_text(
-        "\n".join(json.dumps(line) for line in [*lines[:-1], last | {"contacts": []}])
-    )
+    broken.write_text("\n".join(map(json.dumps, lines)))
 
     checked = tiswarm("check", broken)
-    localized = tiswarm("localize", broken, "--out", tmp_path / "estimate.csv")
+    chosen = ("--method", "virtual-force", "--out", tmp_path / "estimate.csv")
+    localized = tiswarm("localize", broken, *chosen)
 
     for done in (checked, localized):
         assert done.returncode == 0
-        assert "no chain of final contacts to the anchor: 1 robot (11)" in done.stdout
+        assert "disconnected from the anchor (positions are guesses): 1 robot (11)" in done.stdout
         assert f"{broken}:{len(lines) - 1}: contacts: robot 10's contact" in done.stdout
     marks = [row.split(",")[-1] for row in (tmp_path / "estimate.csv").read_text().split()]
     assert marks[0] == "known"
-    assert marks[-1] == "apart"
+    assert marks[-1] == "disconnected"
     assert marks[1] == "yes"
 
 

@@ -31,7 +31,7 @@ def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path, pr
     """Online and offline are one code path, whether lines come as text or as mappings."""
     path = tmp_path / "sensing.jsonl"
     path.write_text("\n".join(lines))
-    whole = tiswarm.localize(path, precision=precision, **SETTINGS)
+    whole = tiswarm.localize(path, "virtual-force", precision=precision, **SETTINGS)
 
     localizer = tiswarm.Localizer(lines[0], VirtualForceParams(**SETTINGS), capacity=40)
     joined = [localizer.join(line) for line in lines[1:10]]
@@ -39,7 +39,7 @@ def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path, pr
 
     assert np.array(joined).tobytes() == whole.position.tobytes()
     assert localizer.positions.tobytes() == whole.position.tobytes()
-    again = tiswarm.localize(localizer.log, precision=precision, **SETTINGS)
+    again = tiswarm.localize(localizer.log, "virtual-force", precision=precision, **SETTINGS)
     assert again.position.tobytes() == whole.position.tobytes()
 
 
@@ -98,9 +98,9 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
     assert len(estimate.iteration) == 2
     for call, told in (
         ({"method": "guess"}, "--method: "),
-        ({"iterationz": 3}, "iterationz: unknown key; did you mean iterations"),
+        ({"chainz": 3}, "chainz: unknown key; did you mean chains"),
         ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a cue"),
-        ({"iterations": -1}, "iterations: -1 should be greater"),
+        ({"chains": -1}, "chains: -1 should be greater"),
     ):
         with pytest.raises(InputError, match=told):
             tiswarm.localize(log, **call)

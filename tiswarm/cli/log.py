@@ -10,13 +10,13 @@ from tiswarm.console import ConsoleProgress
 from tiswarm.params import Precision
 
 
-@app.command(epilog="Example: tiswarm localize sensing.jsonl --method joint --out estimate.csv")
+@app.command(epilog="Example: tiswarm localize sensing.jsonl --out estimate.csv")
 def localize(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log.")],
     method: Annotated[
         str,
         typer.Option(help="joint (most accurate), virtual-force (the paper's) or least-squares."),
-    ] = "virtual-force",
+    ] = "joint",
     cues: Annotated[
         str | None, typer.Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
     ] = None,
