@@ -30,6 +30,7 @@ CLEAN = [
     "drawing.py",
     "engine",
     "errors.py",
+    "evaluation",
     "inspection.py",
     "interop",
     "params.py",
@@ -68,11 +69,14 @@ def test_pages_use_plain_words(page):
 
 @pytest.mark.parametrize(
     "module",
-    [module for part in CLEAN for module in modules(part)],
+    [
+        *(module for part in CLEAN for module in modules(part)),
+        *sorted((REPOSITORY / "benchmarks").rglob("*.py")),
+    ],
     ids=lambda module: str(module.relative_to(REPOSITORY)),
 )
 def test_modules_use_plain_words(module):
-    """Each docstring, message and help text of a checked module is free of the words."""
+    """Docstrings, messages and help texts of checked modules and of benchmarks avoid the words."""
     assert found_in(texts_of(module)) == []
 
 
