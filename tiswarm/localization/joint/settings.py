@@ -1,7 +1,7 @@
 """Constants of the joint method, each with its unit, its reason and where its value is from.
 
 "Fitted" values were found on training structures, of seeds that no result is reported on; see
-`docs/accuracy.md`. Lengths in R.
+`docs/notes/`. Lengths in R.
 """
 
 from dataclasses import dataclass
