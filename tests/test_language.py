@@ -35,6 +35,7 @@ CLEAN = [
     "interop",
     "params.py",
     "progress.py",
+    "report",
     "robot.py",
     "scenario",
     "sensing.py",
