@@ -164,7 +164,9 @@ def read_table(
         InputError: the table or a column is missing or damaged.
     """
     try:
-        table = pd.read_csv(path).astype(dict.fromkeys(numbers, float))
+        # Only empty cells are unknown: a condition may be called `NA` or `null`.
+        table = pd.read_csv(path, keep_default_na=False, na_values=[""])
+        table = table.astype(dict.fromkeys(numbers, float))
         table[list(columns)]
     except (OSError, ValueError, KeyError) as error:
         problem = f"cannot be read: {error}; run the scenario again to restore it"
