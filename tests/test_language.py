@@ -19,35 +19,12 @@ BANNED = re.compile(
 PAGES = [
     *(REPOSITORY / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((REPOSITORY / "docs").rglob("*.md")),
+    *sorted((REPOSITORY / "scenarios").glob("*.yaml")),
+    *sorted((REPOSITORY / "tiswarm" / "report" / "templates").iterdir()),
 ]
-CLEAN = [
-    "__init__.py",
-    "__main__.py",
-    "api.py",
-    "cli",
-    "console.py",
-    "doctor.py",
-    "drawing.py",
-    "engine",
-    "errors.py",
-    "evaluation",
-    "inspection.py",
-    "interop",
-    "params.py",
-    "progress.py",
-    "report",
-    "robot.py",
-    "scenario",
-    "sensing.py",
-    "version.py",
-]
-"""Parts of the package whose texts are checked; the aim is all of it."""
-
-
-def modules(part: str) -> list[Path]:
-    """Return the modules of a part of the package."""
-    path = REPOSITORY / "tiswarm" / part
-    return sorted(path.rglob("*.py")) if path.is_dir() else [path]
+MODULES = sorted(
+    path for part in ("tiswarm", "benchmarks") for path in (REPOSITORY / part).rglob("*.py")
+)
 
 
 def texts_of(module: Path) -> Iterator[tuple[int, str]]:
@@ -64,20 +41,17 @@ def found_in(texts: Iterator[tuple[int, str]]) -> list[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_pages_use_plain_words(page):
-    """Each page of the project is free of the words."""
+    """Pages, scenarios and the templates of a run's page avoid the words."""
     assert found_in(enumerate(page.read_text().splitlines(), start=1)) == []
 
 
 @pytest.mark.parametrize(
     "module",
-    [
-        *(module for part in CLEAN for module in modules(part)),
-        *sorted((REPOSITORY / "benchmarks").rglob("*.py")),
-    ],
+    MODULES,
     ids=lambda module: str(module.relative_to(REPOSITORY)),
 )
 def test_modules_use_plain_words(module):
-    """Docstrings, messages and help texts of checked modules and of benchmarks avoid the words."""
+    """Docstrings, messages and help texts of the package and of benchmarks avoid the words."""
     assert found_in(texts_of(module)) == []
 
 

@@ -85,7 +85,7 @@ DeviceArray = Any
 """Array on the device that a kernel takes; `to_numpy` copies it back."""
 
 GRAIN = 512
-"""Iterations of a parallel loop that one thread takes at a time, whatever is asked for.
+"""Iterations of a parallel loop that one thread takes at a time, even if fewer are requested.
 
 A loop over few, long pieces of work runs on one thread unless each piece stands at the start
 of that many iterations, the others idle: `for i in range(pieces * GRAIN): if i % GRAIN == 0:`.

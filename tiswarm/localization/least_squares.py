@@ -184,7 +184,7 @@ def improve(
 
 
 def _measured(log: SensingLog, params: LeastSquaresParams) -> Measurements:
-    """Measure with the widths of the settings, whatever noise of spawns the log states."""
+    """Measure with the widths of the settings, not with the spawn noise that the log states."""
     noise = None if log.noise is None else replace(log.noise, spawn=None)
     widths = Precision(params.contact_width, params.height_width, params.odometry_width)
     return measure(replace(log, noise=noise), params.cues, precision=widths)

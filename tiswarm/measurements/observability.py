@@ -1,4 +1,4 @@
-"""What a log does not determine, whatever the method."""
+"""What a log does not determine, for any method."""
 
 from collections.abc import Collection, Iterator
 

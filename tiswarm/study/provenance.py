@@ -230,7 +230,7 @@ def _localize_s(settings: Scenario) -> float:
 
 
 def _time(seconds: float) -> str:
-    """Write a time to two digits, in the largest unit of which there are two."""
+    """Write a time to two digits, in the largest unit that fits twice."""
     for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
             return f"{float(f'{seconds / length:.2g}'):g} {unit}"

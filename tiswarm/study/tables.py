@@ -227,7 +227,7 @@ def scaling(
     """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
 
     `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
-    constant costs matter less. The growth of a structure counts once, whatever the number of its
+    constant costs matter less. The growth of a structure counts once for any number of its
     conditions. Memory is that of the whole batch that a structure was computed in.
 
     Args:
@@ -281,7 +281,7 @@ def compare(runs: Sequence[Path], out: Path) -> None:
     """Write `comparison.csv`, all rows of the runs' `table.csv`, and `paired.csv`, differences.
 
     Differences are on the structures that two runs share: those with the same true positions to
-    the last bit, whatever the names of the scenarios.
+    the last bit; names of scenarios do not matter.
 
     Raises:
         InputError: fewer than two different runs are given, or a folder has no `table.csv`.

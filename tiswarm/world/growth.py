@@ -129,7 +129,7 @@ class GrowthBatch:
         self.docks.arrays.relay[number, : len(relayed)] = relayed
 
     def _take_outcome(self, slot: int, *, wants: bool) -> None:
-        """Tell a structure whether its mover joined, goes on or is gone."""
+        """Update a structure whose mover joined, goes on or is gone."""
         structure = self.structures[self.structure_of[slot]]
         disturbed = self.walks.disturbed[slot]
         if self.walks.joined[slot] >= 0:

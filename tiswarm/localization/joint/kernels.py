@@ -28,7 +28,7 @@ from tiswarm.localization.joint.motion_kernels import move_robot, move_subtrees
 SKIN = 2.0
 """Reach of Verlet rows beyond the distance at which docks can touch [R]."""
 THIN_SKIN = 0.01
-"""The same while robots move so fast that longer rows would not serve a second step."""
+"""Skin while robots move too fast for longer rows to serve two steps [R]."""
 SMALLEST = 0.1
 """Size of docks in the first step, as a part of their full size. Docks that are solid at once push
 each other out of the initial heap faster than friction takes the heat away."""

@@ -73,8 +73,8 @@ class ConvergenceTest:
     contacts that are right."""
 
     capped_sd: float = 20.0
-    """Standard deviations that one measurement counts for at most: enough that a chain which tore a
-    contact others kept is trapped, not so many that the farthest decides."""
+    """Standard deviations that one measurement counts for at most: enough to find a chain that
+    tore a contact of the others, too few for the farthest measurement to decide."""
 
     most_per_measurement: float = 3.0
     """Mean squared residual, in variances, that the annealer explains: chains are up to 1.3 times

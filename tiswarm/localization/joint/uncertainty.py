@@ -47,8 +47,8 @@ def deviation(
 def between_chains(mean: NDArray[np.float64], converged: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Compute the mean square error of the mean of chains that are draws like the truth, (N,).
 
-    The mean of n draws is off by (n + 1) / n of their variance, of which they show (n - 1) / n
-    around it. If one chain alone converged, the others show how much chains differ.
+    The mean of n draws is off by (n + 1) / n of their variance; the draws around it show
+    (n - 1) / n of that. If one chain alone converged, the others show how much chains differ.
     """
     position = mean[converged].mean(axis=0)
     chains = np.count_nonzero(converged)
