@@ -17,7 +17,7 @@ from tiswarm.world.params import TowerParams
 
 @pytest.fixture(autouse=True)
 def _running_backend() -> None:
-    """Start every test on the same backend, whatever the last one did."""
+    """Start every test on the same backend."""
     backend.start()
 
 

@@ -1,4 +1,4 @@
-"""The digest of the code that computes moves with it, and with nothing else."""
+"""Digest of the computing code: it changes with that code and with nothing else."""
 
 import shutil
 from pathlib import Path
@@ -18,7 +18,7 @@ def copy(tmp_path) -> Path:
 
 @pytest.mark.parametrize("name", ["world/growth.py", "robot.py", "evaluation/metrics.py"])
 def test_any_byte_of_computing_code_moves_the_digest(copy, name):
-    """A changed letter, a removed file and a renamed file are other code."""
+    """A changed letter, a renamed file and a removed file change the digest."""
     digests = {code_digest(copy)}
     path = copy / name
     path.write_bytes(path.read_bytes().replace(b"e", b"a", 1))
@@ -32,7 +32,7 @@ def test_any_byte_of_computing_code_moves_the_digest(copy, name):
 
 
 def test_code_that_computes_nothing_leaves_the_digest(copy):
-    """Neither the report nor line ends, caches or the place of the package matter."""
+    """Changes of the report, of line ends, of caches and of the folder leave the digest."""
     (copy / "report" / "page.py").write_text("")
     path = copy / "world" / "growth.py"
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))

@@ -1,4 +1,4 @@
-"""Runs are set side by side on the structures they share."""
+"""Comparison of runs on the structures that they share."""
 
 import pandas as pd
 import pytest
@@ -19,7 +19,7 @@ def other_run(tmp_path_factory):
 
 
 def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_run, tmp_path):
-    """Seed 1 alone is in both; what is the same run twice over differs by nothing."""
+    """Both runs have seed 1 alone; equal conditions differ by zero."""
     done = tiswarm("compare", small_run, other_run, "--out", tmp_path / "both")
 
     assert done.returncode == 0, done.stderr
@@ -34,7 +34,7 @@ def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_ru
 
 
 def test_every_row_of_every_run_is_kept(tiswarm, small_run, other_run, tmp_path):
-    """Under the name of its run, with the same numbers; and there is a figure."""
+    """Rows keep their numbers under the name of their run, and there is a figure."""
     tiswarm("compare", small_run, other_run, "--out", tmp_path)
 
     both = pd.read_csv(tmp_path / "comparison.csv")
@@ -46,12 +46,12 @@ def test_every_row_of_every_run_is_kept(tiswarm, small_run, other_run, tmp_path)
 
 
 def test_comparing_needs_two_runs(small_run, tmp_path):
-    """Neither one run twice nor a folder without one will do; nothing is written."""
-    for runs, told in (
+    """A run given twice and a folder without a run are refused; nothing is written."""
+    for runs, message in (
         ([small_run, small_run], "two or more"),
         ([small_run, tmp_path], "no table"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             compare(runs, tmp_path / "both")
 
     assert not (tmp_path / "both").exists()

@@ -25,13 +25,13 @@ def _run(out, *overrides, **execution):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
-    """Folder of a run that nothing disturbed."""
+    """Folder of an uninterrupted run."""
     return _run(tmp_path_factory.mktemp("whole")).folder
 
 
 @pytest.fixture
 def inject(tmp_path, monkeypatch):
-    """Have processes run some lines as they start."""
+    """Return a function that lets new processes run some lines as they start."""
 
     def into_processes(lines: str) -> None:
         site = tmp_path / "site"
@@ -43,7 +43,7 @@ def inject(tmp_path, monkeypatch):
 
 
 def test_processes_side_by_side_change_no_byte(whole, tmp_path):
-    """Two processes that share the structures give what one gives."""
+    """Two processes give the bytes of one process."""
     result = _run(tmp_path, workers=2)
 
     assert result.computed == 8
@@ -51,7 +51,7 @@ def test_processes_side_by_side_change_no_byte(whole, tmp_path):
 
 
 def test_shards_make_the_same_run_together(whole, tmp_path):
-    """Parts are computed apart, no case twice, and the last one writes the tables."""
+    """Each case is computed by one shard, and the last shard writes the tables."""
     parts = [_run(tmp_path, shard=(number, 3)) for number in (3, 1, 2)]
 
     assert [part.missing for part in parts] == [6, 2, 0]
@@ -61,7 +61,7 @@ def test_shards_make_the_same_run_together(whole, tmp_path):
 
 @pytest.mark.slow
 def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
-    """Threads of a cluster's workers, each with a process of its own, give what one gives."""
+    """Threads of a Dask worker, each with its own process, give the bytes of one process."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
@@ -72,8 +72,8 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
     assert_same_results(whole, result.folder)
 
 
-def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
-    """Nobody waits for a cluster without end."""
+def test_a_missing_scheduler_is_an_error(tmp_path, monkeypatch):
+    """The run ends with an error instead of waiting."""
     pytest.importorskip("distributed")
     monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.1)
 
@@ -83,7 +83,7 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
-    """Each gets its reason, and a later run makes good for all of them."""
+    """Each failed case has its reason, and a later run computes all of them."""
     inject("""
         import os, signal
         import tiswarm.sensing
@@ -113,7 +113,7 @@ def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
 
 @pytest.mark.slow
 def test_a_case_that_takes_too_long_is_given_up(tmp_path):
-    """No study waits for a case without end."""
+    """The case fails with the limit as its reason."""
     result = _run(tmp_path, "seeds=1", "conditions={a: {}}", case_limit_s=0.001)
 
     assert [record.reason for record in result.failed] == [
@@ -122,7 +122,7 @@ def test_a_case_that_takes_too_long_is_given_up(tmp_path):
 
 
 def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
-    """A study does not wait without end for a process that hangs before its first job."""
+    """The case fails if its process hangs before it computes."""
     inject("import time; time.sleep(60)")
     monkeypatch.setattr("tiswarm.study.executors.START_S", 0.5)
 
@@ -134,13 +134,13 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
 
 
 def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
-    """A method that fails for one condition of one structure costs that case alone."""
+    """If a method fails for one case of a batch, only that case fails."""
     real = runner.localize_many
 
-    def fail(logs, methods, **told):
+    def fail(logs, methods, **settings):
         if any(m.iterations == 20 and log.seed == 2 for log, m in zip(logs, methods, strict=True)):
             raise MemoryError
-        return real(logs, methods, **told)
+        return real(logs, methods, **settings)
 
     def mark(history, params):
         log = observe(history, params)
@@ -160,7 +160,7 @@ def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
 
 
 def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
-    """Who asks for it is not kept waiting for the other cases."""
+    """The first failed case ends the run."""
 
     def fail(*_):
         raise ZeroDivisionError
@@ -174,7 +174,7 @@ def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject):
-    """Kill -9 within the fourth case loses none before it; that one is not trusted half-written."""
+    """After kill -9 within the fourth case, three cases are found and five computed."""
     inject("""
         import os, pathlib, signal
         replace = pathlib.Path.replace
@@ -200,7 +200,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject
 
 
 def test_a_folder_takes_one_run_at_a_time(whole):
-    """A second run is refused while the first is at work; shards of one run are not."""
+    """A second run is refused while the first computes; shards of one run are accepted."""
     with (whole / ".lock").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_SH)
         with pytest.raises(EnvironmentTroubleError, match="another run is at work here"):
@@ -210,7 +210,7 @@ def test_a_folder_takes_one_run_at_a_time(whole):
 
 @pytest.mark.slow
 def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
-    """Structures that grow together are not all localized in the precision of the first."""
+    """Cases of one batch are localized in their own precision."""
     swept = _run(tmp_path, "seeds=1", "sweep.precision=[f64, f32]").folder / "cases"
     alone = _run(tmp_path, "seeds=1", "precision=f32").folder / "cases"
 

@@ -1,4 +1,4 @@
-"""A study that is killed again and again, at any moment, ends as if nothing had happened."""
+"""A study that is killed at random moments ends in the bytes of an uninterrupted one."""
 
 import json
 import os
@@ -25,21 +25,21 @@ STUDY = (
     "seeds=10",
     "conditions={a: {}, b: {localization.method: joint, localization.steps: 300}}",
 )
-"""Twenty cases, of both methods."""
+"""Settings of twenty cases of two methods."""
 
 
 class _Study:
-    """The command of a study, and the folder it works in."""
+    """Command of a study, and its folder."""
 
     def __init__(self, out: Path, temporary: Path) -> None:
         self.out = out
         self.said = temporary / "said.txt"
         self.environment = {k: v for k, v in os.environ.items() if k != "TISWARM_DEBUG"}
-        # Kernels of its own, lest a cache that was killed spoil other tests.
+        # A separate cache of kernels, since a killed process may leave a damaged one.
         self.environment["XDG_CACHE_HOME"] = str(temporary / "cache")
 
     def start(self, *options: str) -> "subprocess.Popen[bytes]":
-        """Start the command in a group of processes of its own."""
+        """Start the command in its own process group."""
         settings = [part for text in STUDY for part in ("--set", text)]
         command = [sys.executable, "-m", "tiswarm", "run", "scenarios/tower.yaml", *settings]
         with self.said.open("wb") as said:
@@ -53,7 +53,7 @@ class _Study:
             )
 
     def moment(self) -> str:
-        """What the command was at: the last stage that it told of, and what lay half-written."""
+        """Return the last reported stage of the command, and what is half-written."""
         lines = self.said.read_text().splitlines() or ["nothing"]
         last = re.split("[:/]", lines[-1].rpartition("of 20 ")[2])[0]
         stored = len([*self.out.glob("*/cases/[!.]*/case.json")])
@@ -68,7 +68,7 @@ class _Study:
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="there are no groups of processes here")
 def test_kills_at_random_moments_lose_and_double_nothing(tmp_path):
-    """Kill -9 of all its processes, the same command again; finished studies start anew."""
+    """Kill all processes with -9 and repeat the command; restart studies that finish."""
     random = np.random.default_rng(SEED)
     whole = _Study(tmp_path / "whole", tmp_path)
     for out in (tmp_path / "first", whole.out):  # the first one compiles kernels too
@@ -99,7 +99,7 @@ def test_kills_at_random_moments_lose_and_double_nothing(tmp_path):
 
 
 def _assert_nothing_amiss(whole: Path, killed: Path) -> None:
-    """Compare every byte but for what is measured, and look for what should not be there."""
+    """Compare all bytes except measured ones, and look for leftovers."""
     a, b = next(whole.iterdir()), next(killed.iterdir())
     assert_same_results(a, b)
     manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (a, b)]

@@ -1,4 +1,4 @@
-"""Whole runs: what they write, that they repeat, and that they go on after a break."""
+"""Whole runs: their files, their repetition, and their continuation after a break."""
 
 import dataclasses
 import filecmp
@@ -31,7 +31,7 @@ SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
 
 
 def _files(folder: Path) -> set[Path]:
-    """Everything that must repeat: all files but what is measured and what is drawn."""
+    """Return all files that must repeat: those that are neither measured nor drawn."""
     return {
         path.relative_to(folder)
         for path in folder.rglob("*")
@@ -51,7 +51,7 @@ def _assert_same_bytes(a: Path, b: Path) -> None:
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_every_shipped_scenario_runs(tmp_path, scenario):
-    """At small size each one finishes every case."""
+    """Each scenario finishes every case at small size."""
     sizes = {
         "scaling": ["sweep={robots: [6, 7, 8]}"],
         "large-swarm": [
@@ -71,7 +71,7 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
 
 @pytest.mark.parametrize("kind", ["tower", "cantilever", "bridge", "chain"])
 def test_logs_of_every_kind_are_read_back(tiswarm, tmp_path, kind):
-    """Whatever grew, its stored log gives the bytes of the estimate that the run stored."""
+    """The stored log of any kind gives the bytes of the stored estimate."""
     ran = tiswarm(
         "run", f"scenarios/{kind}.yaml", "--set", "robots=15", "--set", "seeds=[2]",
         "--no-pictures", "--out", tmp_path,
@@ -86,7 +86,7 @@ def test_logs_of_every_kind_are_read_back(tiswarm, tmp_path, kind):
 
 
 def test_a_run_leaves_everything_behind(small_run):
-    """Tables, cases, manifest and pictures are there, and say what they should."""
+    """Tables, cases, manifest and pictures exist, with the expected content."""
     summary = pd.read_csv(small_run / "summary.csv")
     table = pd.read_csv(small_run / "table.csv")
     manifest = json.loads((small_run / "manifest.json").read_text())
@@ -115,7 +115,7 @@ def test_a_run_leaves_everything_behind(small_run):
     ],
 )
 def test_published_numbers_stand_beside_their_own_setting_only(changed, published):
-    """Every row of the paper's table has its own; a row of anything else has none."""
+    """Rows of the paper's settings have its numbers; rows of other settings have none."""
     only = () if len(published) > 1 else ("sweep={}", "conditions={baseline: {}}")
     paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=1", *only, changed])
     cases = study.plan(paper)
@@ -156,7 +156,7 @@ def test_every_picture_shows_something(small_run):
 
 
 def test_threads_and_repetition_do_not_change_a_byte(tiswarm, tmp_path):
-    """One thread, two threads, and the same once more."""
+    """One thread, two threads and a repetition give the same bytes."""
     for name, threads in (("one", 1), ("two", 2), ("again", 2)):
         done = tiswarm(
             "run", "scenarios/tower.yaml", *SMALL, "--threads", threads, "--out", tmp_path / name
@@ -185,7 +185,7 @@ def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
 
 
 def test_any_method_is_run_and_called_alike(tiswarm, tmp_path):
-    """A scenario and a command line that ask least squares for the same give the same bytes."""
+    """The same settings in a scenario and on the command line give the same bytes."""
     scenario = tmp_path / "squares.yaml"
     scenario.write_text(
         "name: squares\nrobots: 10\nstructure: {kind: tower}\n"
@@ -207,7 +207,7 @@ def test_any_method_is_run_and_called_alike(tiswarm, tmp_path):
 
 
 def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
-    """With the truth overwritten by noise, the estimate keeps its every byte."""
+    """With noise in place of the truth, the estimate keeps every byte."""
     run = tmp_path / "run"
     shutil.copytree(small_run, run)
     rng = np.random.default_rng(0)
@@ -238,7 +238,7 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
 
 
 def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
-    """A run never mixes results of two states of the code, and says what it does."""
+    """A run never mixes results of two states of the code, and reports what it replaces."""
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
     for module in (provenance, store):
@@ -259,7 +259,7 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
 
 
 def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
-    """A case half written, changed or emptied is noticed, and comes back to the same bytes."""
+    """A case that is half-written, changed or empty is computed again, to the same bytes."""
     run = tmp_path / small_run.name
     shutil.copytree(small_run, run)
     cases = run / "cases"
@@ -280,7 +280,7 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
 
 
 def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
-    """Every case was stored, but not all that it cost, nor the manifest."""
+    """All cases were stored, but neither all costs nor the manifest."""
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=6", "seeds=1"])
     progress = Progress()
     monkeypatch.setattr(RunFolder, "store_cost", lambda *_: None)
@@ -323,7 +323,7 @@ def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
 
 
 def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
-    """A run is stopped while it localizes by the second method; what it had done is kept."""
+    """A run that is stopped in its second method keeps its structures and finished cases."""
     sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
     small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
     progress = Progress()
@@ -377,7 +377,7 @@ def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
 
 
 def test_small_structures_are_computed_first():
-    """Each together with its conditions, whatever the order of the sweep."""
+    """Batches are ordered by size, in any order of the sweep, with all conditions together."""
     overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
     scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
 
@@ -452,8 +452,8 @@ def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):
     }
 
 
-def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
-    """Robots that never arrive fail their case with the reason, and the exit status says so."""
+def test_failed_cases_are_reported(tiswarm, tmp_path):
+    """Cases whose robots never arrive fail with the reason, and the exit status is 3."""
     done = tiswarm(
         "run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path,
         "--set", "structure.spawn_min=300", "--set", "structure.spawn_max=310",
@@ -470,7 +470,7 @@ def test_a_case_that_fails_is_told_and_the_rest_goes_on(tiswarm, tmp_path):
 
 
 def test_methods_stand_side_by_side(tiswarm, tmp_path):
-    """Conditions with different methods run on the same structures, and a log goes in alone."""
+    """Conditions of different methods share structures, and their logs localize alone."""
     joint = "{localization.method: joint, localization.chains: 2, localization.steps: 800}"
 
     done = tiswarm(

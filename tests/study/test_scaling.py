@@ -1,4 +1,4 @@
-"""What a study will take and has taken: forecasts, costs, and how they grow with its size."""
+"""Forecast and measured cost of a study, and their growth with its size."""
 
 import json
 
@@ -34,7 +34,7 @@ def _costs(folder, robots):
 
 
 def test_scaling_tells_means_by_size(scaled):
-    """Accuracy is that of the summary; growth counts once a structure, the rest once a case."""
+    """Means are over cases; the growth of a structure counts once."""
     table = pd.read_csv(scaled / "scaling.csv")
     mean = table.set_index(["series", "measure", "robots"])["mean"]
     summary = pd.read_csv(scaled / "summary.csv").groupby(["condition", "robots"])
@@ -53,7 +53,7 @@ def test_scaling_tells_means_by_size(scaled):
 
 
 def test_exponents_are_slopes_on_logarithmic_axes(scaled):
-    """Each series has the least-squares slope of log mean over log N, and that of each step."""
+    """Exponents are least-squares slopes of log mean over log N; slopes are those of each step."""
     for _, part in pd.read_csv(scaled / "scaling.csv").groupby(["series", "measure"]):
         x, y = np.log(part["robots"]), np.log(part["mean"])
         slope = np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2)
@@ -64,7 +64,7 @@ def test_exponents_are_slopes_on_logarithmic_axes(scaled):
 
 
 def test_the_manifest_adds_costs_up(scaled):
-    """Times of a stage are those of its cases together."""
+    """The time of a stage is the sum over its cases."""
     stages = json.loads((scaled / "manifest.json").read_text())["stages"]
     costs = [cost for size in SIZES for cost in _costs(scaled, size).values()]
 
@@ -73,7 +73,7 @@ def test_the_manifest_adds_costs_up(scaled):
 
 
 def test_the_figure_shows_every_series(scaled):
-    """One line a condition in each panel, at the means of the table."""
+    """Each panel has one line for each condition, at the means of the table."""
     table = pd.read_csv(scaled / "scaling.csv").set_index(["measure", "series"])["mean"]
     table = table.sort_index(kind="stable")
 
@@ -93,31 +93,31 @@ def test_the_largest_structure_is_shown(scaled):
     assert shown.name == f"0-robots={SIZES[-1]},paper"
 
 
-def test_a_plan_is_told_and_nothing_runs(tiswarm, tmp_path):
-    """Cases, robots and an estimate, for `run --plan` and for `check` alike."""
+def test_a_plan_is_printed_and_nothing_runs(tiswarm, tmp_path):
+    """`run --plan` and `check` print cases, robots and an estimate."""
     scenario = REPOSITORY / "scenarios" / "scaling.yaml"
 
     planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
     checked = tiswarm("check", scenario)
 
-    told = "42 cases, 866400 robots in all; estimate: "
-    assert planned.stdout.startswith(told)
-    assert told in checked.stdout
+    expected = "42 cases, 866400 robots in all; estimate: "
+    assert planned.stdout.startswith(expected)
+    assert expected in checked.stdout
     assert not (tmp_path / "out").exists()
 
 
 def test_a_forecast_grows_with_what_is_asked_for():
-    """Twice the seeds are twice the work; conditions share the growth of their structures."""
+    """Twice the seeds cost twice; conditions share the growth of their structures."""
     tower = REPOSITORY / "scenarios" / "tower.yaml"
 
-    def told(*overrides):
+    def forecast(*overrides):
         return study.forecast(study.plan(load_scenario(tower, overrides)))
 
-    once, twice = told("seeds=2"), told("seeds=4")
-    alone = told("seeds=2", "conditions={baseline: {}}")
+    once, twice = forecast("seeds=2"), forecast("seeds=4")
+    alone = forecast("seeds=2", "conditions={baseline: {}}")
 
     assert twice.grow_s == pytest.approx(2 * once.grow_s)
     assert twice.localize_s == pytest.approx(2 * once.localize_s)
     assert alone.grow_s == pytest.approx(once.grow_s)
     assert alone.localize_s == pytest.approx(once.localize_s / 3)
-    assert told("robots=20000").memory_mb > once.memory_mb
+    assert forecast("robots=20000").memory_mb > once.memory_mb

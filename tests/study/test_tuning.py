@@ -1,4 +1,4 @@
-"""Fits of gains: on other structures than those reported on, repeatable, taken up again."""
+"""Fits of gains: separate training structures, repetition, continuation."""
 
 import json
 import re
@@ -28,7 +28,7 @@ def record(tiswarm, tmp_path_factory):
 
 
 def test_the_first_trial_is_what_the_scenario_says(record):
-    """So a fit is never worse than what was there, and what is chosen is about as good."""
+    """A fit is never worse than the scenario, and the chosen trial is about as good as the best."""
     fit = json.loads(record.read_text())
 
     assert fit["training_seeds"] == [1000, 1001]
@@ -53,7 +53,7 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
 
 
 @pytest.mark.parametrize(
-    ("robots", "seeds", "conditions", "told"),
+    ("robots", "seeds", "conditions", "message"),
     [
         (8, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
         (8, "1", ["no-zz"], "--condition: no condition 'no-zz'; choose among baseline"),
@@ -65,12 +65,12 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
         ),
     ],
 )
-def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, told):
+def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, message):
     """The message says why, and the record stays as it is."""
     scenario = load_scenario(PAPER, [f"robots={robots}", f"seeds={seeds}"])
     before = record.read_bytes()
 
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(message)):
         tune(
             scenario, record, trials=4, training_seeds=2, conditions=conditions,
             progress=Progress(),
@@ -97,7 +97,7 @@ def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
 
 
 def test_shipped_gains_are_those_of_the_record_and_never_reported_on():
-    """To two digits; and no scenario that ships grows a structure that they were fitted on."""
+    """Gains agree to two digits, and no shipped scenario grows a training structure."""
     fit = json.loads((REPOSITORY / "docs" / "fits" / "virtual-force.json").read_text())
     shipped = VirtualForceParams()
 
