@@ -133,6 +133,21 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
     ]
 
 
+def test_workers_of_other_code_are_refused(tmp_path, inject):
+    """The run ends before it mixes their cases with others, and computes them again later."""
+    inject("""
+        import tiswarm.version
+        tiswarm.version.code_digest = lambda: "0123456789ab"
+    """)
+    one = ("seeds=1", "conditions={a: {}}")
+
+    with pytest.raises(EnvironmentTroubleError, match="install the same tiswarm"):
+        _run(tmp_path, *one, workers=1)
+
+    assert not [*tmp_path.glob("*/summary.csv")]
+    assert _run(tmp_path, *one).computed == 1
+
+
 def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
     """If a method fails for one case of a batch, only that case fails."""
     real = runner.localize_many

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiswarm.compute import backend
-from tiswarm.errors import CasesFailedError, InputError, TiswarmError
+from tiswarm.errors import (
+    CasesFailedError,
+    EnvironmentTroubleError,
+    InputError,
+    TiswarmError,
+)
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.messages import counted
@@ -75,6 +80,8 @@ def run(
 
     Raises:
         CasesFailedError: a case failed and `execution` stops at failures.
+        EnvironmentTroubleError: the device is missing, the folder is in use, or workers run
+            other code.
     """
     if execution.scheduler is None:  # a missing device is an error before anything is written
         backend.start(arch, threads=threads)
@@ -183,6 +190,9 @@ def _compute(
             if outcome is None:
                 waiting.extendleft(reversed(halves(batch)))
                 continue
+            if not all(record.is_current for record in outcome.records):
+                msg = "workers run other code; install the same tiswarm on all machines"
+                raise EnvironmentTroubleError(msg)
             _report(outcome.records, progress)
             first = next((record for record in outcome.records if not record.is_done), None)
             if first is not None and execution.fail_fast:
