@@ -1,6 +1,6 @@
 "use strict";
 
-// --- the table of cases: sort by a column, show some rows ---
+// --- table of cases: sorting and filtering ---
 
 for (const table of document.querySelectorAll("table.sortable")) {
   const body = table.tBodies[0];
@@ -11,7 +11,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
   };
   const compare = (a, b) => {
     if (typeof a === typeof b) return a < b ? -1 : a > b ? 1 : 0;
-    return typeof a === "number" ? -1 : 1; // numbers before words and gaps
+    return typeof a === "number" ? -1 : 1; // numbers before words and empty cells
   };
   heads.forEach((head, column) => head.firstChild.addEventListener("click", () => {
     const way = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
@@ -33,12 +33,12 @@ for (const table of document.querySelectorAll("table.sortable")) {
   });
 }
 
-// --- truth and estimate in space ---
+// --- 3D view of true and estimated positions ---
 
 const BLACK = [0, 0, 0], WHITE = [255, 255, 255];
-const SOLID = 3000; // robots that are drawn with docks and arms at all
-const SHADES = 48; // colors of errors
-const NEARBY = 12; // a robot is pointed at from so far [pixels]
+const SOLID = 3000; // most robots that are drawn with docks and arms
+const SHADES = 48; // number of colors of the error scale
+const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
 const SIDES = [0, 1, 2]; // x, y, z
 const START = { turn: -1.0, tilt: 0.22, zoom: 1 };
 
@@ -59,7 +59,7 @@ function errorColor(share) {
   return mixed(ERROR_COLORS[n], ERROR_COLORS[n + 1], place - n);
 }
 
-// A picture of a ball that light falls on from the upper left.
+// A ball lit from the upper left.
 function ball(color) {
   const picture = new OffscreenCanvas(64, 64), pen = picture.getContext("2d");
   const light = pen.createRadialGradient(23, 20, 2, 32, 32, 32);
@@ -72,7 +72,7 @@ function ball(color) {
   return picture;
 }
 
-// The docks of a robot: its center and each offset, turned by a quaternion (w, x, y, z).
+// The docks of a robot: its center plus each offset, rotated by a quaternion (w, x, y, z).
 function docksOf([x, y, z], [w, a, b, c], offsets) {
   return offsets.map(([u, v, s]) => {
     const p = 2 * (b * s - c * v), q = 2 * (c * u - a * s), r = 2 * (a * v - b * u);
@@ -80,7 +80,7 @@ function docksOf([x, y, z], [w, a, b, c], offsets) {
   });
 }
 
-// The box around all robots, and round numbers along its sides [R].
+// The box around all robots, and ticks along its sides [R].
 function boxOf(shown) {
   const reach = 3; // a robot's docks lie within this
   const low = SIDES.map((k) => shown.true.concat(shown.estimate).reduce((m, p) => Math.min(m, p[k]), Infinity) - reach);
@@ -95,7 +95,7 @@ function boxOf(shown) {
   return { low, high, middle, radius, ticks };
 }
 
-// Where points of space come to lie on the canvas: x, y, pixels for one R there, nearness.
+// Projects points onto the canvas: x, y, pixels per R, nearness.
 function cameraOf(box, { turn, tilt, zoom }, fit, width, height) {
   const [ct, st, ce, se] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
   const eye = [ce * ct, ce * st, se], away = 4 * box.radius;
@@ -108,7 +108,7 @@ function cameraOf(box, { turn, tilt, zoom }, fit, width, height) {
   return { eye, place };
 }
 
-// Pixels for one R with which the whole box is seen at first.
+// Pixels per R at which the whole box fits the canvas.
 function fitOf(box, width, height) {
   const { place } = cameraOf(box, START, 1, 0, 0);
   const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => place(SIDES.map((k) => (n >> k & 1 ? box.high : box.low)[k])));
@@ -116,7 +116,7 @@ function fitOf(box, width, height) {
   return Math.min((width / 2 - 90) / reach(0), (height / 2 - 40) / reach(1));
 }
 
-// The far sides of the box with a grid, and numbers along the edges that nothing hides.
+// The far sides of the box with a grid, and numbers along visible edges.
 function drawBox(pen, box, { eye, place }) {
   const far = SIDES.map((k) => (eye[k] > 0 ? box.low : box.high)[k]);
   const near = SIDES.map((k) => (eye[k] > 0 ? box.high : box.low)[k]);
@@ -150,7 +150,7 @@ function drawBox(pen, box, { eye, place }) {
   }
 }
 
-// What the colors of the estimate mean.
+// The color scale of errors.
 function drawScale(pen, worst, width) {
   const [left, top, wide, tall] = [width - 62, 44, 14, 220];
   const colors = pen.createLinearGradient(0, top + tall, 0, top);
@@ -166,7 +166,7 @@ function drawScale(pen, worst, width) {
   for (const share of [0, 0.25, 0.5, 0.75, 1]) pen.fillText((share * worst).toPrecision(2), left + wide + 6, top + tall * (1 - share));
 }
 
-// Everything that is drawn of the robots, the farthest first.
+// The shapes of robots and errors, the farthest first.
 function shapesOf(shown, count, offsets, wanted, place, balls) {
   const shapes = [];
   const robots = (poses, turns, radius, armColor, ballOf) => poses.slice(0, count).forEach((center, n) => {
