@@ -1,4 +1,4 @@
-"""What a method was not sure of is told in lines that say which robots, and how much."""
+"""Lines on an estimate name robots, and quantify their uncertainty."""
 
 from types import SimpleNamespace
 
@@ -16,7 +16,7 @@ def log(towers):
     return observe(towers[0], SensingParams())
 
 
-def _told(log, *solutions):
+def _lines(log, *solutions):
     """Lines on solutions, each given by its chains, its residual and who stands how far off."""
     found = []
     for chains, residual, off in solutions:
@@ -30,9 +30,9 @@ def _told(log, *solutions):
     return list(describe_solutions(log, SimpleNamespace(solutions=tuple(found))))
 
 
-def test_each_solution_is_told_with_its_gap(log):
+def test_each_solution_is_listed_with_its_gap(log):
     """The gap of residuals, how far off it is at most, and which robots, the farthest first."""
-    assert _told(log, (2, 0.1, {}), (1, 0.25, {4: 2.5, 7: 5.0, 9: 1.9})) == [
+    assert _lines(log, (2, 0.1, {}), (1, 0.25, {4: 2.5, 7: 5.0, 9: 1.9})) == [
         "solution 1 of 2: 2 of 3 chains, residual 0.1 R (1 sd)",
         (
             "solution 2 of 2: 1 of 3 chains, residual 0.25 R (2.5 sd), "
@@ -42,38 +42,38 @@ def test_each_solution_is_told_with_its_gap(log):
     ]
 
 
-def test_one_of_a_kind_is_told_as_one(log):
-    """Else a line reads as if a number were missing."""
-    lines = _told(log, (8, 0.1, {}), (1, 0.2, {4: 3.0}), *[(1, 0.3, {})] * (MOST_SHOWN - 1))
+def test_counts_of_one_are_singular(log):
+    """Both for robots and for solutions."""
+    lines = _lines(log, (8, 0.1, {}), (1, 0.2, {4: 3.0}), *[(1, 0.3, {})] * (MOST_SHOWN - 1))
 
     assert lines[1].endswith(": 1 robot (4)")
     assert lines[-2] == "1 more solution"
 
 
-def test_of_one_solution_nothing_is_told(log):
-    """Nor by methods that look for none."""
-    assert _told(log, (8, 0.1, {})) == _told(log) == []
+def test_a_single_solution_is_not_listed(log):
+    """Methods that look for none have an empty list."""
+    assert _lines(log, (8, 0.1, {})) == _lines(log) == []
 
 
 def test_long_lists_are_cut(log):
-    """And how much is left out is told."""
+    """The last line counts the rest."""
     many = [(1, 0.1 * k, {k: 3.0 * k for k in range(1, k + 1)}) for k in range(MOST_SHOWN + 3)]
 
-    lines = _told(log, *many)
+    lines = _lines(log, *many)
 
     assert len(lines) == MOST_SHOWN + 2
     assert lines[-2] == "3 more solutions"
 
 
 def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
-    """A mean over what nothing tells misses contacts that every chain meets."""
+    """A mean of chains may miss contacts that each chain satisfies."""
     robots = log.robot_count
     best = Solution(chains=7, residual=0.0042, residual_sd=0.7, position=np.zeros((robots, 3)))
     found = SimpleNamespace(
         robot_count=robots, residual=np.array([2.0, 0.25]), residual_sd=31.0, solutions=(best,)
     )
 
-    told = "30 robots, residual 0.25 R rms (31 sd), of the best chain 0.0042 R (0.7 sd)"
-    assert describe_residual(log, found) == told
+    expected = "30 robots, residual 0.25 R rms (31 sd), of the best chain 0.0042 R (0.7 sd)"
+    assert describe_residual(log, found) == expected
     found.solutions, found.residual_sd = (), None
     assert describe_residual(log, found) == "30 robots, residual 0.25 R rms"

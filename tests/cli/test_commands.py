@@ -38,13 +38,13 @@ def test_help_shows_an_example(tiswarm):
         assert "Example: tiswarm" in done.stdout
 
 
-def test_version_is_told(tiswarm):
+def test_version_is_printed(tiswarm):
     """`--version` prints name and version."""
     assert tiswarm("--version").stdout.startswith("tiswarm 0.")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "printed"),
     [
         (("fly",), "No such command"),
         (("run",), "Missing argument"),
@@ -85,7 +85,7 @@ def test_version_is_told(tiswarm):
         (("render", "scenarios"), "scenarios"),
     ],
 )
-def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, told):
+def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, printed):
     """Status 2, one line that names the trouble, nothing written; in this process, to be quick."""
     (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
     monkeypatch.chdir(tmp_path)
@@ -96,12 +96,12 @@ def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, 
 
     assert end.value.code == 2
     line, empty = capsys.readouterr().err.split("\n")
-    assert told in line
+    assert printed in line
     assert empty == ""
     assert [path.name for path in tmp_path.iterdir()] == ["scenarios"]
 
 
-def test_a_mistake_in_a_scenario_is_told_with_its_line(tiswarm, tmp_path):
+def test_a_mistake_in_a_scenario_is_reported_with_its_line(tiswarm, tmp_path):
     """File, line and key of the mistake come first."""
     scenario = tmp_path / "bad.yaml"
     scenario.write_text("name: bad\nstructure:\n  kind: tower\n  goal_heigth: 3\n")
@@ -128,17 +128,17 @@ def test_check_finds_every_mistake(tiswarm, tmp_path):
 
 
 def test_check_reads_logs_too(tiswarm, small_run, tmp_path):
-    """Of a sound log is said what it cannot tell; a damaged one is refused at its line."""
+    """A valid log is described with its unknowns; a damaged one is refused at its line."""
     log = small_run / "cases" / "0-baseline" / "sensing.jsonl"
     lines = log.read_text().splitlines()
     damaged = tmp_path / "damaged.jsonl"
     damaged.write_text("\n".join([*lines[:5], lines[5].replace("[", "(", 1), *lines[6:]]))
 
-    told = tiswarm("check", log).stdout
-    assert "12 robots" in told
-    assert "contacts: " in told
-    assert "contacts, ground, height, walk contacts: " in told
-    assert "floppy modes of 33 unknowns" in told
+    printed = tiswarm("check", log).stdout
+    assert "12 robots" in printed
+    assert "contacts: " in printed
+    assert "contacts, ground, height, walk contacts: " in printed
+    assert "floppy modes of 33 unknowns" in printed
     done = tiswarm("check", damaged)
     assert done.returncode == 2
     assert f"{damaged}:6" in _only_line(done)
@@ -202,11 +202,11 @@ def test_outliers_are_listed_with_their_line(tiswarm, tmp_path):
 
     chosen = ("--set", "chains=2", "--set", "steps=600", "--set", "hold_steps=200")
     out = ("--out", tmp_path / "estimate.csv")
-    told = tiswarm("localize", case / "sensing.jsonl", "--method", "joint", *chosen, *out).stdout
+    printed = tiswarm("localize", case / "sensing.jsonl", "--method", "joint", *chosen, *out).stdout
 
     found = re.findall(
         r"jsonl:(\d+): (?:stances\[(\d+)\].)?contacts: robot (\d+)'s contact (.*) is an outlier",
-        told,
+        printed,
     )
     assert len(found) == scores["outliers"] > 0
     assert scores["outlier_precision"] > 0.8

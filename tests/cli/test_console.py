@@ -5,7 +5,7 @@ import itertools
 from tiswarm import console
 
 
-def test_without_a_terminal_lines_tell_now_and_then_what_is_left(capsys, monkeypatch):
+def test_without_a_terminal_lines_show_the_progress(capsys, monkeypatch):
     """Ten steps of ten seconds: a line each half a minute, and one at the end."""
     clock = itertools.count(0.0, 10.0)
     monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))

@@ -89,7 +89,7 @@ def test_keys_of_one_entry_change_together():
         ("{'robots, seeds': [[10, 1]]}", "cannot be swept"),
     ],
 )
-def test_rows_that_do_not_fit_are_told_with_their_line(tmp_path, sweep, problem):
+def test_rows_that_do_not_fit_are_reported_with_their_line(tmp_path, sweep, problem):
     """So are a key in two places, and a value that is wrong in itself."""
     path = tmp_path / "rows.yaml"
     path.write_text(f"name: rows\nstructure: {{kind: tower}}\nsweep: {sweep}\n")
@@ -159,7 +159,7 @@ def test_cases_that_a_file_system_may_mix_up_are_refused():
         variants(scenario(conditions={"a": {}, "A": {}}))
 
 
-def test_a_wrong_condition_made_in_python_is_told():
+def test_a_wrong_condition_made_in_python_is_reported():
     """Without a file, the error names the key."""
     wrong = scenario(conditions={"a": {"localization.iterations": 0}})
 
@@ -196,7 +196,7 @@ def two_methods(monkeypatch):
 
 
 def test_another_method_starts_from_its_own_defaults(two_methods):
-    """Settings of the old method do not leak into the new one, whatever their names."""
+    """Settings of the old method do not leak into the new one, even under the same name."""
     entries = {"localization.chains": 3, "localization.method": "other"}
 
     old, new = variants(replace(two_methods, conditions={"old": {}, "new": entries}))
@@ -206,7 +206,7 @@ def test_another_method_starts_from_its_own_defaults(two_methods):
 
 
 def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
-    """A condition that would lose what was set for another method is told so, in its line."""
+    """A condition that would drop settings of another method is refused at its line."""
     path = tmp_path / "scenario.yaml"
     path.write_text(
         "name: x\nstructure: {kind: tower}\nlocalization: {iterations: 5}\n"
@@ -233,7 +233,7 @@ def test_whole_sections_can_be_swept(two_methods):
 
 
 def test_a_mistake_of_two_together_names_the_case(two_methods):
-    """What neither change did alone is told with the case in which it happens."""
+    """A mistake of two changes together is reported for the case in which it happens."""
     wrong = replace(
         two_methods,
         sweep={"localization": ({"method": "virtual-force"}, {"method": "other"})},

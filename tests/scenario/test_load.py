@@ -272,7 +272,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("text", "line", "key", "problem"), REFUSED)
-def test_a_mistake_is_told_with_its_place_and_remedy(scenario, text, line, key, problem):
+def test_a_mistake_is_reported_with_its_place_and_remedy(scenario, text, line, key, problem):
     """The message reads `file:line: key: what is wrong; what to do`, and there is one of it."""
     path = scenario(text)
 
@@ -286,7 +286,7 @@ def test_a_mistake_is_told_with_its_place_and_remedy(scenario, text, line, key, 
 
 
 def test_all_mistakes_are_found_at_once(scenario):
-    """They come in file order; loading tells the first and how many more there are."""
+    """They come in file order; loading reports the first, and the number of the others."""
     path = scenario(
         "name: tower\nrobots: 1\nstructure: {kind: tower, goal: 3}\nsensing: {tilt_noise_deg: -1}\n"
         "conditions:\n  bad: {localization.iterations: 0}\nsweep: {precision: [f64, f8]}\n"
@@ -493,7 +493,7 @@ def test_a_method_is_set_up_without_a_file():
         ("virtual-force", "method.x=5", "--set method.x=5: localization.method is a single val"),
     ],
 )
-def test_a_method_that_cannot_be_set_up_is_told(method, option, problem):
+def test_a_method_that_cannot_be_set_up_is_reported(method, option, problem):
     """The message names the option at fault."""
     with pytest.raises(InputError) as refusal:
         localization_params(method, [option])

@@ -116,7 +116,7 @@ def test_the_hash_ignores_how_a_scenario_is_written(tmp_path):
 
 
 @pytest.mark.parametrize("option", ["robots=31", "name=y", "seeds=2", "structure.climb.patience=1"])
-def test_the_hash_tells_scenarios_apart(tmp_path, option):
+def test_different_scenarios_have_different_hashes(tmp_path, option):
     """Whatever changes the study changes its hash."""
     path = tmp_path / "scenario.yaml"
     path.write_text("name: x\nstructure: {kind: tower}\nrobots: 30\n")

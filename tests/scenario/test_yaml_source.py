@@ -104,7 +104,7 @@ def test_what_a_scenario_cannot_be_is_refused(tmp_path, raw, problem):
 
 
 @pytest.mark.parametrize(("name", "problem"), [("gone", "no such file; "), (".", "a folder; ")])
-def test_a_file_that_cannot_be_opened_is_told(tmp_path, name, problem):
+def test_a_file_that_cannot_be_opened_is_reported(tmp_path, name, problem):
     """A missing file and a folder are named, with what to do."""
     with pytest.raises(InputError, match=problem):
         read_yaml(tmp_path / name)
