@@ -88,9 +88,11 @@ class CaseRunner:
 
         A structure of a few robots is grown and localized by each method. Nothing of it is stored.
         """
-        self._warm_up_growth()
-        for _, alike in groupby(sorted(self.job.cases, key=_precision), key=_precision):
-            self._warm_up_methods(list(alike))
+        with self.progress.task("compile kernels", int(not _compiled)) as advance:
+            self._warm_up_growth()
+            for _, alike in groupby(sorted(self.job.cases, key=_precision), key=_precision):
+                self._warm_up_methods(list(alike))
+            advance(1)
 
     def run(self) -> list[CaseRecord]:
         """Compute and store all cases; return their records."""
