@@ -162,16 +162,19 @@ def _missing_keys(
 ) -> str:
     """Return the keys that the settings selected by an option lack and the way out, or nothing."""
     section, name = setting.selected
+    if not section:
+        return ""
     kept, missing, lines = deepcopy(data), list[str](), set[int]()
-    while paths := [
-        mistake.path
+    while mistakes := [
+        mistake
         for mistake in _mistakes(kept)
         if mistake.about_key and not find_culprit(mistake, settings) and _keys(mistake, section)
     ]:
-        for path in paths:
-            missing += _keys(Mistake(path, ""), section)
-            lines.add(source.line_of(path))
-            kept[str(path[0])].pop(path[1], None)
+        for mistake in mistakes:
+            missing += _keys(mistake, section)
+            lines.add(source.line_of(mistake.path))
+        for part, key in {mistake.path[:2] for mistake in mistakes}:
+            del kept[str(part)][key]
         if not kept.get("conditions", True):
             kept["conditions"] = {name: {}}
     if not missing:
