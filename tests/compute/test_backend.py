@@ -44,7 +44,7 @@ def test_arrays_that_nobody_can_reach_are_freed_before_a_new_start():
 
 
 def test_a_start_that_failed_is_not_taken_for_running():
-    """Kernels still run after a device was refused, whatever the refusal stopped."""
+    """Kernels still run after a device was refused, even if the refusal stopped another."""
     backend.start()
     with pytest.raises(EnvironmentTroubleError):
         backend.start("metal")

@@ -1,4 +1,4 @@
-"""The neighbor list's hash, whatever the shape of the swarm."""
+"""The neighbor list's hash, for swarms of any shape."""
 
 import numpy as np
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The swarm step against the equations written out, and what holds whatever the structure."""
+"""The swarm step against the equations written out, and laws that hold for any structure."""
 
 import json
 import os
@@ -133,7 +133,7 @@ def test_other_names_and_another_place_change_nothing(seed, robots):
 
 
 def test_structures_side_by_side_are_as_if_alone():
-    """To the bit, whatever else is in the batch."""
+    """No bit depends on the rest of the batch."""
     position, orientation, contacts = swarm(50, 1)
     alone = relax(position, orientation, contacts, robot=ROBOT, ramp=0.5, steps=30, **GAINS)
     more, turned, touching = swarm(70, 2)

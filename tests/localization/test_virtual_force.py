@@ -1,4 +1,4 @@
-"""Algorithm 1 does what the paper says, whatever the frame, the company or the threads."""
+"""Algorithm 1 does what the paper says, in any frame, batch or number of threads."""
 
 import dataclasses
 
@@ -142,7 +142,7 @@ def test_turning_the_world_about_the_vertical_turns_all_robots_alike(log, angle)
 
 
 def test_robots_that_fit_are_not_turned():
-    """Where docks touch as they should there is no torque, whatever the prior would allow."""
+    """Where docks touch as they should there is no torque, even if the prior would allow one."""
     params = VirtualForceParams(
         initial_offset=2.0, virtual_torque=VirtualTorque(gain=1.0, tolerance=0.0)
     )

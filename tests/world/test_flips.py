@@ -103,9 +103,9 @@ def test_every_pivot_holds_on_to_something(towers):
     """A robot flips about docks that touch another robot or the ground."""
     for history in towers:
         for walk in history.walks:
-            felt = {(s, k) for s, k, _, _ in walk.contacts} | set(map(tuple, walk.ground_docks))
+            touched = {(s, k) for s, k, _, _ in walk.contacts} | set(map(tuple, walk.ground_docks))
 
-            assert all((s, k) in felt for s, k in enumerate(walk.pivot_dock))
+            assert all((s, k) in touched for s, k in enumerate(walk.pivot_dock))
 
 
 def _docks(history, i):

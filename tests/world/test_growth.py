@@ -42,16 +42,16 @@ def test_towers_are_sound_and_touch_where_they_say(towers):
                 for center, q in zip(history.position, history.orientation_wxyz, strict=True)
             ]
         )
-        felt = {tuple(row) for row in history.contacts}
+        sensed = {tuple(row) for row in history.contacts}
         for j in range(history.robot_count):
             for i in range(j):
                 distance = np.linalg.norm(docks[i][:, None] - docks[j][None], axis=2)
                 assert distance.min() > 2.0 - 1e-9
                 for a, b in np.argwhere(distance < 2.02):
-                    assert (i, a, j, b) in felt
-                    felt.discard((i, a, j, b))
+                    assert (i, a, j, b) in sensed
+                    sensed.discard((i, a, j, b))
 
-        assert not felt
+        assert not sensed
         assert find_fault(history, contact_gap=0.02) == ""
 
 
@@ -128,7 +128,7 @@ def _moved(history: History, j: int, by: np.ndarray) -> History:
         ([1e-3, 1e-3, 0.0], "overlap"),
     ],
 )
-def test_unsound_structures_are_found_out(towers, by, fault):
+def test_invalid_structures_are_found(towers, by, fault):
     """A robot pushed into the ground, torn off, or pressed into its neighbors."""
     faults = [
         find_fault(_moved(towers[0], j, sign * np.array(by)), contact_gap=0.02)
@@ -147,7 +147,7 @@ def test_a_robot_held_by_nothing_is_found_out(towers):
     )
     history = dataclasses.replace(towers[0], walks=(*towers[0].walks[:-1], loose))
 
-    assert "held by nothing" in find_fault(history, contact_gap=0.02)
+    assert "touches neither" in find_fault(history, contact_gap=0.02)
 
 
 KINDS = {
@@ -206,7 +206,7 @@ def test_structures_at_an_edge_go_where_they_should(cantilevers, bridges, chains
 
 
 def _calling(history: History, count: int, params: GrowthParams) -> set[tuple[int, int]]:
-    """Docks that recruit whoever touches them while `count` robots stand, (robot, dock)."""
+    """Docks that recruit a robot that touches them while `count` robots stand, (robot, dock)."""
     if count == 0:
         return set()
     structure = frames.grown(history, count)

@@ -123,7 +123,7 @@ def test_round_beams_stand_for_tetrahedra_of_seven_tenths(towers, cantilevers, b
 
 @pytest.mark.parametrize("model", MODELS)
 def test_the_ground_bears_all_weight_and_nothing_else(towers, cantilevers, bridges, chains, model):
-    """Ground forces of whatever grew add up to one a dock, straight up."""
+    """Ground forces of grown structures add up to one a dock, straight up."""
     for history in (*towers, *cantilevers, *bridges, *chains):
         for robots in {1, 2, min(10, history.robot_count), history.robot_count}:
             loads = frames.solve(frames.grown(history, robots), model=model)

@@ -21,13 +21,13 @@ class Allocator:
     """
 
     running: Backend
-    """What runs the kernels."""
+    """Backend whose kernels use the arrays."""
 
     on_host: bool
     """Whether arrays are NumPy's; the device is a CPU then."""
 
-    def for_seldom_used(self) -> "Allocator":
-        """Where arrays go that few kernels are started with."""
+    def for_few_launches(self) -> "Allocator":
+        """Return the allocator for arrays that few launches use."""
         return Allocator(self.running, on_host=self.running.arch == "cpu")
 
     def reals(self, *shape: int) -> DeviceArray:

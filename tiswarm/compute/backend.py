@@ -1,4 +1,4 @@
-"""Starts the compute backend and knows what was started: device, precision, threads.
+"""Start of the compute backend, and the record of its device, precision and threads.
 
 Nothing else may call `ti.init`. A device that is not there is an error, never a silent
 change of device.
@@ -30,7 +30,7 @@ DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.
 
 @dataclass(frozen=True, kw_only=True)
 class Backend:
-    """What runs the kernels."""
+    """Device, library and precision that run the kernels."""
 
     arch: Arch
     """Device."""
@@ -74,8 +74,8 @@ def start(
         precision: Real type of the kernels' own arithmetic.
 
     Raises:
-        InputError: for a device or thread count that makes no sense.
-        EnvironmentTroubleError: where the machine lacks the device or the precision.
+        InputError: the device is unknown or the thread count below 1.
+        EnvironmentTroubleError: the machine lacks the device or the precision.
     """
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
     if arch not in ARCHS:
@@ -155,7 +155,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
 
 
 def faulty_driver() -> EnvironmentTroubleError:
-    """Error of a device that came back without having done a kernel's work."""
+    """Return the error of a device that did not do a kernel's work."""
     msg = (
         f"backend {current().arch} returned without placing every robot; "
         "its driver is faulty: use --arch cpu"
@@ -199,10 +199,12 @@ def _check_arithmetic(backend: Backend) -> None:
     value = expected.copy()
     try:
         probe_arithmetic(value)
-        sound = bool(np.allclose(value, expected, rtol=8 * np.finfo(backend.dtype).eps, atol=0.0))
+        computes = bool(
+            np.allclose(value, expected, rtol=8 * np.finfo(backend.dtype).eps, atol=0.0)
+        )
     except RuntimeError:
-        sound = False
-    if not sound:
+        computes = False
+    if not computes:
         msg = (
             f"backend {backend.arch} does not compute in {backend.precision}; use --arch cpu, "
             "or --precision f32 where structures need not be grown"

@@ -38,7 +38,7 @@ def _library() -> str:
     for name in LIBRARIES if asked is None else (asked,):
         if find_spec(name):
             return name
-    msg = f"{asked or ' and '.join(LIBRARIES)} not installed; say: pip install {asked or 'taichi'}"
+    msg = f"{asked or ' and '.join(LIBRARIES)} not installed; run: pip install {asked or 'taichi'}"
     raise EnvironmentTroubleError(msg)
 
 
@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     Vec3 = Any
     Vec4 = Any
     Ref = Any
+    Static = Any
     Reals1 = Any
     Reals2 = Any
     Reals3 = Any
@@ -74,6 +75,7 @@ else:
     Vec3 = ti.types.vector(3, ti.f64)
     Vec4 = ti.types.vector(4, ti.f64)
     Ref = ti.template()  # a kernel function is lent an array, bundle or struct, not given a copy
+    Static = ti.template()  # a value that a kernel is compiled for, anew for each other value
 
     # Without a dtype an array argument takes what it is given: one source for f32 and f64.
     Reals1, Reals2, Reals3 = (ti.types.ndarray(ndim=ndim) for ndim in (1, 2, 3))
@@ -106,6 +108,7 @@ __all__ = [
     "Reals2",
     "Reals3",
     "Ref",
+    "Static",
     "Vec3",
     "Vec4",
     "kernel_struct",

@@ -49,7 +49,7 @@ def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> ND
         structure: Number of each point's structure, 0 to S - 1, none empty, shape (N,).
 
     Returns:
-        Which point comes first, second and so on, shape (N,).
+        Points in the order of the curve, shape (N,).
     """
     by_structure = np.argsort(structure, kind="stable")
     first = np.searchsorted(structure[by_structure], np.arange(structure.max() + 1))
@@ -120,7 +120,7 @@ def _layout(
 
 
 def own_bits_for(docks: int) -> int:
-    """Bits that number a robot's own dock."""
+    """Count the bits that number a robot's own dock."""
     return max(1, (docks - 1).bit_length())
 
 
@@ -193,7 +193,7 @@ class NeighborList:
         self._check_size()
         self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
         first, entry = pack_contacts(contacts, robots=self.robots, docks=docks)
-        seldom = memory.for_seldom_used()
+        seldom = memory.for_few_launches()
         self.table = seldom.upload(tables)
         self.connections = Connections(
             start=seldom.upload(first),

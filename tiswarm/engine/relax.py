@@ -189,7 +189,7 @@ class PreparedSwarm:
         )
         self.control, self.moves = memory.ints(2), memory.reals(1)
         self.ramp = memory.reals(1)
-        seldom = memory.for_seldom_used()
+        seldom = memory.for_few_launches()
         self.structure = seldom.upload(ids[order])
         turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
 

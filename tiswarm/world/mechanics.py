@@ -35,10 +35,10 @@ from tiswarm.params import STRICT
 Array = NDArray[np.float64]
 
 GROUND = -1
-"""Stands for the ground where a beam's second dock is named."""
+"""Second dock of a beam that ends in the ground."""
 
 MAX_UNBORNE = 1e-6
-"""Greatest share of the weight that may be missing from the ground forces of what stands [1]."""
+"""Largest share of the weight that ground forces of a standing structure may miss [1]."""
 
 UNHELD = "a part of the structure is held by nothing"
 
@@ -50,7 +50,7 @@ COLUMN_MASK = (1 << ROW_BITS) - 1
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
-    """A structure cannot bear its weight, or is none."""
+    """A structure, or a part of it, that nothing supports."""
 
 
 @parameters(frozen=True, kw_only=True, config=STRICT)
@@ -75,7 +75,7 @@ class MechanicsParams:
 
 @dataclass(frozen=True, kw_only=True)
 class Loads:
-    """What a structure of N robots, C contacts and G ground contacts bears, at rest."""
+    """Loads at rest in a structure of N robots, C contacts and G ground contacts."""
 
     sensed: Array
     """Mean over a robot's links of |axial force| + |bending moment|, shape (N,)."""
@@ -84,7 +84,7 @@ class Loads:
     """Largest von Mises stress in each contact, shape (C,)."""
 
     ground_stress: Array
-    """The same in each contact with the ground, shape (G,)."""
+    """Largest von Mises stress in each contact with the ground, shape (G,)."""
 
     ground_force: Array
     """Force of the ground on each dock that stands on it, shape (G, 3)."""
@@ -234,7 +234,7 @@ class Frame:
         """Find the forces at rest under the robots' own weight.
 
         Raises:
-            StructureFailure: where the structure, or a part of it, is held by nothing.
+            StructureFailure: nothing supports the structure or a part of it.
         """
         self._admit()
         weight = np.zeros((len(self.dock), 6))
@@ -290,18 +290,18 @@ class Frame:
         )
 
     def _sensed(self, acting: Array) -> Array:
-        """What each robot feels, from what acts on its docks, shape (N,)."""
+        """Compute the load that each robot senses from the forces on its docks, shape (N,)."""
         link = self.arm / np.linalg.norm(self.arm, axis=1, keepdims=True)
         axial = np.abs(np.sum(acting[:, :3] * link, axis=1))
         moment = acting[:, 3:]
         bending = moment - np.sum(moment * link, axis=1, keepdims=True) * link
-        felt = axial + np.linalg.norm(bending, axis=1)
-        mean: Array = felt.reshape(-1, len(self.body)).mean(axis=1)
+        load = axial + np.linalg.norm(bending, axis=1)
+        mean: Array = load.reshape(-1, len(self.body)).mean(axis=1)
         return mean
 
 
 def _cross_matrix(vector: Array) -> Array:
-    """Matrices of v x, shape (n, 3, 3), for vectors v, shape (n, 3)."""
+    """Build the matrices of v x, shape (n, 3, 3), for vectors v, shape (n, 3)."""
     matrix = np.zeros((len(vector), 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         matrix[:, i, j] = -vector[:, k]
@@ -310,7 +310,7 @@ def _cross_matrix(vector: Array) -> Array:
 
 
 def stiffness(span: Array, axial: float, radius: float, poisson: float) -> Array:
-    """Stiffness of beams, nodes in the order first end, second end.
+    """Compute the stiffness of beams, nodes in the order first end, second end.
 
     Args:
         span: First end to second end [R], shape (n, 3).
@@ -346,7 +346,7 @@ def stiffness(span: Array, axial: float, radius: float, poisson: float) -> Array
 
 
 def rigid_link(arm: Array) -> Array:
-    """Motion of a point at `arm` from a rigid body's node, from the node's own.
+    """Build the matrix from a rigid body's node to a point at `arm`: their motions.
 
     Args:
         arm: Node to point [R], shape (n, 3).
@@ -360,7 +360,7 @@ def rigid_link(arm: Array) -> Array:
 
 
 def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array:
-    """Largest von Mises stress in a cross-section of round beams.
+    """Compute the largest von Mises stress in a cross-section of round beams.
 
     Args:
         end: Force and moment on the first end, shape (n, 6).
@@ -399,7 +399,7 @@ def _turned(square: Array, turn: Array) -> Array:
 
 
 def _condensed_robot(dock_offset_body: Array, params: MechanicsParams) -> Array:
-    """Stiffness of a robot in its body frame as its docks feel it, shape (6 docks, 6 docks)."""
+    """Condense a robot's stiffness, body frame, to its docks, shape (6 docks, 6 docks)."""
     count = len(dock_offset_body)
     links = stiffness(dock_offset_body, params.link_axial, params.beam_radius, params.poisson)
     whole = np.zeros((6 + 6 * count, 6 + 6 * count))

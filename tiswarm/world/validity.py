@@ -70,11 +70,13 @@ def _open_contact(
 
 def _unsupported(history: History) -> str:
     """Robots that neither touch an earlier one nor stand on the ground."""
-    held = np.zeros(history.robot_count, np.bool_)
-    held[history.contacts[:, 2]] = True
-    held[history.ground_docks[:, 0]] = True
-    held[history.edge_docks[:, 0]] = True
-    return "" if held.all() else f"robot {np.argmin(held)} is held by nothing"
+    supported = np.zeros(history.robot_count, np.bool_)
+    supported[history.contacts[:, 2]] = True
+    supported[history.ground_docks[:, 0]] = True
+    supported[history.edge_docks[:, 0]] = True
+    if supported.all():
+        return ""
+    return f"robot {np.argmin(supported)} touches neither an earlier robot nor the ground"
 
 
 def _unbalanced(history: History) -> str:

@@ -11,7 +11,7 @@ its orientations, and so its docks and its walk, are turned about the vertical t
 center.
 """
 
-from tiswarm.compute.lang import Ref, ti
+from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import vector_at
 from tiswarm.localization.virtual_force_kernels import with_torque
 from tiswarm.measurements.model import SPACING
@@ -53,7 +53,7 @@ def turned(x, y, heading: Ref, r):
 def pull_of_contacts(
     r,
     i,
-    turning: ti.template(),
+    turning: Static,
     slope,
     step: Ref,
     robots: Ref,
@@ -120,7 +120,7 @@ def pull_of_contacts(
 
 
 @ti.func
-def push_of_overlaps(r, docks: ti.template(), slope, grid: Ref, rows: Ref, swarm: Ref):
+def push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref):
     """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
 
     Integers make the sum independent of the order of a row.
@@ -157,7 +157,7 @@ def mass_for(needed, before, factor):
 
 @ti.func
 def pull_robot(
-    r, docks: ti.template(), turning: ti.template(), step: Ref, robots: Ref, contacts: Ref,
+    r, docks: Static, turning: Static, step: Ref, robots: Ref, contacts: Ref,
     priors: Ref, grid: Ref, rows: Ref, swarm: Ref,
 ):  # fmt: skip
     """Write the force on copy r and the mass that it needs, and both for its turn if it turns.

@@ -10,6 +10,7 @@ from tiswarm.compute.lang import (
     Reals2,
     Reals3,
     Ref,
+    Static,
     ti,
 )  # fmt: skip
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
@@ -59,9 +60,9 @@ def growth_at(t, growing):
 
 @ti.kernel
 def take_steps(
-    by_block: ti.template(),
-    docks: ti.template(),
-    turning: ti.template(),
+    by_block: Static,
+    docks: Static,
+    turning: Static,
     own_bits: I32,
     entry_stride: I32,
     capacity: I32,

@@ -4,7 +4,7 @@ Each has a mass, keeps a part of its velocity, and is kicked so that it reaches 
 sigma^2.
 """
 
-from tiswarm.compute.lang import Ref, ti
+from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
 from tiswarm.localization.virtual_force_kernels import turn_dock
@@ -96,7 +96,7 @@ def move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
 
 @ti.func
 def move_robot(
-    r, turning: ti.template(), step: Ref, robots: Ref, priors: Ref, trees: Ref, blocks: Ref,
+    r, turning: Static, step: Ref, robots: Ref, priors: Ref, trees: Ref, blocks: Ref,
     swarm: Ref,
 ):  # fmt: skip
     """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
