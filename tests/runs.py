@@ -37,3 +37,23 @@ def assert_same_results(a: Path, b: Path) -> None:
     assert found[0] == found[1]
     assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
     assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
+
+
+def _files(folder: Path) -> set[Path]:
+    """Return all files that must repeat: those that are neither measured nor drawn."""
+    return {
+        path.relative_to(folder)
+        for path in folder.rglob("*")
+        if path.is_file()
+        and path.name not in MEASURED
+        and not {"figures", "renders"} & set(path.parts)
+    }
+
+
+def assert_same_bytes(a: Path, b: Path) -> None:
+    """Compare every byte of two runs that is neither measured nor drawn."""
+    assert _files(a) == _files(b)
+    same, different, missing = filecmp.cmpfiles(a, b, _files(a), shallow=False)
+    assert same
+    assert not different
+    assert not missing

@@ -1,52 +1,20 @@
 """Whole runs: their files, their repetition, and their continuation after a break."""
 
-import dataclasses
-import filecmp
 import json
 import shutil
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 
-from tests.recorder import Recorder
-from tests.runs import MEASURED, REPOSITORY
+from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
-from tiswarm.localization import virtual_force
 from tiswarm.progress import Progress
-from tiswarm.report.run_data import load_run
 from tiswarm.scenario import load_scenario
-from tiswarm.study import provenance, runner, store, tables
-from tiswarm.study.cases import batches, plan
-from tiswarm.study.runner import SAMPLE_ROBOTS, failure
-from tiswarm.study.store import RunFolder
-from tiswarm.version import code_digest
-from tiswarm.world.growth import grow
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
-
-
-def _files(folder: Path) -> set[Path]:
-    """Return all files that must repeat: those that are neither measured nor drawn."""
-    return {
-        path.relative_to(folder)
-        for path in folder.rglob("*")
-        if path.is_file()
-        and path.name not in MEASURED
-        and not {"figures", "renders"} & set(path.parts)
-    }
-
-
-def _assert_same_bytes(a: Path, b: Path) -> None:
-    assert _files(a) == _files(b)
-    same, different, missing = filecmp.cmpfiles(a, b, _files(a), shallow=False)
-    assert same
-    assert not different
-    assert not missing
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
@@ -103,30 +71,6 @@ def test_a_run_leaves_everything_behind(small_run):
     assert {"structure.png", "truth-and-estimate.png"} <= set(manifest["renders"])
 
 
-@pytest.mark.parametrize(
-    ("changed", "published"),
-    [
-        ("description=the same", [1.64, 1.84, 2.36, 2.36, np.nan, 3.91, 5.26, 5.12, 5.12, np.nan]),
-        ("structure.climb.settle=true", [1.64]),  # the paper leaves open how flips end
-        ("robots=99", [np.nan]),
-        ("structure.movers=2", [np.nan]),
-        ("sensing.yaw_noise_deg=1", [np.nan]),
-        ("localization.method=joint", [np.nan]),
-    ],
-)
-def test_published_numbers_stand_beside_their_own_setting_only(changed, published):
-    """Rows of the paper's settings have its numbers; rows of other settings have none."""
-    only = () if len(published) > 1 else ("sweep={}", "conditions={baseline: {}}")
-    paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=1", *only, changed])
-    cases = study.plan(paper)
-    records = [replace(failure(case, ""), status="done", scores={"rmse_R": 3.0}) for case in cases]
-
-    table = tables.table(records, [case.settings for case in cases])
-
-    np.testing.assert_equal(table["paper_rmse_radii"].to_numpy(), published)
-    np.testing.assert_allclose(table["rmse_R_to_paper"], 3.0 / np.array(published))
-
-
 def test_what_a_case_says_is_what_its_files_say(small_run):
     """Errors by robot, the last iteration and the summary agree."""
     summary = pd.read_csv(small_run / "summary.csv").set_index("case")
@@ -163,8 +107,8 @@ def test_threads_and_repetition_do_not_change_a_byte(tiswarm, tmp_path):
         )
         assert done.returncode == 0, done.stderr
 
-    _assert_same_bytes(tmp_path / "one", tmp_path / "two")
-    _assert_same_bytes(tmp_path / "one", tmp_path / "again")
+    assert_same_bytes(tmp_path / "one", tmp_path / "two")
+    assert_same_bytes(tmp_path / "one", tmp_path / "again")
 
 
 def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
@@ -221,214 +165,6 @@ def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
 
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "blind.csv").read_bytes() == (case / "estimate.csv").read_bytes()
-
-
-def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
-    """The same command finds every case stored and changes nothing."""
-    before = {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
-
-    done = tiswarm(
-        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2",
-        "--out", small_run.parent,
-    )  # fmt: skip
-
-    assert done.returncode == 0
-    assert "6 of 6 cases are already stored" in done.stderr
-    assert before == {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
-
-
-def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
-    """A run never mixes results of two states of the code, and reports what it replaces."""
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
-    progress = Recorder()
-    for module in (provenance, store):
-        monkeypatch.setattr(module, "CODE", "0123456789ab")
-    old = study.run(small, tmp_path, progress=progress)
-    record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
-    monkeypatch.undo()
-
-    new = study.run(small, tmp_path, progress=progress)
-
-    assert (new.found, new.computed) == (0, 6)
-    assert "6 cases were computed by other code; computing them again" in progress.lines
-    assert record["code"] == "0123456789ab"
-    record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
-    assert record["code"] == code_digest()
-    assert json.loads((new.folder / "manifest.json").read_text())["code"] == code_digest()
-    assert study.run(small, tmp_path, progress=progress).found == 6
-
-
-def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
-    """A case that is half-written, changed or empty is computed again, to the same bytes."""
-    run = tmp_path / small_run.name
-    shutil.copytree(small_run, run)
-    cases = run / "cases"
-    shutil.rmtree(cases / "0-baseline")
-    (cases / "1-baseline" / "estimate.csv").write_text("robot,x_R,y_R,z_R\n")
-    (cases / "0-no-z" / "case.json").write_text("{")
-    (cases / ".1-no-z.part").mkdir()
-    (run / "renders" / ".scenes.tmp").mkdir()
-    (run / "renders" / ".structure.png.tmp").touch()
-
-    done = tiswarm("run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path)
-
-    assert done.returncode == 0, done.stderr
-    assert "3 of 6 cases are already stored" in done.stderr
-    _assert_same_bytes(run, small_run)
-    assert not (run / "report.html").exists()  # it showed another state
-    assert not [*run.rglob(".*.part"), *run.rglob(".*.tmp")]
-
-
-def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
-    """All cases were stored, but neither all costs nor the manifest."""
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=6", "seeds=1"])
-    progress = Progress()
-    monkeypatch.setattr(RunFolder, "store_cost", lambda *_: None)
-    folder = study.run(small, tmp_path, progress=progress).folder
-    (folder / "manifest.json").unlink()
-
-    again = study.run(small, tmp_path, progress=progress)
-
-    assert again.computed == 0
-    manifest = json.loads((folder / "manifest.json").read_text())
-    assert set(manifest["stages"]) == {"grow", "sense", "localize"}
-
-
-def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
-    """Each method and the growth have run once when the first stage begins."""
-    events = []
-    stage, localize_many = provenance.Costs.stage, runner.localize_many
-
-    def record_stage(costs, name, cases):
-        events.append(name)
-        return stage(costs, name, cases)
-
-    def record_method(logs, params, **settings):
-        events.append((params[0].method, logs[0].robot_count))
-        return localize_many(logs, params, **settings)
-
-    monkeypatch.setattr(provenance.Costs, "stage", record_stage)
-    monkeypatch.setattr(runner, "localize_many", record_method)
-    monkeypatch.setattr(runner, "_compiled", {})
-    sets = ["robots=8", "seeds=3", "conditions={a: {}, b: {localization.method: joint}}"]
-
-    study.run(
-        load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets), tmp_path, progress=Progress()
-    )
-
-    assert events == [
-        ("virtual-force", SAMPLE_ROBOTS), ("joint", SAMPLE_ROBOTS), "grow", "sense", "localize",
-        ("joint", 8), "evaluate and store", "localize", ("virtual-force", 8), "evaluate and store",
-    ]  # fmt: skip
-
-
-def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
-    """A run that is stopped in its second method keeps its structures and finished cases."""
-    sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
-    progress = Progress()
-    whole = study.run(small, tmp_path / "whole", progress=progress)
-    monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            study.run(small, tmp_path / "stopped", progress=progress)
-    monkeypatch.setattr(runner, "grow", _grow_samples_only)
-    stopped = study.run(small, tmp_path / "stopped", progress=progress)
-
-    assert (whole.computed, stopped.computed, stopped.found) == (4, 2, 2)
-    _assert_same_bytes(whole.folder, stopped.folder)
-    manifest = json.loads((stopped.folder / "manifest.json").read_text())
-    assert manifest["stages"]["grow"]["cpu_s"] > 0.0
-
-
-def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
-    """A report reads them from `summary.csv`, since the names of folders may be cut."""
-    climb = {
-        "max_flips": 999,
-        "max_spawns": 99,
-        "max_flip_deg": 200.5,
-        "contact_gap": 0.0001,
-        "patience": 3,
-    }
-    structures = [
-        {"mechanics": {"model": model}, "climb": climb, "force_threshold": 8.25, "kind": kind}
-        for kind, model in (("tower", "flexible"), ("chain", "rigid"))
-    ]
-    overrides = [
-        f"sweep={{structure: {json.dumps(structures)}, robots: [4, 5]}}",
-        "conditions={a: {}, b-c: {localization.iterations: 2}}",
-        "seeds=[7]",
-    ]
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
-
-    folder = study.run(small, tmp_path, progress=Progress()).folder
-
-    cases = load_run(folder).cases
-    assert max(len(case.name) for case in cases) > 150
-    assert [case.kind for case in cases] == ["tower"] * 4 + ["chain"] * 4
-    assert [case.point[-10:] for case in cases] == [", robots=4"] * 2 + [", robots=5"] * 2 + (
-        [", robots=4"] * 2 + [", robots=5"] * 2
-    )
-    assert [case.series for case in cases] == [f"{c.point}, {c.condition}" for c in cases]
-    assert len({case.point for case in cases}) == 4
-    assert len(pd.read_csv(folder / "table.csv")) == 8
-
-
-def test_small_structures_are_computed_first():
-    """Batches are ordered by size, in any order of the sweep, with all conditions together."""
-    overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
-
-    robots = [[case.settings.robots for case in batch] for batch in batches(plan(scenario))]
-
-    assert robots == [[4] * 6, [30] * 6, [100] * 6]
-
-
-def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
-    """It is read as it was, unless its file is damaged or other code grew it."""
-    scenario = load_scenario(REPOSITORY / "scenarios" / "bridge.yaml", ["robots=30", "seeds=1"])
-    [case] = plan(scenario)[:1]
-    settings = case.settings
-    [history] = grow(settings.structure, robots=30, seeds=[case.seed], robot=settings.robot)
-    folder = RunFolder.of(scenario, tmp_path)
-    cost = {"wall_s": 1.5, "cpu_s": 1.0, "peak_memory_MB": 3.0}
-    assert folder.read_structure(case) is None
-
-    folder.keep_structure(case, history, cost)
-
-    read, share = folder.read_structure(case)
-    assert share == cost
-    assert (read.seed, read.terrain, read.spawns) == (history.seed, history.terrain, history.spawns)
-    np.testing.assert_equal(
-        [dataclasses.asdict(part) for part in (*read.walks, *read.loads)],
-        [dataclasses.asdict(part) for part in (*history.walks, *history.loads)],
-    )
-    np.testing.assert_array_equal(read.sensed, history.sensed)
-    with monkeypatch.context() as patched:
-        patched.setattr(store, "CODE", "0123456789ab")
-        assert folder.read_structure(case) is None
-    [kept] = (folder.path / "structures").glob("*.npz")
-    data = bytearray(kept.read_bytes())
-    data[len(data) // 2] ^= 1
-    kept.write_bytes(data)
-    assert folder.read_structure(case) is None
-    kept.write_bytes(data[:100])
-    assert folder.read_structure(case) is None
-    kept.write_bytes(b"")
-    assert folder.read_structure(case) is None
-    np.savez(kept, facts="{}")
-    assert folder.read_structure(case) is None
-
-
-def _interrupt(*_args, **_settings):
-    raise KeyboardInterrupt
-
-
-def _grow_samples_only(*settings, robots, **others):
-    assert robots == SAMPLE_ROBOTS
-    return grow(*settings, robots=robots, **others)
 
 
 def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):

@@ -1,0 +1,72 @@
+"""Stages of a batch: compilation before measurement, structures grown once."""
+
+import json
+
+import pytest
+
+from tests.runs import REPOSITORY, assert_same_bytes
+from tiswarm import study
+from tiswarm.localization import virtual_force
+from tiswarm.progress import Progress
+from tiswarm.scenario import load_scenario
+from tiswarm.study import provenance, runner
+from tiswarm.study.runner import SAMPLE_ROBOTS
+from tiswarm.world.growth import grow
+
+
+def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
+    """Each method and the growth have run once when the first stage begins."""
+    events = []
+    stage, localize_many = provenance.Costs.stage, runner.localize_many
+
+    def record_stage(costs, name, cases):
+        events.append(name)
+        return stage(costs, name, cases)
+
+    def record_method(logs, params, **settings):
+        events.append((params[0].method, logs[0].robot_count))
+        return localize_many(logs, params, **settings)
+
+    monkeypatch.setattr(provenance.Costs, "stage", record_stage)
+    monkeypatch.setattr(runner, "localize_many", record_method)
+    monkeypatch.setattr(runner, "_compiled", {})
+    sets = ["robots=8", "seeds=3", "conditions={a: {}, b: {localization.method: joint}}"]
+
+    study.run(
+        load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets), tmp_path, progress=Progress()
+    )
+
+    assert events == [
+        ("virtual-force", SAMPLE_ROBOTS), ("joint", SAMPLE_ROBOTS), "grow", "sense", "localize",
+        ("joint", 8), "evaluate and store", "localize", ("virtual-force", 8), "evaluate and store",
+    ]  # fmt: skip
+
+
+def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
+    """A run that is stopped in its second method keeps its structures and finished cases."""
+    sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
+    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
+    progress = Progress()
+    whole = study.run(small, tmp_path / "whole", progress=progress)
+    monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(virtual_force, "localize_in_join_order", _interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            study.run(small, tmp_path / "stopped", progress=progress)
+    monkeypatch.setattr(runner, "grow", _grow_samples_only)
+    stopped = study.run(small, tmp_path / "stopped", progress=progress)
+
+    assert (whole.computed, stopped.computed, stopped.found) == (4, 2, 2)
+    assert_same_bytes(whole.folder, stopped.folder)
+    manifest = json.loads((stopped.folder / "manifest.json").read_text())
+    assert manifest["stages"]["grow"]["cpu_s"] > 0.0
+
+
+def _interrupt(*_args, **_settings):
+    raise KeyboardInterrupt
+
+
+def _grow_samples_only(*settings, robots, **others):
+    assert robots == SAMPLE_ROBOTS
+    return grow(*settings, robots=robots, **others)
