@@ -86,6 +86,20 @@ def relax(
 
     The bytes of the result depend on the arguments alone, not on threads.
 
+    >>> from tiswarm.robot import RobotGeometry
+    >>> result = relax(
+    ...     [[0, 0, 0], [6, 0, 0]],
+    ...     [[1, 0, 0, 0]] * 2,
+    ...     [[0, 0, 1, 0]],
+    ...     robot=RobotGeometry(),
+    ...     attraction_gain=0.1,
+    ...     repulsion_gain=0.1,
+    ...     ramp=1.0,
+    ...     steps=50,
+    ... )
+    >>> result.position[:, 0].round(3).tolist()  # connected docks touch at a distance of D = 2
+    [2.0, 4.0]
+
     Args:
         position: Centers, shape (N, 3).
         orientation_wxyz: Body to world, unit quaternions, kept throughout, shape (N, 4).

@@ -132,6 +132,23 @@ class Localizer:
     """Places robots one by one as they join, each at once and for good.
 
     The kernel is the one that localizes whole logs, so the positions are the same, bit for bit.
+
+    >>> header = {
+    ...     "format": "tiswarm-sensing",
+    ...     "version": 1,
+    ...     "dock_radius": 1.0,
+    ...     "length_unit": "R",
+    ...     "dock_offsets": [[1.5, 0, 0], [-0.75, 1.3, 0], [-0.75, -1.3, 0]],
+    ...     "anchor_position": [0, 0, 1],
+    ...     "ground_z": 0.0,
+    ... }
+    >>> level = [1, 0, 0, 0]
+    >>> swarm = Localizer(header)
+    >>> swarm.join({"robot": 0, "orientation_wxyz": level, "contacts": []}).tolist()
+    [0.0, 0.0, 1.0]
+    >>> place = swarm.join({"robot": 1, "orientation_wxyz": level, "contacts": [[0, 0, 1]]})
+    >>> len(swarm.positions)
+    2
     """
 
     def __init__(
