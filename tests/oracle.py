@@ -221,7 +221,8 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
                         torque[j] -= np.cross(other, push)[2]
     known_well = tolerance**2 * known.precision
     walk = np.array([r @ [*b, 0.0] for r, b in zip(turn, known.walk, strict=True)])
-    hold = known_well / (1.0 + known_well) * (known.place - walk - position)
+    hold = known.place - walk - position
+    hold *= known_well / (1.0 + known_well + known.precision * (hold / width) ** 2)
     torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
     return force + hold, torque
 

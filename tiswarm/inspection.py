@@ -12,6 +12,7 @@ from tiswarm.errors import InputError
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.observability import by_cue
+from tiswarm.measurements.odometry import CENTER
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
@@ -85,13 +86,24 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
 
 
 def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
-    rows = estimate.doubted
+    contacts, places = estimate.outlier_contacts, estimate.outlier_places
+    if contacts is None or places is None:
+        return
     name = log.robot_id.tolist()
     flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
-    for robot, stance, own, other, dock in [] if rows is None else rows.tolist():
-        key = "contacts" if stance == flips[robot] else f"stances[{stance}].contacts"
-        contact = f"robot {name[robot]}'s contact [{own}, {name[other]}, {dock}]"
-        yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {contact} is an outlier"
+    rows = [
+        (robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]")
+        for robot, stance, own, other, dock in contacts.tolist()
+    ]
+    for robot, stance, dock in places.tolist():
+        if dock == CENTER:
+            rows.append((robot, flips[robot], "flip_height", "height or spawn position"))
+        else:
+            rows.append((robot, stance, "ground_docks", f"ground contact of dock {dock}"))
+    for robot, stance, key, what in rows:
+        of_stance = "" if stance == flips[robot] else f"stances[{stance}]."
+        place = f"{path}:{HEADER_LINES + 1 + robot}: {of_stance}{key}"
+        yield f"{place}: robot {name[robot]}'s {what} is an outlier"
 
 
 def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:

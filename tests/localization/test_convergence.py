@@ -147,9 +147,9 @@ def test_an_estimate_that_misses_its_measurements_says_so():
     assert good.convergence.converged
     assert abs(good.convergence.misfit_sd) < 5.0
     assert 0.3 < good.solutions[0].residual_sd < 2.0
-    assert good.doubted is not None
+    assert good.outlier_contacts is not None
     assert not bad.convergence.converged
-    assert bad.doubted is None
+    assert bad.outlier_contacts is None
 
 
 def test_squares_are_those_of_residuals_in_standard_deviations():

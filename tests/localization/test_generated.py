@@ -40,10 +40,10 @@ def _check(log, estimate):
     assert np.isfinite(estimate.position).all()
     assert np.isfinite(estimate.sd).all()
     if not estimate.convergence.converged:
-        assert estimate.doubted is None
+        assert estimate.outlier_contacts is None
         return
     known = pose_problem(log, JointParams())
-    doubted = {tuple(row) for row in estimate.doubted.tolist()}
+    doubted = {tuple(row) for row in estimate.outlier_contacts.tolist()}
     trusted = np.array([tuple(row) not in doubted for row in known.contacts.tolist()], bool)
     bound = known.reach(0.1, trusted)
     first = np.unique(known.part, return_index=True)[1][known.part]

@@ -26,8 +26,8 @@ UNIT = 1e-6
 
 
 def _problem(known):
-    inlier, curved = np.ones(len(known.rows), np.bool_), np.zeros(len(known.robot))
-    return module._LeastSquares(known, inlier, curved)  # noqa: SLF001
+    curved = np.zeros(len(known.robot))
+    return module._LeastSquares(known.rows, curved, known.yaw_precision)  # noqa: SLF001
 
 
 def _state(position, yaw, turn):
@@ -230,18 +230,17 @@ def test_contacts_that_are_not_trusted_do_not_pull(towers):
     dock[-1] = (dock[-1] + 1) % 3
     distances = rows.distances._replace(other_dock=dock)
     wrong = Measurements.gather(rows.odometry, [distances], [rows.places])
-    mistaken = dataclasses.replace(known, rows=wrong)
     trusted = np.arange(len(rows)) != count - 1
-    args = (towers[0].position, np.zeros(robots), np.full(robots, 0.3))
-    none, every = np.zeros(count), np.ones(len(rows), np.bool_)
+    args = (known, towers[0].position, np.zeros(robots), np.full(robots, 0.3))
+    none = np.zeros(count)
 
     right, without, misled = (
-        refine(known, *args, every, none).position,
-        refine(mistaken, *args, trusted, none).position,
-        refine(mistaken, *args, every, none).position,
+        refine(*args, rows, none).position,
+        refine(*args, wrong.select(trusted), none[1:]).position,
+        refine(*args, wrong, none).position,
     )
 
-    np.testing.assert_array_equal(without, refine(known, *args, trusted, none).position)
+    np.testing.assert_array_equal(without, refine(*args, rows.select(trusted), none[1:]).position)
     assert np.abs(misled - right).max() > 2.0 * np.abs(without - right).max()
 
 
@@ -254,9 +253,10 @@ def test_of_what_nothing_holds_chains_tell_how_far_off_it_is(towers):
     trusted = known.rows.robot != alone
     trusted[: len(known.other)] &= known.other != alone
     sd = np.full(robots, 0.3)
-    curved = np.zeros(len(known.robot))
+    rows = known.rows.select(trusted)
+    curved = np.zeros(len(rows.other))
 
-    found = refine(known, towers[0].position, np.zeros(robots), sd, trusted, curved)
+    found = refine(known, towers[0].position, np.zeros(robots), sd, rows, curved)
 
     assert found.sd[alone] == sd[alone]
     assert np.median(found.sd[1:alone] / sd[1:alone]) < 0.5
@@ -270,8 +270,7 @@ def test_chains_do_not_hold_back_what_many_robots_share():
     log = observe(history, NOISY)
     known = pose_problem(log, dataclasses.replace(ALL, contact_sd=np.sqrt(0.1)))
     count = len(known.robot)
-    every = np.ones(len(known.rows), np.bool_)
-    rest = (np.zeros(robots), np.full(robots, off), every, np.zeros(count))
+    rest = (np.zeros(robots), np.full(robots, off), known.rows, np.zeros(count))
     moved = history.position.copy()
     moved[1:, 0] += off
 

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tiswarm.measurements.consistency import contradictions
+from tiswarm.measurements.consistency import contradictions, inconsistent_places
+from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
+CUES = ("ground", "height", "walk_contacts")
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 DOCKS = 1.506 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.75**0.5, 0.0], [-0.5, -(0.75**0.5), 0.0]])
 
@@ -87,3 +89,22 @@ def test_most_false_contacts_of_a_noiseless_log_are_found(towers):
         false = {tuple(row) for row in log.contacts} - {tuple(row) for row in history.contacts}
 
         assert len(contradictions(log)) >= len(false) // 2
+
+
+def test_a_ground_contact_that_its_robots_flips_contradict_is_found(towers):
+    """One that is taken for flat ground at a height where there is none; no right one is."""
+    for history in towers:
+        for noise in (SensingParams(), SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)):
+            log = observe(history, noise)
+            high = np.flatnonzero(history.position[:, 2] > 4.0)
+            wrong = np.column_stack([high, np.zeros_like(high)])
+            ground = np.concatenate([log.ground_docks, wrong.astype(np.int32)])
+            rows = measure(log, CUES)
+            mistaken = measure(dataclasses.replace(log, ground_docks=ground), CUES)
+
+            found = mistaken.select(inconsistent_places(mistaken)).sensed_places
+
+            assert not inconsistent_places(rows).any()
+            flips = np.diff(log.stances.start)
+            expected = [[robot, flips[robot], 0] for robot in high.tolist()]
+            assert found.tolist() == expected

@@ -55,9 +55,12 @@ def _sensed(position, yaw, log):
     first = stances.start[:-1] + np.arange(log.robot_count)  # among all stances, final ones too
     final = first + np.diff(stances.start)
     places = [(final[j], own, 2, position[j, 2] + turned[j, own, 2]) for j, own in log.ground_docks]
+    stood = {(final[j], own) for j, own in log.ground_docks.tolist()}
+    stood |= {(row + owner[row], own) for row, own in stances.ground_docks.tolist()}
     for row, own in stances.ground_docks:
-        height = position[owner[row], 2] + (back[row] + then[row, own])[2]
-        places.append((row + owner[row], own, 2, height))
+        j = owner[row]
+        if own != stances.pivot_dock[row] or (row + j + 1, own) not in stood:
+            places.append((row + j, own, 2, position[j, 2] + (back[row] + then[row, own])[2]))
     for j, p in enumerate(position):
         begun = p + turn[j] @ (back[owner.index(j)] if j in owner else 0 * p)
         places += [(first[j], -1, axis, value) for axis, value in enumerate(begun)]

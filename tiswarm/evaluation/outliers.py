@@ -28,12 +28,12 @@ def outlier_scores(
         Scores by name; NaN where no contact is wrong or detected; empty where the method detects
         no outliers.
     """
-    if estimate.doubted is None:
+    if estimate.outlier_contacts is None:
         return {}
     touched = [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
     felt = sensed_contacts(log, cues)
     size = tuple(np.concatenate([*touched, felt]).max(axis=0, initial=0) + 1)
-    outlier = _key(estimate.doubted, size)
+    outlier = _key(estimate.outlier_contacts, size)
     wrong = np.setdiff1d(_key(felt, size), _key(np.concatenate(touched), size))
     hits = np.isin(outlier, wrong).sum()
     return {

@@ -103,3 +103,31 @@ def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
         f"[{d.dock[row]}, {name[rows.other[row]]}, {d.other_dock[row]}]"
         for row in chosen
     )
+
+
+def inconsistent_places(rows: Measurements) -> NDArray[np.bool_]:
+    """Find coordinates that disagree with most others that the same robot measured.
+
+    The walk between two stances is known, so that what a robot measured at one of them predicts
+    what it measures at the other, wherever it is. A robot that takes a rounded edge for the flat
+    ground contradicts its own flips.
+
+    Returns:
+        Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
+    """
+    contacts = len(rows.other)
+    found = np.zeros(len(rows), np.bool_)
+    robot, direction = rows.robot[contacts:], rows.places.direction
+    value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
+    own = rows.places.own_variance
+    walked = rows.variance()[contacts:] - own
+    _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+    for mine in groups if len(order) else []:
+        # Both arms share the noise of all stances after the later one.
+        between = np.abs(walked[mine, None] - walked[mine])
+        allowed = ALLOWED_SD**2 * (between + own[mine, None] + own[mine])
+        agrees = (value[mine, None] - value[mine]) ** 2 <= allowed
+        found[contacts + mine] = ~agrees[agrees.sum(axis=1).argmax()]
+    return found

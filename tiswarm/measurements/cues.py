@@ -136,17 +136,22 @@ def measure(
 
 
 def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
-    """Sort rows, and drop distances that a dock which stays put repeats at its next stance."""
-    d = rows.distances
+    """Sort rows, and drop those that a dock which stays put repeats at its next stance."""
+    d, p, walks = rows.distances, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
-    shape = (len(rows.odometry.owner) + 1, docks, log.robot_count, docks)
+    shape = (len(walks.owner) + 1, docks, log.robot_count, docks)
     number = np.ravel_multi_index((d.stance, d.dock, rows.other, d.other_dock), shape)
     following = np.ravel_multi_index((d.stance + 1, d.dock, rows.other, d.other_dock), shape)
-    is_repeated = np.isin(following, number) & (d.dock == rows.odometry.pivot[d.stance])
+    is_repeated = np.isin(following, number) & (d.dock == walks.pivot[d.stance])
     _, kept = np.unique(np.where(is_repeated, -1, number), return_index=True)
     kept = kept[~is_repeated[kept]]
-    chosen = Distances._make(column[kept] for column in d)
-    p = rows.places
+    touch = (docks + 1) * p.stance + p.dock + 1
+    again = np.isin(touch + docks + 1, touch) & (p.dock == walks.pivot[p.stance])
+    again &= p.dock != CENTER
     order = np.lexsort((*p.direction.T, p.dock, p.stance))
-    places = Places._make(column[order] for column in p)
-    return Measurements.gather(rows.odometry, [chosen], [places])
+    order = order[~again[order]]
+    return Measurements.gather(
+        walks,
+        [Distances._make(column[kept] for column in d)],
+        [Places._make(column[order] for column in p)],
+    )

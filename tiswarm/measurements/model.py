@@ -169,6 +169,19 @@ class Measurements:
         return len(self.robot)
 
     @property
+    def sensed_contacts(self) -> Ints:
+        """Robot, its stance, own dock, other robot and its dock of each distance, shape (C, 5)."""
+        d, robot = self.distances, self.robot[: len(self.other)]
+        stance = d.stance - self.odometry.first[robot]
+        return np.column_stack([robot, stance, d.dock, self.other, d.other_dock])
+
+    @property
+    def sensed_places(self) -> Ints:
+        """Robot, its stance, and dock or CENTER of each coordinate, shape (K, 3)."""
+        p, robot = self.places, self.robot[len(self.other) :]
+        return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
+
+    @property
     def own_variance(self) -> Reals:
         """Variance of each row, without noise of orientations [R^2], shape (E,)."""
         return np.concatenate([self.distances.own_variance, self.places.own_variance])

@@ -111,9 +111,13 @@ class Estimate:
     convergence: Convergence | None = None
     """Convergence; None where the method does not assess it."""
 
-    doubted: NDArray[np.int64] | None = None
+    outlier_contacts: NDArray[np.int64] | None = None
     """Outliers among the contacts, rows as `sensed_contacts` lists them, shape (K, 5); None where
     the method does not look for them, or did not converge."""
+
+    outlier_places: NDArray[np.int64] | None = None
+    """Outliers among ground contacts, heights and spawn positions: rows of (robot, its stance from
+    the spawn on, dock, or -1 for the center), shape (K, 3); None where the former is."""
 
     solutions: tuple[Solution, ...] = ()
     """Distinct configurations that the method found, by ascending residual. `position` follows from

@@ -75,7 +75,6 @@ def judge(
     rank = np.argsort(np.argsort(candidates, kind="stable"))
     jury = converged | ((rank < test.jury) & np.isfinite(candidates))
     outlier = (missed[jury] > test.outlier_sd**2).all(axis=0)
-    outlier[contacts:] = False
     used = missed[best, ~outlier]
     count = max(len(used), 1)
     spread = np.sqrt(2.0 * count)
@@ -83,7 +82,7 @@ def judge(
     is_met = chi_square <= test.most_per_measurement * count + test.chance_sd * spread
     torn = (missed[best, :contacts][~outlier[:contacts]] > test.outlier_sd**2).sum()
     is_whole = torn <= test.torn_anyway + test.most_torn * contacts
-    few = outlier.sum() <= test.most_outliers * contacts
+    few = outlier[:contacts].sum() <= test.most_outliers * contacts
     return Verdict(
         converged=converged,
         outlier=outlier,

@@ -182,7 +182,8 @@ def pull_robot(
     hold = vector_at(priors.place, i) - walked - vector_at(swarm.position, r)
     for c in ti.static(range(3)):
         known = square * priors.precision[i, c]
-        stiff = known / (1.0 + known)
+        torn = priors.precision[i, c] * hold[c] * hold[c] * robots.robust[i]  # Cauchy's loss, too
+        stiff = known / (1.0 + known + torn)
         hold[c] *= stiff
         swarm.force[r, c] = pull[c] + hold[c]
         stiffness += stiff / 3.0

@@ -53,7 +53,8 @@ def _estimate(
     sd = deviation(problem, annealed.mean, annealed.within, converged, annealed.sigma)
     if params.refines(log.robot_count) and is_of_use(problem) and convergence.converged:
         inlier = ~verdict.outlier | (not params.robust)
-        position, yaw, sd = refine(problem, position, yaw, sd, inlier, _curved(problem, annealed))
+        curved = _curved(problem, annealed)[inlier[: len(problem.other)]]
+        position, yaw, sd = refine(problem, position, yaw, sd, problem.rows.select(inlier), curved)
     # Chains agree where they place disconnected parts, but nothing measures it.
     sd = np.sqrt(sd**2 + square[converged].mean(axis=0))
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
@@ -61,8 +62,9 @@ def _estimate(
     width = np.sqrt(problem.variance + annealed.sigma**2)
     last = problem.residual(annealed.last[converged], annealed.last_yaw[converged])
     gap = problem.residual(trace, yaw_trace)
+    outliers = problem.rows.select(verdict.outlier)
+    places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     unit = log.dock_radius
-    is_outlier = verdict.outlier[: len(problem.other)]
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
@@ -70,7 +72,8 @@ def _estimate(
         sd=sd * unit,
         yaw=yaw if problem.yaw_precision else None,
         convergence=convergence,
-        doubted=problem.contacts[is_outlier] if convergence.converged else None,
+        outlier_contacts=outliers.sensed_contacts if convergence.converged else None,
+        outlier_places=places if convergence.converged else None,
         solutions=distinct(mean * unit, _rms(last) * unit, _rms(last / width), log.spacing),
         iteration=annealed.iteration,
         trace=trace * unit,

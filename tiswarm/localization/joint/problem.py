@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.localization.params import JointParams
+from tiswarm.measurements.consistency import inconsistent_places
 from tiswarm.measurements.contacts import disconnected, parts, reach
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING, Measurements
@@ -28,7 +29,10 @@ class Problem:
     """Measurements of one structure of N robots, C of them distances; none is of the anchor."""
 
     rows: Measurements
-    """Measurements that count, shape (E,)."""
+    """Measurements that count, E in all."""
+
+    inconsistent: Measurements
+    """Coordinates that most others of the same robot contradict; they do not count."""
 
     variance: NDArray[np.float64]
     """Variance of each distance, mean over all directions [R^2], shape (C,)."""
@@ -77,9 +81,7 @@ class Problem:
     @property
     def contacts(self) -> NDArray[np.int64]:
         """Contacts as `sensed_contacts` lists them, shape (C, 5)."""
-        d = self.rows.distances
-        stance = d.stance - self.rows.odometry.first[self.robot]
-        return np.column_stack([self.robot, stance, d.dock, self.other, d.other_dock])
+        return self.rows.sensed_contacts
 
     @property
     def shift(self) -> NDArray[np.float64]:
@@ -170,10 +172,12 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(log, params.cues, odometry=odometry, precision=precision)
-    chosen, axis = _most_precise(rows)
-    rows = rows.select(chosen)
+    is_wrong = inconsistent_places(rows) & params.robust
+    inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
+    rows = rows.select(_most_precise(rows))
     contacts = len(rows.other)
     robot, direction = rows.robot[contacts:], rows.places.direction
+    axis = np.abs(direction).argmax(axis=1)
     mine = robot, axis
     variance = rows.variance()
     sign = direction[np.arange(len(axis)), axis]
@@ -188,6 +192,7 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     np.logical_or.at(measured, part, weight > 0.0)
     problem = Problem(
         rows=rows,
+        inconsistent=inconsistent,
         variance=variance[:contacts],
         is_final=rows.distances.stance == odometry.final[rows.robot[:contacts]],
         place=place - arm + np.pad(walk, ((0, 0), (0, 1))),
@@ -201,29 +206,27 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
 
 
-def _most_precise(rows: Measurements) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def _most_precise(rows: Measurements) -> NDArray[np.bool_]:
     """Choose all distances, and for each coordinate of a robot its most precise measurement.
 
     Returns:
-        Rows that are chosen, shape (E,), and the axis of each chosen coordinate, shape (K,).
+        Rows that are chosen, shape (E,); none is of the anchor alone.
 
     Raises:
         ValueError: a coordinate is measured along no axis.
     """
     contacts = len(rows.other)
     robot, direction = rows.robot[contacts:], rows.places.direction
-    axis = np.abs(direction).argmax(axis=1)
     if np.count_nonzero(direction) > len(direction):
         message = "joint takes coordinates along x, y or z only"
         raise ValueError(message)
-    variance = rows.variance()[contacts:]
-    order = np.lexsort((variance, 3 * robot + axis))
-    coordinate = (3 * robot + axis)[order]
-    is_first = np.r_[True, np.diff(coordinate) > 0][: len(order)]
-    chosen = np.ones(len(rows), np.bool_)
-    chosen[contacts:] = False
-    chosen[contacts + order[is_first & (robot[order] > 0)]] = True
-    return chosen, axis[chosen[contacts:]]
+    coordinate = 3 * robot + np.abs(direction).argmax(axis=1)
+    order = np.lexsort((rows.variance()[contacts:], coordinate))
+    order = order[robot[order] > 0]
+    _, first = np.unique(coordinate[order], return_index=True)
+    chosen = np.arange(len(rows)) < contacts
+    chosen[contacts + order[first]] = True
+    return chosen
 
 
 def _separated(problem: Problem, anchor: NDArray[np.float64], sd: float) -> Problem:

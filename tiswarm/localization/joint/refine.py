@@ -65,7 +65,7 @@ def refine(
     position: NDArray[np.float64],
     yaw: NDArray[np.float64],
     sd: NDArray[np.float64],
-    inlier: NDArray[np.bool_],
+    rows: Measurements,
     curved: NDArray[np.float64],
 ) -> Refined:
     """Move the robots of one structure to where their measurements are met best.
@@ -75,10 +75,10 @@ def refine(
         position: Where they ended [R], shape (N, 3).
         yaw: Yaw corrections there [rad], shape (N,).
         sd: Standard deviation of these positions [R], shape (N,).
-        inlier: Measurements that count, shape (E,).
+        rows: Measurements that count, C of them distances.
         curved: Variance of contacts because distances are no linear functions [R^2], shape (C,).
     """
-    least_squares = _LeastSquares(problem, inlier, curved)
+    least_squares = _LeastSquares(rows, curved, problem.yaw_precision)
     prior = np.maximum(REFINE.prior_sd * np.sqrt(len(sd)) * sd, REFINE.least_prior)
     begin = state = _State(position, yaw, np.zeros((len(problem.rows.odometry.owner), 3)))
     for _ in range(REFINE.rounds):
@@ -97,12 +97,11 @@ class _LeastSquares:
     """Residuals of E measurements, C of them distances, with arms split by stances."""
 
     def __init__(
-        self, problem: Problem, inlier: NDArray[np.bool_], curved: NDArray[np.float64]
+        self, rows: Measurements, curved: NDArray[np.float64], yaw_precision: float
     ) -> None:
-        self.rows: Measurements = problem.rows.select(inlier)
-        self.walks, self.yaw_precision = problem.rows.odometry, problem.yaw_precision
-        self.own_variance = self.rows.own_variance
-        self.own_variance[: len(self.rows.other)] += curved[inlier[: len(curved)]]
+        self.rows, self.walks, self.yaw_precision = rows, rows.odometry, yaw_precision
+        self.own_variance = rows.own_variance
+        self.own_variance[: len(curved)] += curved
         d, p = self.rows.distances, self.rows.places
         stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
         own = self.walks.noisy_arms(stance, dock)
