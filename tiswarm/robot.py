@@ -9,10 +9,10 @@ import math
 from typing import Annotated, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
 
 DOCK_COUNT = 3
@@ -28,7 +28,7 @@ class Robot(Protocol):
         """D: distance between the centers of two docks that touch."""
 
     @property
-    def dock_offset_body(self) -> NDArray[np.float64]:
+    def dock_offset_body(self) -> Reals:
         """Center to dock in the body frame, shape (docks, 3)."""
 
 
@@ -50,12 +50,12 @@ class RobotGeometry:
         return 2.0 * self.dock_radius
 
     @property
-    def dock_offset_body(self) -> NDArray[np.float64]:
+    def dock_offset_body(self) -> Reals:
         """Center to dock in the body frame [R], shape (3, 3)."""
         return docks_in_plane(self.rho)
 
 
-def docks_in_plane(distance: float) -> NDArray[np.float64]:
+def docks_in_plane(distance: float) -> Reals:
     """Center to dock of three docks in the x-y plane so far from the center, shape (3, 3)."""
     angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
     return distance * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])

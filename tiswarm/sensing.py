@@ -9,6 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.params import STRICT
 from tiswarm.records.sensing_log import Fraction, SensingLog, SensingNoise, Stances
@@ -94,9 +95,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     )
 
 
-def _sensed_orientation(
-    history: History, length: NDArray[np.int64], params: SensingParams
-) -> NDArray[np.float64]:
+def _sensed_orientation(history: History, length: Ints, params: SensingParams) -> Reals:
     """Return the orientation sensed at each stance of each robot, shape (all stances, 4)."""
     true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
     if params.tilt_noise_deg == params.yaw_noise_deg == params.yaw_bias_deg == 0.0:
@@ -128,7 +127,7 @@ def _sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int3
     robot = true[:, 0]
     place = np.concatenate([np.arange(len(part)) for part in parts])
 
-    def draw(stream: str, which: int) -> NDArray[np.float64]:
+    def draw(stream: str, which: int) -> Reals:
         return uniform(history.seed, stream, robot, 4 * place + which)
 
     docks = len(history.robot.dock_offset_body)
@@ -146,7 +145,7 @@ def _sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int3
     return rows
 
 
-def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float64]:
+def _spawn_position(history: History, params: SensingParams) -> Reals:
     """Return each robot's sensed spawn position [R], shape (N, 3); NaN without `spawn_noise`."""
     true = np.array([walk.center[0] for walk in history.walks])
     if params.spawn_noise is None:
@@ -155,9 +154,7 @@ def _spawn_position(history: History, params: SensingParams) -> NDArray[np.float
     return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
 
 
-def _flip_height(
-    history: History, sensed: NDArray[np.float64], end: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
     """Return the height of each robot's center that its own flips imply, shape (N,).
 
     A robot starts flat on the ground. A flip about the dock at b moves its center by
@@ -175,8 +172,8 @@ def _flip_height(
 
 def _stances(
     history: History,
-    sensed: NDArray[np.float64],
-    length: NDArray[np.int64],
+    sensed: Reals,
+    length: Ints,
     contacts: NDArray[np.int32],
 ) -> Stances:
     """Gather every stance except each robot's last.
@@ -203,7 +200,7 @@ def _stances(
     )
 
 
-def _numbered(rows: NDArray[np.int32], start: NDArray[np.int64]) -> NDArray[np.int32]:
+def _numbered(rows: NDArray[np.int32], start: Ints) -> NDArray[np.int32]:
     """Replace (robot, stance) at the start of each row by the stance's index in the log."""
     stance = (start[rows[:, 0]] + rows[:, 1]).astype(np.int32)
     return np.column_stack([stance, rows[:, 2:]])

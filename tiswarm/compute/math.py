@@ -12,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import Reals
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_B = np.uint64(0x94D049BB133111EB)
 _TO_UNIT = 2.0**-53
 
 
-def dock_offsets(
-    orientation_wxyz: NDArray[np.float64], dock_offset_body: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def dock_offsets(orientation_wxyz: Reals, dock_offset_body: Reals) -> Reals:
     """Turn each robot's docks into the world frame.
 
     Args:
@@ -31,11 +31,11 @@ def dock_offsets(
         Center to dock, world frame, shape (N, docks, 3).
     """
     matrix = Rotation.from_quat(orientation_wxyz, scalar_first=True).as_matrix()
-    offsets: NDArray[np.float64] = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
+    offsets: Reals = np.ascontiguousarray(dock_offset_body) @ matrix.swapaxes(1, 2)
     return offsets
 
 
-def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray[np.float64]:
+def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
     """Draw numbers in [0, 1); `robot` and `draw` broadcast against each other.
 
     Args:
@@ -54,12 +54,12 @@ def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArra
     return ((bits >> np.uint64(11)).astype(np.float64) * _TO_UNIT).reshape(shape)
 
 
-def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> NDArray[np.float64]:
+def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
     """Draw standard normal numbers (Box and Muller); arguments as for `uniform`."""
     pair = 2 * np.asarray(draw, dtype=np.uint64)
     radius = np.sqrt(-2.0 * np.log1p(-uniform(seed, stream, robot, pair)))
     turn = np.cos(2.0 * np.pi * uniform(seed, stream, robot, pair + np.uint64(1)))
-    numbers: NDArray[np.float64] = radius * turn
+    numbers: Reals = radius * turn
     return numbers
 
 

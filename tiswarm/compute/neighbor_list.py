@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import (
@@ -39,7 +40,7 @@ ROOM = 1.25
 """Factor of the room that was needed, when more is made."""
 
 
-def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> NDArray[np.int64]:
+def morton_order(point: Reals, structure: Ints) -> Ints:
     """Order points along a Morton curve, structure by structure.
 
     Points near each other in space come near each other in memory.
@@ -58,7 +59,7 @@ def morton_order(point: NDArray[np.float64], structure: NDArray[np.int64]) -> ND
     scale = (2**20 - 1) / np.where(extent > 0.0, extent, 1.0)
     place = ((point - low[structure]) * scale[structure][:, None]).astype(np.uint64)
     x, y, z = (_spread(place[:, axis]) << np.uint64(axis) for axis in range(3))
-    order: NDArray[np.int64] = np.lexsort((x | y | z, structure))
+    order: Ints = np.lexsort((x | y | z, structure))
     return order
 
 
@@ -75,7 +76,7 @@ def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return value
 
 
-def hash_strides(extent: NDArray[np.float64], cutoff: float, buckets: int) -> tuple[int, int]:
+def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
     """Choose the strides of the linear hash, so that the table is the box where that fits.
 
     A larger box is folded into the table: cells far apart may share a bucket, cells around a
@@ -101,13 +102,13 @@ def hash_strides(extent: NDArray[np.float64], cutoff: float, buckets: int) -> tu
 
 
 def _layout(
-    position: NDArray[np.float64],
-    bounds: NDArray[np.int64],
+    position: Reals,
+    bounds: Ints,
     *,
     docks: int,
     reach: float,
     cutoff: float,
-) -> NDArray[np.int64]:
+) -> Ints:
     """Lay out the tables: where each starts, its buckets and its strides, shape (S, 4)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
@@ -125,7 +126,7 @@ def own_bits_for(docks: int) -> int:
 
 
 def pack_contacts(
-    contacts: NDArray[np.int64], *, robots: int, docks: int
+    contacts: Ints, *, robots: int, docks: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Write contacts as row entries of both robots, in an order that is the contacts' own.
 
@@ -156,13 +157,13 @@ class NeighborList:
     def __init__(
         self,
         memory: Allocator,
-        position: NDArray[np.float64],
-        contacts: NDArray[np.int64],
+        position: Reals,
+        contacts: Ints,
         *,
         docks: int,
         reach: float,
         cutoff: float,
-        start: NDArray[np.int64] | None = None,
+        start: Ints | None = None,
     ) -> None:
         """Reserve memory.
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import psutil
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.backend import Backend
@@ -54,10 +55,10 @@ FINEST = 0.01
 class RelaxResult:
     """Where the robots came to rest, or are on the way."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers, in the caller's order, shape (N, 3)."""
 
-    largest_move: NDArray[np.float64]
+    largest_move: Reals
     """Longest step of any robot, by step, shape (steps,)."""
 
     list_builds: int
@@ -72,7 +73,7 @@ def relax(
     robot: Robot,
     attraction_gain: float,
     repulsion_gain: float,
-    ramp: float | Sequence[float] | NDArray[np.float64],
+    ramp: float | Sequence[float] | Reals,
     steps: int,
     height: ArrayLike | None = None,
     height_gain: float = 0.0,
@@ -159,7 +160,7 @@ class PreparedSwarm:
         if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
             msg = "positions must be finite and orientations unit quaternions (w, x, y, z)"
             raise InputError(msg)
-        ids: NDArray[np.int64] = np.zeros(robots, np.int64)
+        ids: Ints = np.zeros(robots, np.int64)
         if structure is not None:
             named = _shaped("structure", structure, (robots,))
             ids = np.unique(named, return_inverse=True)[1].astype(np.int64)
@@ -212,7 +213,7 @@ class PreparedSwarm:
         *,
         attraction_gain: float,
         repulsion_gain: float,
-        ramp: float | Sequence[float] | NDArray[np.float64],
+        ramp: float | Sequence[float] | Reals,
         steps: int,
         height_gain: float = 0.0,
         max_step: float | None = None,
@@ -243,7 +244,7 @@ class PreparedSwarm:
             raise InputError(msg)
         return RelaxResult(position=position, largest_move=moves, list_builds=builds)
 
-    def _is_resolved(self, position: NDArray[np.float64]) -> bool:
+    def _is_resolved(self, position: Reals) -> bool:
         """Whether every coordinate is a number that the precision resolves finely enough."""
         farthest = np.abs(position).max(initial=0.0)
         return bool(farthest * np.finfo(self.running.dtype).eps <= FINEST * self.spacing)
@@ -253,9 +254,7 @@ class PreparedSwarm:
         self.memory.refill(robots.position, self.start_position[self.order])
         place_docks(self.structure, robots.position, robots.arm, robots.dock)
 
-    def _all_at_once(
-        self, gains: Gains, ramp: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], int]:
+    def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
         neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(ramp)
         if self.moves.shape[0] != steps:
@@ -279,9 +278,7 @@ class PreparedSwarm:
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
-    def _by_structure(
-        self, gains: Gains, ramp: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], int]:
+    def _by_structure(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
         """All steps of a structure on one thread; again from the start if a row was too short."""
         neighbors, structures = self.neighbors, len(self.start) - 1
         start, ramps = self.memory.upload(self.start), self.memory.upload(ramp)
@@ -302,7 +299,7 @@ class PreparedSwarm:
         return moves.max(axis=0).astype(np.float64), int(builds.max())
 
 
-def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
+def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals:
     """Copy an array of this shape; a length that is a letter may be any."""
     expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
     try:
@@ -322,9 +319,7 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArr
     return array
 
 
-def _checked_contacts(
-    contacts: ArrayLike, docks: int, structure: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     """Contacts between docks that exist, of different robots of one structure, each once."""
     given = _shaped("contacts", contacts, ("C", 4))
     odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]

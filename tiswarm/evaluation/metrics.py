@@ -10,9 +10,10 @@ import math
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
+
+from tiswarm.aliases import AnyInts, Reals
 
 CONFIDENCE = 0.95
 """Share of the intervals that contain the true mean."""
@@ -22,7 +23,7 @@ FEWEST_FOR_EXPONENT = 3
 """Fewest different places for an exponent: a power law fits any two points."""
 
 
-def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def robot_errors(estimate: Reals, truth: Reals) -> Reals:
     """Return the absolute position error of each robot [R], shape (N,).
 
     Args:
@@ -32,13 +33,11 @@ def robot_errors(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> N
     >>> robot_errors(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
     array([5.])
     """
-    distance: NDArray[np.float64] = np.linalg.norm(estimate - truth, axis=1)
+    distance: Reals = np.linalg.norm(estimate - truth, axis=1)
     return distance
 
 
-def relative_errors(
-    estimate: NDArray[np.float64], truth: NDArray[np.float64], pairs: NDArray[np.integer]
-) -> NDArray[np.float64]:
+def relative_errors(estimate: Reals, truth: Reals, pairs: AnyInts) -> Reals:
     """Return the relative position error of each pair of robots [R], shape (P,).
 
     Args:
@@ -51,11 +50,11 @@ def relative_errors(
     array([0.])
     """
     off = estimate - truth
-    distance: NDArray[np.float64] = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
+    distance: Reals = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
     return distance
 
 
-def sse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def sse(estimate: Reals, truth: Reals) -> float:
     """Return the sum of squared position errors [R^2], Eq. (4).
 
     >>> sse(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
@@ -64,7 +63,7 @@ def sse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
     return float(np.sum((estimate - truth) ** 2))
 
 
-def rmse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def rmse(estimate: Reals, truth: Reals) -> float:
     """Return the root mean square position error (RMSE) [R], Eq. (5).
 
     >>> rmse(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
@@ -73,7 +72,7 @@ def rmse(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
     return float(np.sqrt(sse(estimate, truth) / len(truth)))
 
 
-def rms_radius(position: NDArray[np.float64]) -> float:
+def rms_radius(position: Reals) -> float:
     """Return the root mean square distance of N centers from their centroid [R].
 
     >>> rms_radius(np.array([[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
@@ -82,7 +81,7 @@ def rms_radius(position: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
 
 
-def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def yaw_aligned(estimate: Reals, truth: Reals) -> Reals:
     """Align the estimate with the truth by yaw and translation, in the least-squares sense.
 
     Robots that sense gravity do not know their common yaw and position; this alignment removes
@@ -104,13 +103,11 @@ def yaw_aligned(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> ND
     (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
     yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
     turn = Rotation.from_euler("z", yaw)
-    aligned: NDArray[np.float64] = turn.apply(estimate - mean) + truth.mean(axis=0)
+    aligned: Reals = turn.apply(estimate - mean) + truth.mean(axis=0)
     return aligned
 
 
-def rigidly_aligned(
-    estimate: NDArray[np.float64], truth: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def rigidly_aligned(estimate: Reals, truth: Reals) -> Reals:
     """Align the estimate with the truth by rotation and translation, Eq. (6).
 
     This is the Kabsch algorithm: Procrustes analysis without scaling and reflection.
@@ -133,11 +130,11 @@ def rigidly_aligned(
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - mean)
-    aligned: NDArray[np.float64] = rotation.apply(estimate - mean) + truth.mean(axis=0)
+    aligned: Reals = rotation.apply(estimate - mean) + truth.mean(axis=0)
     return aligned
 
 
-def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def procrustes_disparity(estimate: Reals, truth: Reals) -> float:
     """Return the Procrustes disparity: squared error after rigid alignment, Eq. (7) [1].
 
     It is relative to the squared extent of the truth; zero means congruent. Unlike
@@ -161,7 +158,7 @@ def procrustes_disparity(estimate: NDArray[np.float64], truth: NDArray[np.float6
     return sse(rigidly_aligned(estimate, truth), truth) / spread
 
 
-def mean_std_ci95(values: NDArray[np.float64]) -> dict[str, float]:
+def mean_std_ci95(values: Reals) -> dict[str, float]:
     """Return mean, standard deviation and half width of the 95 % confidence interval of the mean.
 
     The interval is Student's. A result that needs more values is NaN.
@@ -182,9 +179,7 @@ def mean_std_ci95(values: NDArray[np.float64]) -> dict[str, float]:
     return {"mean": mean, "std": std, "ci95": width}
 
 
-def paired_difference(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> dict[str, float | int]:
+def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
     """Compare two conditions on the same structures, pair by pair.
 
     Structures differ more than conditions do, so paired differences are more certain than the
@@ -216,7 +211,7 @@ def paired_difference(
     }
 
 
-def power_law_exponent(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def power_law_exponent(x: Reals, y: Reals) -> float:
     """Fit p of y ~ x^p by least squares of log y over log x [1].
 
     Args:

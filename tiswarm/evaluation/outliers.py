@@ -3,8 +3,8 @@
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import AnyInts, Ints
 from tiswarm.measurements.contacts import sensed_contacts
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -44,7 +44,7 @@ def outlier_scores(
     }
 
 
-def _key(rows: NDArray[np.integer], size: tuple[int, ...]) -> NDArray[np.int64]:
+def _key(rows: AnyInts, size: tuple[int, ...]) -> Ints:
     """Encode each row as one number, shape (K,)."""
-    key: NDArray[np.int64] = np.ravel_multi_index(tuple(rows.astype(np.int64).T), size)
+    key: Ints = np.ravel_multi_index(tuple(rows.astype(np.int64).T), size)
     return key

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate
@@ -111,5 +111,5 @@ def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _statistics(error: NDArray[np.float64]) -> dict[str, float]:
+def _statistics(error: Reals) -> dict[str, float]:
     return {"mean_error_R": float(error.mean()), "rmse_R": float(np.sqrt(np.mean(error**2)))}

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements.contacts import contact_count, earlier_contact_count, hops
@@ -61,7 +62,7 @@ def score(
 
 
 def by_robot(
-    truth: Truth, log: SensingLog, estimate: Estimate, sensed_force: NDArray[np.float64]
+    truth: Truth, log: SensingLog, estimate: Estimate, sensed_force: Reals
 ) -> pd.DataFrame:
     """Tabulate each robot in join order: true and estimated pose, errors, contacts and load.
 
@@ -218,6 +219,6 @@ def _mean(values: NDArray[np.generic]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def _whole(values: NDArray[np.float64]) -> pd.Series:
+def _whole(values: Reals) -> pd.Series:
     """Convert to integers; infinite ones become missing."""
     return pd.Series(values).replace(np.inf, np.nan).astype("Int64")

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
@@ -133,7 +133,7 @@ def tables_of(view: CaseView) -> dict[str, pd.DataFrame]:
     }
 
 
-def _poses(view: CaseView, pose: NDArray[np.float64]) -> pd.DataFrame:
+def _poses(view: CaseView, pose: Reals) -> pd.DataFrame:
     """Tabulate id, join index and pose of each robot."""
     table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(pose))})
     table[POSE] = pose

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
@@ -48,19 +49,19 @@ class Assumptions:
 class Poses:
     """N robots with D docks each, in the order of their file."""
 
-    robot_id: NDArray[np.int64]
+    robot_id: Ints
     """Id of each robot, shape (N,)."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers, in the file's unit, shape (N, 3)."""
 
-    orientation_wxyz: NDArray[np.float64]
+    orientation_wxyz: Reals
     """Body to world, unit quaternion, shape (N, 4)."""
 
-    dock_offset_body: NDArray[np.float64]
+    dock_offset_body: Reals
     """Vectors from center to dock, body frame, shape (D, 3)."""
 
-    join: NDArray[np.int64] | None
+    join: Ints | None
     """Rank of each robot in join order; None where the file has none, shape (N,)."""
 
     length_unit: str
@@ -70,7 +71,7 @@ class Poses:
 def import_poses(
     path: Path,
     out: Path,
-    dock_offset_body: NDArray[np.float64],
+    dock_offset_body: Reals,
     assumed: Assumptions,
     progress: Progress,
 ) -> None:
@@ -104,7 +105,7 @@ def import_poses(
         progress.info(f"{counted(too_close, 'overlap')} of two docks {by}")
 
 
-def read_poses(path: Path, dock_offset_body: NDArray[np.float64], tolerance: float) -> Poses:
+def read_poses(path: Path, dock_offset_body: Reals, tolerance: float) -> Poses:
     """Read `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order, among other columns.
 
     Lengths may name their unit, as in `x_mm`. A column `join` states the join order of the robots.
@@ -186,7 +187,7 @@ def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     return table
 
 
-def _unit_quaternions(table: pd.DataFrame, path: Path) -> NDArray[np.float64]:
+def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     """Scale quaternions to length 1; refuse those whose length is far from it."""
     quaternion = table[QUATERNION].to_numpy()
     length = np.linalg.norm(quaternion, axis=1)
@@ -195,13 +196,11 @@ def _unit_quaternions(table: pd.DataFrame, path: Path) -> NDArray[np.float64]:
         line = int(table["line"].iloc[far[0]])
         problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
         raise InputError(problem, path=path, line=line, key="qw")
-    unit: NDArray[np.float64] = quaternion / length[:, None]
+    unit: Reals = quaternion / length[:, None]
     return unit
 
 
-def _align(
-    offset: NDArray[np.float64], first: pd.DataFrame, path: Path, tolerance: float
-) -> NDArray[np.float64]:
+def _align(offset: Reals, first: pd.DataFrame, path: Path, tolerance: float) -> Reals:
     """Rotate the first robot's shape onto each robot, shape (N, 4).
 
     Args:
@@ -224,7 +223,7 @@ def _align(
     return np.array(rotations)
 
 
-def _contacts(docks: NDArray[np.float64], assumed: Assumptions) -> tuple[NDArray[np.int32], int]:
+def _contacts(docks: Reals, assumed: Assumptions) -> tuple[NDArray[np.int32], int]:
     """Find docks in contact, rows of (robot, dock, robot, dock), and count those that overlap."""
     count = docks.shape[1]
     spacing = 2.0 * assumed.dock_radius
@@ -240,10 +239,10 @@ def _contacts(docks: NDArray[np.float64], assumed: Assumptions) -> tuple[NDArray
 
 def _join_order(
     poses: Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, progress: Progress
-) -> NDArray[np.int64]:
+) -> Ints:
     """Sort robots by their join index; without it, by hops from the anchor."""
     if poses.join is not None:
-        order: NDArray[np.int64] = np.argsort(poses.join, kind="stable")
+        order: Ints = np.argsort(poses.join, kind="stable")
         if anchor is None or poses.robot_id[order[0]] == anchor:
             return order
         problem = f"robot {poses.robot_id[order[0]]} joined first, not {anchor}; leave --anchor out"
@@ -278,8 +277,8 @@ def _row_of(robot: int, poses: Poses, path: Path) -> int:
 def _log(
     poses: Poses,
     contacts: NDArray[np.int32],
-    docks: NDArray[np.float64],
-    order: NDArray[np.int64],
+    docks: Reals,
+    order: Ints,
     assumed: Assumptions,
     unit: str,
 ) -> SensingLog:

@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array, diags_array, vstack
 from scipy.spatial import cKDTree
 
+from tiswarm.aliases import Reals
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.contacts import disconnected
@@ -28,8 +28,6 @@ MARGIN = 1.0
 
 SETTLED = 1e-6
 """The rounds end when one lowers the cost by less than this part."""
-
-Reals = NDArray[np.float64]
 
 
 class Problem:

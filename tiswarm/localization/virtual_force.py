@@ -15,6 +15,7 @@ from collections.abc import Hashable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
@@ -200,12 +201,12 @@ class Localizer:
         return self._builder.log()
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Reals:
         """Estimated centers in the log's unit, in join order, shape (n, 3)."""
         position: NDArray[np.floating] = self._robots.position[: self._count]
         return position.astype(np.float64) * self._unit
 
-    def join(self, robot: Line) -> NDArray[np.float64]:
+    def join(self, robot: Line) -> Reals:
         """Place the next robot; the first one is the anchor.
 
         Args:
@@ -280,9 +281,7 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
     )
 
 
-def _directions(
-    orientation_wxyz: NDArray[np.float64], params: VirtualForceParams
-) -> NDArray[np.float64]:
+def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:
     """Direction of each robot's initial offset, shape (N, 3)."""
     if params.initial_offset_axis == "world":
         return np.tile(WORLD_UP, (len(orientation_wxyz), 1))

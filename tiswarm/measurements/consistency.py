@@ -13,8 +13,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.records.sensing_log import SensingLog
@@ -89,9 +89,9 @@ def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
                     yield joiner, f"{names} are inconsistent; look at each"
 
 
-def _fixed_part(rows: Measurements) -> NDArray[np.float64]:
+def _fixed_part(rows: Measurements) -> Reals:
     """Arm of the robot's dock less that of the other's, shape (C, 3)."""
-    fixed: NDArray[np.float64] = rows.arm[: len(rows.other)] - rows.other_arm
+    fixed: Reals = rows.arm[: len(rows.other)] - rows.other_arm
     return fixed
 
 
@@ -105,7 +105,7 @@ def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
     )
 
 
-def inconsistent_places(rows: Measurements) -> NDArray[np.bool_]:
+def inconsistent_places(rows: Measurements) -> Bools:
     """Find coordinates that disagree with most others that the same robot measured.
 
     The walk between two stances is known, so that what a robot measured at one of them predicts

@@ -1,19 +1,19 @@
 """Who touches whom: robots are the nodes of a graph, contacts its edges."""
 
 from collections.abc import Collection
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import owners
 from tiswarm.records.sensing_log import SensingLog
 
 
-def hops(log: SensingLog, start: NDArray[np.int64]) -> NDArray[np.float64]:
+def hops(log: SensingLog, start: Ints) -> Reals:
     """Count the fewest contacts that lead from some robots to every robot.
 
     Args:
@@ -27,12 +27,12 @@ def hops(log: SensingLog, start: NDArray[np.int64]) -> NDArray[np.float64]:
     return dijkstra(graph, directed=False, indices=start, unweighted=True)
 
 
-def contact_count(log: SensingLog) -> NDArray[np.int64]:
+def contact_count(log: SensingLog) -> Ints:
     """Count the contacts that each robot takes part in, shape (N,)."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
 
 
-def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
+def earlier_contact_count(log: SensingLog) -> Ints:
     """Count the contacts of each robot with robots that joined before it, shape (N,).
 
     Their mean over all robots but the anchor is what "contacts per robot" means: the equations
@@ -41,7 +41,7 @@ def earlier_contact_count(log: SensingLog) -> NDArray[np.int64]:
     return np.bincount(log.contacts[:, 2], minlength=log.robot_count)
 
 
-def touching(pair: NDArray[np.integer[Any]], robots: int) -> coo_matrix:
+def touching(pair: AnyInts, robots: int) -> coo_matrix:
     """Make a graph of pairs of robots (n, 2), each pair at its two numbers, shape (N, N)."""
     ones = np.ones(len(pair), dtype=np.int8)
     return coo_matrix((ones, (pair[:, 0], pair[:, 1])), shape=(robots, robots))
@@ -54,7 +54,7 @@ def parts(rows: Measurements) -> NDArray[np.int32]:
     return part
 
 
-def disconnected(rows: Measurements) -> NDArray[np.bool_]:
+def disconnected(rows: Measurements) -> Bools:
     """Find robots of parts that nothing ties to the world in all three directions, shape (N,).
 
     A part is tied by the anchor, or by measured coordinates whose directions span space.
@@ -64,14 +64,12 @@ def disconnected(rows: Measurements) -> NDArray[np.bool_]:
     span = np.zeros((part.max() + 1, 3, 3))
     of_row = part[rows.robot[len(rows.other) :]]
     np.add.at(span, of_row, direction[:, :, None] * direction[:, None, :])
-    is_tied: NDArray[np.bool_] = np.linalg.matrix_rank(span) == span.shape[1]
+    is_tied: Bools = np.linalg.matrix_rank(span) == span.shape[1]
     is_tied[part[0]] = True
     return np.logical_not(is_tied[part])
 
 
-def reach(
-    pair: NDArray[np.int64], longest: NDArray[np.float64], part: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
     """Bound the distance of each robot from the first robot of its connected part.
 
     Along a chain of contacts the distances of centers add up.
@@ -91,11 +89,11 @@ def reach(
     edge = (longest[order][~again], (low[~again], high[~again]))
     graph = coo_array(edge, shape=(len(part), len(part)))
     firsts = np.unique(part, return_index=True)[1]
-    bound: NDArray[np.float64] = dijkstra(graph, directed=False, indices=firsts, min_only=True)
+    bound: Reals = dijkstra(graph, directed=False, indices=firsts, min_only=True)
     return bound
 
 
-def sensed_contacts(log: SensingLog, cues: Collection[str]) -> NDArray[np.int64]:
+def sensed_contacts(log: SensingLog, cues: Collection[str]) -> Ints:
     """List contacts of the final and of earlier stances, as far as cues make use of them.
 
     Rows of (robot, its stance from the spawn on, own dock, other robot, its dock), shape (K, 5).

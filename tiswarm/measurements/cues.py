@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import AnyInts, Ints
 from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.records.sensing_log import SensingLog
@@ -88,9 +88,7 @@ def odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precisio
     )
 
 
-def _on_ground(
-    log: SensingLog, stance: NDArray[np.int64], dock: NDArray[np.integer], precision: Precision
-) -> Places:
+def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Places:
     level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
     value = np.full(len(stance), level)
     return Places.of(stance, dock, UP, value, variance=precision.height**2)

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
+from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.odometry import Odometry
 
 SPACING = 2.0
@@ -24,10 +24,6 @@ SPACING = 2.0
 
 TINY = 1e-12
 AXES = 3
-
-Ints = NDArray[np.int64]
-AnyInts = NDArray[np.integer]
-Reals = NDArray[np.float64]
 
 
 class Distances(NamedTuple):
@@ -51,7 +47,7 @@ class Distances(NamedTuple):
     own_variance: Reals
     """Variance of the distance, without noise of orientations [R^2], shape (C,)."""
 
-    is_hinge: NDArray[np.bool_]
+    is_hinge: Bools
     """Whether only shorter distances count, as for docks that must not overlap, shape (C,)."""
 
     @classmethod
@@ -186,7 +182,7 @@ class Measurements:
         """Variance of each row, without noise of orientations [R^2], shape (E,)."""
         return np.concatenate([self.distances.own_variance, self.places.own_variance])
 
-    def select(self, chosen: NDArray[np.bool_]) -> "Measurements":
+    def select(self, chosen: Bools) -> "Measurements":
         """Keep rows chosen by an array of shape (E,)."""
         distance, place = np.split(chosen, [len(self.other)])
         return replace(

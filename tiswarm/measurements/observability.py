@@ -3,8 +3,8 @@
 from collections.abc import Collection, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import CUE_NAMES, measure
@@ -19,7 +19,7 @@ SPREAD = 10.0
 def observability(
     log: SensingLog,
     cues: Collection[str],
-    position: NDArray[np.float64] | None = None,
+    position: Reals | None = None,
     *,
     yaw_unknown: bool = False,
 ) -> Observability:

@@ -5,8 +5,8 @@ in everything the robot sensed there and before. Lengths in R.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 
@@ -32,7 +32,7 @@ class Odometry:
         robots = log.robot_count
         owner = np.concatenate([owners(stances), np.arange(robots)])
         order = np.argsort(owner, kind="stable")
-        self.owner: NDArray[np.int64] = owner[order]
+        self.owner: Ints = owner[order]
         """Robot of each stance, shape (S,)."""
         self.row = np.empty(len(order), np.int64)
         """Where each of the log's earlier stances, and then each final one, is, shape (S,)."""
@@ -64,9 +64,7 @@ class Odometry:
         self.walked = later - later[self.final][self.owner]
         """Variance of what lies between a stance and the final center [R^2], shape (S, 3)."""
 
-    def arms(
-        self, stance: NDArray[np.int64], dock: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def arms(self, stance: Ints, dock: Ints) -> tuple[Reals, Reals]:
         """Arms from final centers to docks, or centers, at some stances.
 
         Args:
@@ -77,14 +75,12 @@ class Odometry:
             Arms [R] and the variance of each of their coordinates [R^2], both of shape (n, 3).
         """
         offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
-        at: NDArray[np.float64] = self.shift[stance] + offset
+        at: Reals = self.shift[stance] + offset
         variance = self.walked[stance] + self._turned(offset - self.held[stance])
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
 
-    def noisy_arms(
-        self, stance: NDArray[np.int64], dock: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    def noisy_arms(self, stance: Ints, dock: Ints) -> tuple[Ints, Ints, Reals]:
         """Split such arms into parts, each turned by the orientation of one stance.
 
         An arm's error is the sum over its parts of w x part, with w the error of the orientation.
@@ -107,20 +103,20 @@ class Odometry:
         part[start] = offset - self.held[stance]
         return which, of_part, part
 
-    def _turned(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _turned(self, arm: Reals) -> Reals:
         """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
         x, y, z = arm.T**2
         tilt, yaw = self.tilt**2, self.yaw**2
         return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
 
 
-def owners(stances: Stances) -> NDArray[np.int64]:
+def owners(stances: Stances) -> Ints:
     """Find the robot of each earlier stance, shape (M,)."""
     count = np.diff(stances.start)
     return np.repeat(np.arange(len(count)), count)
 
 
-def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
+def displacements(log: SensingLog, stances: Stances) -> Reals:
     """Vectors from each robot's final center to its center at every earlier stance, shape (M, 3).
 
     The dock at b that a robot flips about stays put, so its center moves by (R - R') b, with R
@@ -138,7 +134,7 @@ def displacements(log: SensingLog, stances: Stances) -> NDArray[np.float64]:
     )
     step = before[row, stances.pivot_dock] - after
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    moved: NDArray[np.float64] = walked[:-1] - walked[stances.start[1:]][owners(stances)]
+    moved: Reals = walked[:-1] - walked[stances.start[1:]][owners(stances)]
     return moved
 
 

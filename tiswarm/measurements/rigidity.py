@@ -8,11 +8,11 @@ robots whose orientations are known (Maxwell 1864; Thorpe 1983). Lengths in R.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.model import Measurements
 
@@ -34,22 +34,22 @@ MOST_UNKNOWNS = 400_000
 class Constraints(NamedTuple):
     """Constraints between bodies, all between the same two taken together."""
 
-    first: NDArray[np.integer]
-    second: NDArray[np.integer]
-    stiffness: NDArray[np.float64]
+    first: AnyInts
+    second: AnyInts
+    stiffness: Reals
     """Sum of the outer products of their rows in the rigidity matrix, shape (pairs, dof, dof)."""
 
 
 class Bodies(NamedTuple):
     """Robots that cannot move against each other, taken as one."""
 
-    of_robot: NDArray[np.integer]
+    of_robot: AnyInts
     """Body of each robot and of the world, shape (N + 1,)."""
 
-    lever: NDArray[np.float64]
+    lever: Reals
     """From the center of its body to that of each of them [R], shape (N + 1, 3)."""
 
-    center: NDArray[np.float64]
+    center: Reals
     """Mean of the centers of each body's robots, seen from the anchor [R], shape (bodies, 3)."""
 
     constraints: Constraints
@@ -83,7 +83,7 @@ class Bodies(NamedTuple):
         return not self.constraints.stiffness[of_world, SHIFTS, SHIFTS].any()
 
 
-def weld(rows: Measurements, position: NDArray[np.float64], *, yaw_unknown: bool = False) -> Bodies:
+def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> Bodies:
     """Join robots that cannot move against each other into bodies, until no more can be joined.
 
     Robots move by x, y and z, and where their yaw is unknown by a fourth coordinate, their turn
@@ -108,7 +108,7 @@ def weld(rows: Measurements, position: NDArray[np.float64], *, yaw_unknown: bool
     second = np.concatenate([rows.robot, np.zeros(SHIFTS, np.int64)])
     way = np.concatenate([direction, np.eye(SHIFTS, dof)])
     count = len(center)
-    body: NDArray[np.integer] = np.arange(count)
+    body: AnyInts = np.arange(count)
     held = Constraints(first, second, way[:, :, None] * way[:, None, :])
     while True:
         held = _summed(held, count)
@@ -142,7 +142,7 @@ def floppy_modes(bodies: Bodies) -> int | None:
     return peeled + left - bodies.has_gauge_yaw
 
 
-def floppy_robots(bodies: Bodies) -> NDArray[np.bool_] | None:
+def floppy_robots(bodies: Bodies) -> Bools | None:
     """Find the robots that floppy motions shift, shape (N,); None for too large structures.
 
     Of random motions x, -s (K - s 1)^-1 x with s = UNNOTICED^2 is the part that the stiffness
@@ -167,7 +167,7 @@ def floppy_robots(bodies: Bodies) -> NDArray[np.bool_] | None:
     return np.asarray(shifted > SHIFTED)
 
 
-def _swept(turn: NDArray[np.float64], arm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _swept(turn: Reals, arm: Reals) -> Reals:
     """Displacements by turns (..., PROBES) of the ends of arms (N, 3), shape (N, 2, PROBES)."""
     x, y, _ = arm.T[:, :, None]
     return np.stack([-turn * y, turn * x], axis=1)
@@ -182,9 +182,7 @@ def _summed(constraints: Constraints, bodies: int) -> Constraints:
     return Constraints(pair // bodies, pair % bodies, total)
 
 
-def _by_row(
-    row: NDArray[np.integer], matrix: NDArray[np.float64], rows: int
-) -> NDArray[np.float64]:
+def _by_row(row: AnyInts, matrix: Reals, rows: int) -> Reals:
     """Sum square matrices that belong to the same row, shape (rows, dof, dof)."""
     dof = matrix.shape[1]
     total = np.empty((rows, dof**2))
@@ -193,7 +191,7 @@ def _by_row(
     return total.reshape(-1, dof, dof)
 
 
-def _from(center: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from(center: Reals) -> Reals:
     """Change of reference point for body motions, from their own centers to the anchor's axis.
 
     Shape (..., 4, 4).
@@ -204,22 +202,22 @@ def _from(center: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _seen_from(
-    center: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
-    other: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    center: Reals,
+    stiffness: Reals,
+    other: Reals | None = None,
+) -> Reals:
     """Express stiffness by motions of bodies about their own centers, not the anchor's axis."""
     if stiffness.shape[1] == SHIFTS:  # the same from everywhere
         return stiffness
-    seen: NDArray[np.float64] = (
+    seen: Reals = (
         _from(center).swapaxes(1, 2) @ stiffness @ _from(center if other is None else other)
     )
     return seen
 
 
-def _rank(stiffness: NDArray[np.float64]) -> NDArray[np.int64]:
+def _rank(stiffness: Reals) -> Ints:
     """Count the directions that are constrained, shape (rows,)."""
-    rank: NDArray[np.int64] = (np.linalg.eigvalsh(stiffness) > UNNOTICED**2).sum(axis=1)
+    rank: Ints = (np.linalg.eigvalsh(stiffness) > UNNOTICED**2).sum(axis=1)
     return rank
 
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tiswarm.aliases import Bools, Ints, Reals
 
 HALF_WITHIN = 0.85
 MOST_WITHIN = 1.6
@@ -25,7 +26,7 @@ class Solution:
     residual_sd: float
     """Smallest residual of these chains, in standard deviations."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers in the chain with the smallest residual [log unit], shape (N, 3)."""
 
 
@@ -68,10 +69,10 @@ class Observability:
     """Independent motions of the swarm that change no measurement, or None where there are too many
     robots to count them."""
 
-    floppy: NDArray[np.bool_] | None
+    floppy: Bools | None
     """Whether such motions shift each robot, shape (N,), or None where `floppy_modes` is."""
 
-    disconnected: NDArray[np.bool_]
+    disconnected: Bools
     """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
 
     @property
@@ -89,33 +90,33 @@ class Observability:
 class Estimate:
     """Estimated positions of N robots in join order, with the trace of the iterations."""
 
-    robot_id: NDArray[np.int64]
+    robot_id: Ints
     """Name of each robot, shape (N,)."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Estimated centers [log unit], shape (N, 3)."""
 
-    disconnected: NDArray[np.bool_]
+    disconnected: Bools
     """Whether nothing that was used ties the robot to the anchor, so that its position is a guess,
     shape (N,)."""
 
-    sd: NDArray[np.float64] | None = None
+    sd: Reals | None = None
     """Standard deviation of each position [log unit], shape (N,); None where the method has none.
 
     Half of the robots should be within `HALF_WITHIN` sd, nine of ten within `MOST_WITHIN` sd."""
 
-    yaw: NDArray[np.float64] | None = None
+    yaw: Reals | None = None
     """Correction of each robot's sensed yaw [rad], shape (N,); None where the method solves for
     none."""
 
     convergence: Convergence | None = None
     """Convergence; None where the method does not assess it."""
 
-    outlier_contacts: NDArray[np.int64] | None = None
+    outlier_contacts: Ints | None = None
     """Outliers among the contacts, rows as `sensed_contacts` lists them, shape (K, 5); None where
     the method does not look for them, or did not converge."""
 
-    outlier_places: NDArray[np.int64] | None = None
+    outlier_places: Ints | None = None
     """Outliers among ground contacts, heights and spawn positions: rows of (robot, its stance from
     the spawn on, dock, or -1 for the center), shape (K, 3); None where the former is."""
 
@@ -126,17 +127,17 @@ class Estimate:
     observability: Observability | None = None
     """What the cues in use determine; filled in after the method has run."""
 
-    iteration: NDArray[np.int64]
+    iteration: Ints
     """Iterations of the trace, ascending, shape (K,)."""
 
-    trace: NDArray[np.float64]
+    trace: Reals
     """Estimated centers at each iteration of the trace [log unit], shape (K, N, 3)."""
 
     residual_sd: float | None = None
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""
 
-    residual: NDArray[np.float64]
+    residual: Reals
     """Quantity that the method minimizes, at each iteration of the trace, shape (K,).
 
     For virtual-force: RMS step of the robots [log unit per iteration]. For joint and least-squares:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 MAX_LINE_BYTES = 64 * 2**20
@@ -107,7 +107,7 @@ class Table:
         """Line of a row that is counted from 0."""
         return list(self.rows)[row]
 
-    def integers(self, column: str) -> NDArray[np.int64]:
+    def integers(self, column: str) -> Ints:
         """Read a column of whole numbers, shape (rows,).
 
         Raises:
@@ -116,7 +116,7 @@ class Table:
         wanted = "a whole number; write it like 7"
         return np.array(self._values(column, _integer, wanted), np.int64)
 
-    def numbers(self, column: str, *, empty: float | None = None) -> NDArray[np.float64]:
+    def numbers(self, column: str, *, empty: float | None = None) -> Reals:
         """Read a column of finite numbers, shape (rows,).
 
         Args:

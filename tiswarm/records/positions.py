@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import InputError
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import Table, write_text
@@ -26,20 +26,20 @@ YAW = "yaw_deg"
 class Truth:
     """True poses of N robots, in join order."""
 
-    robot_id: NDArray[np.int64]
+    robot_id: Ints
     """Name of each robot, shape (N,)."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers [R], shape (N, 3)."""
 
-    orientation_wxyz: NDArray[np.float64]
+    orientation_wxyz: Reals
     """Body to world, unit quaternion, shape (N, 4)."""
 
 
 def write_positions(
     path: Path,
-    robot_id: NDArray[np.int64],
-    position: NDArray[np.float64],
+    robot_id: Ints,
+    position: Reals,
     further: Mapping[str, Sequence[object]] | None = None,
     *,
     length_unit: str = "R",
@@ -81,9 +81,7 @@ def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") ->
     write_positions(path, estimate.robot_id, estimate.position, further, length_unit=length_unit)
 
 
-def read_positions(
-    path: Path, *, length_unit: str = "R"
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
     """Read the names, shape (N,), and the positions, shape (N, 3), in a table of positions.
 
     Raises:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints
 from tiswarm.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
 from tiswarm.records.sensing_format import (
@@ -308,9 +309,7 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
 class _Lists:
     """Lists of each stance, from arrays whose first column names the stance, in order."""
 
-    def __init__(
-        self, arrays: dict[str, NDArray[np.int32]], count: int, names: NDArray[np.int64]
-    ) -> None:
+    def __init__(self, arrays: dict[str, NDArray[np.int32]], count: int, names: Ints) -> None:
         self._start, self._items = {}, {}
         for key, rows in arrays.items():
             kinds = STANCE_LISTS[key]

@@ -9,6 +9,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import Field
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
 Spread = Annotated[float, Field(ge=0.0)]
@@ -51,10 +52,10 @@ class Stances:
     The stances of robot i are rows `start[i]` to `start[i + 1]`.
     """
 
-    start: NDArray[np.int64]
+    start: Ints
     """First stance of each robot, shape (N + 1,)."""
 
-    orientation_wxyz: NDArray[np.float64]
+    orientation_wxyz: Reals
     """Sensed orientation, body to world, unit quaternion, shape (M, 4)."""
 
     pivot_dock: NDArray[np.int32]
@@ -76,19 +77,19 @@ class SensingLog:
     sorted and unique, so two logs with equal content have equal arrays.
     """
 
-    robot_id: NDArray[np.int64]
+    robot_id: Ints
     """Name of each robot in its file: distinct integers, shape (N,)."""
 
     dock_radius: float
     """Radius of a dock sphere, in the log's own unit (R when it is 1)."""
 
-    dock_offset_body: NDArray[np.float64]
+    dock_offset_body: Reals
     """Center to dock in the body frame, shape (docks, 3)."""
 
-    anchor_position: NDArray[np.float64]
+    anchor_position: Reals
     """Known center of robot 0, shape (3,)."""
 
-    orientation_wxyz: NDArray[np.float64]
+    orientation_wxyz: Reals
     """Sensed final orientation, body to world, unit quaternion, shape (N, 4)."""
 
     contacts: NDArray[np.int32]
@@ -103,10 +104,10 @@ class SensingLog:
     ground_docks: NDArray[np.int32]
     """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
 
-    flip_height: NDArray[np.float64]
+    flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
-    spawn_position: NDArray[np.float64]
+    spawn_position: Reals
     """Sensed center at the first stance; NaN where missing, shape (N, 3)."""
 
     stances: Stances | None = None

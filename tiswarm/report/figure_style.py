@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
+Array = Reals
 
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"

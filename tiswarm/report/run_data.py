@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 
@@ -34,7 +33,7 @@ class Case:
     robots: int
     """Robots of its structure; 0 where unknown."""
 
-    def columns(self, file: str, names: Sequence[str]) -> NDArray[np.float64]:
+    def columns(self, file: str, names: Sequence[str]) -> Reals:
         """Read columns of numbers of a file of the case, shape (rows, names).
 
         Raises:

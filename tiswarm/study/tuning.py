@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.compute import backend
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
@@ -66,7 +66,7 @@ class TrainingCase:
     log: SensingLog
     """What the swarm sensed."""
 
-    true: NDArray[np.float64]
+    true: Reals
     """True centers [R], shape (N, 3)."""
 
     params: VirtualForceParams

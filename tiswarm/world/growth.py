@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.math import uniform
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
@@ -28,7 +29,7 @@ from tiswarm.world.mechanics import Frame, Loads, StructureFailure
 from tiswarm.world.params import KINDS, RecruitParams, StructureParams
 from tiswarm.world.walks import Structures, Walks, climb_limits
 
-Array = NDArray[np.float64]
+Array = Reals
 
 MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -299,7 +300,7 @@ class GrowingStructure:
         )
 
 
-def recruit(sensed: NDArray[np.float64], params: RecruitParams) -> NDArray[np.int32]:
+def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
     """Compute each robot's own call from its sensed load, shape (N,)."""
     ratio = sensed / params.force_threshold
     # Cap the power where the call exceeds J, to avoid overflow.
@@ -310,7 +311,7 @@ def recruit(sensed: NDArray[np.float64], params: RecruitParams) -> NDArray[np.in
     return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
 
 
-def relay(call: NDArray[np.int32], contacts: NDArray[np.integer]) -> NDArray[np.int32]:
+def relay(call: NDArray[np.int32], contacts: AnyInts) -> NDArray[np.int32]:
     """Spread all calls from zero, and return what each dock passes on.
 
     Args:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.records.io import replacing
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.params import KINDS, StructureParams
@@ -24,10 +25,10 @@ class Walk:
     L stances; contacts are with robots that joined earlier.
     """
 
-    center: NDArray[np.float64]
+    center: Reals
     """Centers [R], shape (L, 3)."""
 
-    orientation_wxyz: NDArray[np.float64]
+    orientation_wxyz: Reals
     """Body to world, shape (L, 4)."""
 
     pivot_dock: NDArray[np.int32]
@@ -91,7 +92,7 @@ class History:
     loads: tuple[LoadSummary, ...]
     """Loads in the structure after each join, in join order."""
 
-    sensed: NDArray[np.float64]
+    sensed: Reals
     """Load that each robot senses in the end [weight of a dock], shape (N,)."""
 
     crossed: bool = False
@@ -106,12 +107,12 @@ class History:
         return len(self.walks)
 
     @property
-    def position(self) -> NDArray[np.float64]:
+    def position(self) -> Reals:
         """Final centers [R], shape (N, 3)."""
         return np.array([walk.center[-1] for walk in self.walks])
 
     @property
-    def orientation_wxyz(self) -> NDArray[np.float64]:
+    def orientation_wxyz(self) -> Reals:
         """Final orientations, body to world, shape (N, 4)."""
         return np.array([walk.orientation_wxyz[-1] for walk in self.walks])
 

@@ -30,9 +30,10 @@ from pydantic.dataclasses import dataclass as parameters
 from scipy.sparse import bsr_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
-Array = NDArray[np.float64]
+Array = Reals
 
 GROUND = -1
 """Second dock of a beam that ends in the ground."""
@@ -102,9 +103,9 @@ class BlockMatrix:
     """A symmetric sparse matrix of 6 x 6 blocks that grows; blocks of one place add up in order."""
 
     def __init__(self) -> None:
-        self.place: NDArray[np.int64] = np.empty(0, np.int64)
+        self.place: Ints = np.empty(0, np.int64)
         self.block: Array = np.empty((0, SIDE, SIDE))
-        self.waiting: list[tuple[NDArray[np.int64], Array]] = []
+        self.waiting: list[tuple[Ints, Array]] = []
 
     def add(self, nodes: NDArray[np.intp], square: Array) -> None:
         """Add square matrices that couple nodes.

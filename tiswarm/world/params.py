@@ -5,15 +5,15 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.terrain import EDGE_RADIUS, Terrain
 
-Array = NDArray[np.float64]
+Array = Reals
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -8,9 +8,10 @@ is a slab whose edge is out of reach, and it has no underside.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tiswarm.aliases import Reals
+
+Array = Reals
 
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tiswarm.aliases import Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.history import History
@@ -39,7 +40,7 @@ def find_fault(history: History, *, contact_gap: float) -> str:
     return next((fault for fault in checks if fault), "")
 
 
-def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
+def _overlap(dock: Reals, spacing: float) -> str:
     pairs = cKDTree(dock).query_pairs(spacing - MAX_OVERLAP, output_type="ndarray")
     pairs = pairs[pairs[:, 0] // DOCK_COUNT != pairs[:, 1] // DOCK_COUNT]
     if len(pairs) == 0:
@@ -50,16 +51,14 @@ def _overlap(dock: NDArray[np.float64], spacing: float) -> str:
     return f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
 
 
-def _sunken(dock: NDArray[np.float64], terrain: Terrain, radius: float) -> str:
+def _sunken(dock: Reals, terrain: Terrain, radius: float) -> str:
     depth = terrain.depth(dock.reshape(-1, 3), radius)
     if depth.max() <= MAX_OVERLAP:
         return ""
     return f"robot {np.argmax(depth) // DOCK_COUNT} is {depth.max():.3g} R deep in the ground"
 
 
-def _open_contact(
-    dock: NDArray[np.float64], contacts: NDArray[np.int32], spacing: float, gap: float
-) -> str:
+def _open_contact(dock: Reals, contacts: NDArray[np.int32], spacing: float, gap: float) -> str:
     i, a, j, b = contacts.T
     distance = np.linalg.norm(dock[i, a] - dock[j, b], axis=1)
     off = np.flatnonzero(distance > spacing + gap)

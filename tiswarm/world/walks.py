@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.errors import TiswarmError
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
@@ -66,9 +67,9 @@ class Structures:
             relay=np.zeros((structures, docks), np.int32),
         )
 
-    def joined_docks(self, structure: int) -> NDArray[np.float64]:
+    def joined_docks(self, structure: int) -> Reals:
         """Dock centers of the robots that have joined [R], shape (3 n, 3)."""
-        docks: NDArray[np.float64] = self.arrays.dock[structure]
+        docks: Reals = self.arrays.dock[structure]
         return docks[: DOCK_COUNT * self.robot_count[structure]]
 
 
@@ -110,9 +111,9 @@ class Walks:
     def start(
         self,
         slot: int,
-        center: NDArray[np.float64],
-        orientation_wxyz: NDArray[np.float64],
-        goal: NDArray[np.float64],
+        center: Reals,
+        orientation_wxyz: Reals,
+        goal: Reals,
     ) -> None:
         """Put a new robot in a slot, with its center [R], orientation and goal [R]."""
         self.stances.center[slot, 0] = center

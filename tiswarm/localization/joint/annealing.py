@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.arrays import Allocator
 from tiswarm.compute.backend import Backend
@@ -37,38 +38,38 @@ AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 class Annealed:
     """Result of the chains of one structure of N robots."""
 
-    mean: NDArray[np.float64]
+    mean: Reals
     """Mean position over the hold of each chain [R], shape (chains, N, 3)."""
 
-    within: NDArray[np.float64]
+    within: Reals
     """Within-chain variance of each position, all axes together [R^2], shape (chains, N)."""
 
-    last: NDArray[np.float64]
+    last: Reals
     """Last position in each chain [R], shape (chains, N, 3)."""
 
-    mean_yaw: NDArray[np.float64]
+    mean_yaw: Reals
     """Mean yaw correction over the hold of each chain [rad], shape (chains, N)."""
 
-    last_yaw: NDArray[np.float64]
+    last_yaw: Reals
     """Last yaw correction in each chain [rad], shape (chains, N)."""
 
     sigma: float
     """Square root of the end temperature [R]."""
 
-    temperature: NDArray[np.float64]
+    temperature: Reals
     """Mean kinetic temperature of each chain once docks are grown, relative to its target,
     shape (chains,)."""
 
-    iteration: NDArray[np.int64]
+    iteration: Ints
     """Steps at which the trace was recorded, shape (K,)."""
 
-    trace: NDArray[np.float64]
+    trace: Reals
     """Positions of the first chain then [R], shape (K, N, 3)."""
 
-    yaw_trace: NDArray[np.float64]
+    yaw_trace: Reals
     """Yaw corrections of the first chain then [rad], shape (K, N)."""
 
-    def with_chains(self, chosen: NDArray[np.bool_], other: "Annealed") -> "Annealed":
+    def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
         """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
         arrays: dict[str, Any] = {
             name: np.where(
@@ -203,7 +204,7 @@ class Annealer:
             yaw_precision=upload(np.repeat([p.yaw_precision for p in problems], self.size)),
         )
 
-    def _swarm(self, arm: NDArray[np.float64], position: NDArray[np.float64]) -> Swarm:
+    def _swarm(self, arm: Reals, position: Reals) -> Swarm:
         upload, copies = self.memory.upload, len(position)
         heading = np.tile(AS_SENSED, (copies, 1))
         heading[:, INERTIA] = self.inertia_factor
@@ -218,7 +219,7 @@ class Annealer:
             square_total=upload(np.zeros(copies)),
         )
 
-    def _blocks(self, start: NDArray[np.int64]) -> Blocks:
+    def _blocks(self, start: Ints) -> Blocks:
         upload, blocks = self.memory.upload, len(start) - 1
         listed = np.zeros((start[-1], 4))
         listed[:, 3] = np.repeat(np.arange(blocks), np.diff(start))
@@ -289,7 +290,7 @@ class Annealer:
                 rows.make_room(entries)
                 blocks.age.fill(STALE)
 
-    def temperatures(self, step: int) -> NDArray[np.float64]:
+    def temperatures(self, step: int) -> Reals:
         """Compute the kinetic temperature of each chain, relative to its target at a step.
 
         Each degree of freedom has m v^2 = T in the mean, with T that of `thermostat`; anchors,
@@ -317,9 +318,9 @@ class Annealer:
             self.memory.refill(self.swarm.position, position[:, self.order].reshape(-1, 3))
             self.blocks.age.fill(STALE)
 
-    def by_robot(self, array: DeviceArray) -> NDArray[np.float64]:
+    def by_robot(self, array: DeviceArray) -> Reals:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
-        value: NDArray[np.float64] = array.to_numpy().astype(np.float64)
+        value: Reals = array.to_numpy().astype(np.float64)
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
 
 
@@ -337,13 +338,13 @@ def end_sigma(problem: Problem, params: JointParams) -> float:
     return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
 
 
-def cooled(begin: float, end: float, steps: int, holding: int) -> NDArray[np.float64]:
+def cooled(begin: float, end: float, steps: int, holding: int) -> Reals:
     """Cool by the same factor at every step, then hold; sigma of each, shape (steps + holding,)."""
     falling = begin * (end / begin) ** (np.arange(steps) / steps)
     return np.concatenate([falling, np.full(holding, end)])
 
 
-def thermostat(sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+def thermostat(sigma: Reals) -> Reals:
     """Compute the mean of m v^2 that friction and kicks give a free robot at each step.
 
     It lags behind sigma^2: a step keeps a part of the velocity.
@@ -365,7 +366,7 @@ def contact_arrays(
     memory: Allocator,
     problems: Sequence[Problem],
     params: Sequence[JointParams],
-    start: NDArray[np.int64],
+    start: Ints,
     number: NDArray[np.intp],
 ) -> Contacts:
     """Put the contacts of all structures on the device, each at both its robots.

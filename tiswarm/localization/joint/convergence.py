@@ -8,8 +8,8 @@ chi-square is compared with its count. Lengths in R.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.annealing import Annealed
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import CONVERGENCE
@@ -20,17 +20,17 @@ from tiswarm.records.estimate import Convergence
 class Verdict:
     """Judgment of the chains of one structure."""
 
-    converged: NDArray[np.bool_]
+    converged: Bools
     """Chains whose mean is the estimate, shape (chains,); at least one."""
 
-    outlier: NDArray[np.bool_]
+    outlier: Bools
     """Measurements that every converged chain misses, and each of the best few, shape (E,)."""
 
     convergence: Convergence
     """Convergence of the estimate."""
 
 
-def failed(problem: Problem, annealed: Annealed) -> NDArray[np.bool_]:
+def failed(problem: Problem, annealed: Annealed) -> Bools:
     """Find chains that no noise of the measurements explains, shape (chains,)."""
     missed = squares(problem, annealed)[:, : len(problem.other)]
     # A wrong contact bounds no distance; most chains tear it.
@@ -38,11 +38,11 @@ def failed(problem: Problem, annealed: Annealed) -> NDArray[np.bool_]:
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
-    is_failed: NDArray[np.bool_] = beyond | (annealed.temperature > CONVERGENCE.runaway)
+    is_failed: Bools = beyond | (annealed.temperature > CONVERGENCE.runaway)
     return is_failed
 
 
-def squares(problem: Problem, annealed: Annealed) -> NDArray[np.float64]:
+def squares(problem: Problem, annealed: Annealed) -> Reals:
     """Compute the squared residuals of each chain at its end, in variances.
 
     The variance is that of the measurement and of the temperature together.
@@ -51,13 +51,11 @@ def squares(problem: Problem, annealed: Annealed) -> NDArray[np.float64]:
         Squares, shape (chains, E).
     """
     residual = problem.rows.residual(annealed.last, annealed.last_yaw)
-    square: NDArray[np.float64] = residual**2 / (problem.rows.variance() + annealed.sigma**2)
+    square: Reals = residual**2 / (problem.rows.variance() + annealed.sigma**2)
     return square
 
 
-def judge(
-    problem: Problem, annealed: Annealed, has_failed: NDArray[np.bool_], restarted: int
-) -> Verdict:
+def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: int) -> Verdict:
     """Choose the chains that count, and decide whether they meet the measurements.
 
     Args:

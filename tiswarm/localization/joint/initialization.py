@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import SCHEDULE
@@ -10,7 +11,7 @@ from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 
-def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> NDArray[np.float64]:
+def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> Reals:
     """Place each robot where its contacts with robots already placed meet, give or take one R.
 
     Robots follow each other along the chains of contacts, from the first robot of each part on.
@@ -42,9 +43,7 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     return guess
 
 
-def reinitialize_lost(
-    problem: Problem, position: NDArray[np.float64], yaw: NDArray[np.float64]
-) -> int:
+def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     """Place robots anew that most of their contacts have lost: at the median of these contacts.
 
     While the temperature is high others may move in front of a robot; its contacts are then too far
@@ -74,9 +73,7 @@ def reinitialize_lost(
     return moved
 
 
-def place_disconnected(
-    mean: NDArray[np.float64], problem: Problem
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
     """Place each part that nothing ties to the anchor where its first robot may have joined.
 
     That robot touched one that was there before, and robots join where the last ones did. The
@@ -107,15 +104,15 @@ def place_disconnected(
     return placed, square
 
 
-def _rows(robot: NDArray[np.int64], robots: int) -> list[NDArray[np.intp]]:
+def _rows(robot: Ints, robots: int) -> list[NDArray[np.intp]]:
     """List for each robot where it stands in an array of robots."""
     order = np.argsort(robot, kind="stable")
     return np.split(order, np.searchsorted(robot[order], np.arange(1, robots)))
 
 
-def _across(problem: Problem) -> NDArray[np.float64]:
+def _across(problem: Problem) -> Reals:
     """From the center of the other robot back to that of one across from it [R], shape (C, 3)."""
     shift = problem.shift
     length = np.maximum(np.linalg.norm(shift, axis=1), SPACING)
-    across: NDArray[np.float64] = shift * (1.0 + SPACING * problem.is_final / length)[:, None]
+    across: Reals = shift * (1.0 + SPACING * problem.is_final / length)[:, None]
     return across

@@ -3,8 +3,8 @@
 from collections.abc import Hashable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Reals
 from tiswarm.localization.joint.annealing import Annealed, anneal
 from tiswarm.localization.joint.convergence import Verdict, failed, judge
 from tiswarm.localization.joint.initialization import place_disconnected
@@ -98,7 +98,7 @@ def _restarted(
     return annealed, judge(problem, annealed, has_failed, restarted)
 
 
-def _curved(problem: Problem, annealed: Annealed) -> NDArray[np.float64]:
+def _curved(problem: Problem, annealed: Annealed) -> Reals:
     """Compute the variance of contacts about their linear form, since chains move, shape (C,).
 
     A distance D grows by s^2 / 2D if the one dock is off by s across from the other.
@@ -106,11 +106,11 @@ def _curved(problem: Problem, annealed: Annealed) -> NDArray[np.float64]:
     i, j = problem.robot, problem.other
     between = (annealed.mean[:, i] - annealed.mean[:, j]).var(axis=0).sum(axis=1)
     within = (annealed.within[:, i] + annealed.within[:, j]).mean(axis=0)
-    variance: NDArray[np.float64] = ((between + within) / (2.0 * SPACING)) ** 2
+    variance: Reals = ((between + within) / (2.0 * SPACING)) ** 2
     return variance
 
 
-def _rms(gap: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rms(gap: Reals) -> Reals:
     """Root mean square over the contacts of gaps (K, C), 0 where there are none, shape (K,)."""
-    rms: NDArray[np.float64] = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
+    rms: Reals = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
     return rms

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.consistency import inconsistent_places
 from tiswarm.measurements.contacts import disconnected, parts, reach
@@ -34,75 +35,75 @@ class Problem:
     inconsistent: Measurements
     """Coordinates that most others of the same robot contradict; they do not count."""
 
-    variance: NDArray[np.float64]
+    variance: Reals
     """Variance of each distance, mean over all directions [R^2], shape (C,)."""
 
-    is_final: NDArray[np.bool_]
+    is_final: Bools
     """Whether the contact is of the final stance, shape (C,)."""
 
-    place: NDArray[np.float64]
+    place: Reals
     """Measured centers [R], with their walks, see `walk`, shape (N, 3)."""
 
-    precision: NDArray[np.float64]
+    precision: Reals
     """Precision of each coordinate, 0 where nothing measures it [R^-2], shape (N, 3)."""
 
-    walk: NDArray[np.float64]
+    walk: Reals
     """Part of `place` which turns with the robot, x and y to be subtracted; 0 where yaw is taken as
     sensed [R], shape (N, 2)."""
 
-    unobserved: NDArray[np.bool_]
+    unobserved: Bools
     """Coordinates of disconnected parts that no measurement ties to the anchor, shape (N, 3). The
     first robot of such a part is held at a place of its own, far from all other parts."""
 
     part: NDArray[np.int32]
     """Connected part of the contact graph that each robot is in, shape (N,)."""
 
-    untied: NDArray[np.bool_]
+    untied: Bools
     """Robots of parts that nothing ties to the world, shape (N,)."""
 
     yaw_precision: float
     """Precision of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
     @property
-    def robot(self) -> NDArray[np.int64]:
+    def robot(self) -> Ints:
         """Robot that sensed each contact, shape (C,)."""
         return self.rows.robot[: len(self.rows.other)]
 
     @property
-    def other(self) -> NDArray[np.int64]:
+    def other(self) -> Ints:
         """Robot that it touched, which joined earlier, shape (C,)."""
         return self.rows.other
 
     @property
-    def pair(self) -> NDArray[np.int64]:
+    def pair(self) -> Ints:
         """Robots of each contact, shape (C, 2)."""
         return np.column_stack([self.robot, self.other])
 
     @property
-    def contacts(self) -> NDArray[np.int64]:
+    def contacts(self) -> Ints:
         """Contacts as `sensed_contacts` lists them, shape (C, 5)."""
         return self.rows.sensed_contacts
 
     @property
-    def shift(self) -> NDArray[np.float64]:
+    def shift(self) -> Reals:
         """Arm of the robot's dock less that of the other's [R], shape (C, 3)."""
-        shift: NDArray[np.float64] = self.rows.arm[: len(self.other)] - self.rows.other_arm
+        shift: Reals = self.rows.arm[: len(self.other)] - self.rows.other_arm
         return shift
 
     @property
-    def lever(self) -> NDArray[np.float64]:
+    def lever(self) -> Reals:
         """Horizontal arms, the robot's x and y and the other's [R], shape (C, 4)."""
         own = self.rows.arm[: len(self.other)]
         return np.column_stack([own[:, :2], self.rows.other_arm[:, :2]])
 
     @property
-    def sensed_place(self) -> NDArray[np.float64]:
+    def sensed_place(self) -> Reals:
         """Measured centers, yaw taken as sensed [R], shape (N, 3)."""
-        place: NDArray[np.float64] = self.place - np.pad(self.walk, ((0, 0), (0, 1)))
+        place: Reals = self.place - np.pad(self.walk, ((0, 0), (0, 1)))
         return place
 
     @property
-    def unplaced(self) -> NDArray[np.bool_]:
+    def unplaced(self) -> Bools:
         """Axes along which nothing but contacts measures where robots are, shape (3,)."""
         is_held = (self.precision[1:] > 0.0) & ~self.unobserved[1:]
         return np.logical_not(is_held.any(axis=0))
@@ -114,15 +115,13 @@ class Problem:
         return max(0.0, 1.0 - count / max(self.place[1:].size, 1))
 
     @property
-    def fewest(self) -> NDArray[np.int64]:
+    def fewest(self) -> Ints:
         """Final contacts of the robot of each pair that has fewer, at least 1, shape (C,)."""
         count = np.bincount(self.pair[self.is_final].ravel(), minlength=len(self.place))
-        fewest: NDArray[np.int64] = np.maximum(count[self.pair].min(axis=1), 1)
+        fewest: Ints = np.maximum(count[self.pair].min(axis=1), 1)
         return fewest
 
-    def residual(
-        self, position: NDArray[np.float64], yaw: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def residual(self, position: Reals, yaw: Reals) -> Reals:
         """Compute the residuals of the contacts.
 
         Args:
@@ -134,9 +133,7 @@ class Problem:
         """
         return self.rows.residual(position, yaw)[..., : len(self.other)]
 
-    def reach(
-        self, sigma: float = 0.0, inlier: NDArray[np.bool_] | None = None
-    ) -> NDArray[np.float64]:
+    def reach(self, sigma: float = 0.0, inlier: Bools | None = None) -> Reals:
         """Bound the distance of each robot from the first one of its part.
 
         With sensed orientations, centers in contact are apart by a fixed vector and a vector of
@@ -206,7 +203,7 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
 
 
-def _most_precise(rows: Measurements) -> NDArray[np.bool_]:
+def _most_precise(rows: Measurements) -> Bools:
     """Choose all distances, and for each coordinate of a robot its most precise measurement.
 
     Returns:
@@ -229,7 +226,7 @@ def _most_precise(rows: Measurements) -> NDArray[np.bool_]:
     return chosen
 
 
-def _separated(problem: Problem, anchor: NDArray[np.float64], sd: float) -> Problem:
+def _separated(problem: Problem, anchor: Reals, sd: float) -> Problem:
     """Hold the first robot of each disconnected part at a place where no other part can be.
 
     Parts that overlap would push each other, though nothing measures where they are. They stand in

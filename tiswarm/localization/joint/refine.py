@@ -11,11 +11,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, diags_array, hstack
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import REFINE
@@ -28,26 +28,26 @@ UNKNOWNS = 7
 class Refined(NamedTuple):
     """Where the measurements of one structure are met best."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers [R], shape (N, 3)."""
 
-    yaw: NDArray[np.float64]
+    yaw: Reals
     """Yaw corrections [rad], shape (N,)."""
 
-    sd: NDArray[np.float64]
+    sd: Reals
     """Standard deviation of each position [R], shape (N,)."""
 
 
 class _State(NamedTuple):
     """Everything that residuals depend on."""
 
-    position: NDArray[np.float64]
+    position: Reals
     """Centers [R], shape (N, 3)."""
 
-    yaw: NDArray[np.float64]
+    yaw: Reals
     """Yaw corrections [rad], shape (N,)."""
 
-    turn: NDArray[np.float64]
+    turn: Reals
     """Error of each sensed orientation beside that, as a rotation vector in standard deviations,
     shape (S, 3)."""
 
@@ -62,11 +62,11 @@ def is_of_use(problem: Problem) -> bool:
 
 def refine(
     problem: Problem,
-    position: NDArray[np.float64],
-    yaw: NDArray[np.float64],
-    sd: NDArray[np.float64],
+    position: Reals,
+    yaw: Reals,
+    sd: Reals,
     rows: Measurements,
-    curved: NDArray[np.float64],
+    curved: Reals,
 ) -> Refined:
     """Move the robots of one structure to where their measurements are met best.
 
@@ -96,9 +96,7 @@ def refine(
 class _LeastSquares:
     """Residuals of E measurements, C of them distances, with arms split by stances."""
 
-    def __init__(
-        self, rows: Measurements, curved: NDArray[np.float64], yaw_precision: float
-    ) -> None:
+    def __init__(self, rows: Measurements, curved: Reals, yaw_precision: float) -> None:
         self.rows, self.walks, self.yaw_precision = rows, rows.odometry, yaw_precision
         self.own_variance = rows.own_variance
         self.own_variance[: len(curved)] += curved
@@ -114,7 +112,7 @@ class _LeastSquares:
         self.final = (3 * self.walks.final[:, None] + np.arange(3)).ravel()
         self.earlier = np.setdiff1d(turns, self.final)
 
-    def linearized(self, state: _State, prior: NDArray[np.float64]) -> "_Linear":
+    def linearized(self, state: _State, prior: Reals) -> "_Linear":
         """Linearize at a state, with a prior of that width [R] around the start, shape (N,)."""
         robots = len(state.yaw)
         sd = np.array([self.walks.tilt, self.walks.tilt, self.walks.yaw])
@@ -160,9 +158,7 @@ class _LeastSquares:
             turn=turn.reshape(-1, 3),
         )
 
-    def _summed(
-        self, arm: NDArray[np.float64], chosen: NDArray[np.bool_], size: int
-    ) -> NDArray[np.float64]:
+    def _summed(self, arm: Reals, chosen: Bools, size: int) -> Reals:
         """Sum the parts of each arm, shape (size, 3)."""
         return np.column_stack([np.bincount(self.row[chosen], a, size) for a in arm[chosen].T])
 
@@ -181,11 +177,11 @@ class _Linear:
     def __init__(
         self,
         *,
-        residual: NDArray[np.float64],
+        residual: Reals,
         jacobian: csc_array,
         noise: csc_array,
-        own_variance: NDArray[np.float64],
-        precision: NDArray[np.float64],
+        own_variance: Reals,
+        precision: Reals,
     ) -> None:
         self.residual, self.noise, self.own_variance = residual, noise, own_variance
         self.precision = precision
@@ -204,9 +200,7 @@ class _Linear:
             options={"SymmetricMode": True},
         )
 
-    def least(
-        self, off: NDArray[np.float64], turn: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def least(self, off: Reals, turn: Reals) -> tuple[Reals, Reals]:
         """Solve for the steps of the unknowns and the turns of earlier stances.
 
         Args:
@@ -217,7 +211,7 @@ class _Linear:
         pull, step = self._solve(-residual, (self.precision * off)[self.free])
         return step, self.noise.T @ pull
 
-    def variance(self) -> NDArray[np.float64]:
+    def variance(self) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
         sizes = np.cumsum([*self.noise.shape, len(self.free)])
         draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(REFINE.draws))
@@ -225,12 +219,10 @@ class _Linear:
         error = self.noise @ turn + np.sqrt(self.own_variance)[:, None] * own
         _, step = self._solve(error, np.sqrt(self.precision[self.free])[:, None] * free)
         shift = step[: 3 * (len(step) // UNKNOWNS)].reshape(-1, 3, REFINE.draws)
-        square: NDArray[np.float64] = (shift**2).sum(axis=1).mean(axis=1)
+        square: Reals = (shift**2).sum(axis=1).mean(axis=1)
         return square
 
-    def _solve(
-        self, residual: NDArray[np.float64], pull: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _solve(self, residual: Reals, pull: Reals) -> tuple[Reals, Reals]:
         """Solve for multipliers of the rows and steps of all unknowns."""
         found = self.factor.solve(np.concatenate([residual, pull]))
         step = np.zeros((len(self.precision), *found.shape[1:]))
@@ -239,9 +231,9 @@ class _Linear:
 
 
 def _by_group(
-    value: NDArray[np.float64],
-    row: NDArray[np.int64],
-    group: NDArray[np.int64],
+    value: Reals,
+    row: Ints,
+    group: Ints,
     shape: tuple[int, int],
 ) -> csc_array:
     """Assemble a sparse matrix; values at the same place add up.

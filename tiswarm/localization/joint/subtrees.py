@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.arrays import Allocator
 from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.problem import Problem
@@ -36,17 +36,17 @@ class Forest:
     out of it. The first subtree is everyone.
     """
 
-    order: NDArray[np.int64]
+    order: Ints
     """Robots, own ones of subtree after subtree, so that those of each stand in a row, (N,)."""
 
-    first: NDArray[np.int64]
+    first: Ints
     """Where in `order` the own robots of each subtree start, shape (T + 1,)."""
 
-    parent: NDArray[np.int64]
+    parent: Ints
     """Subtree that each grows out of, 0 of the first, shape (T,)."""
 
 
-def find_subtrees(pair: NDArray[np.int64], robots: int) -> Forest:
+def find_subtrees(pair: Ints, robots: int) -> Forest:
     """Split a structure into subtrees; robots that nothing ties to the anchor are in the first.
 
     Args:
@@ -95,7 +95,7 @@ def subtree_arrays(
     )
 
 
-def weights(tree: Forest) -> NDArray[np.float64]:
+def weights(tree: Forest) -> Reals:
     """Weigh each subtree, in masses of its own robots, so that no robot is moved by too many.
 
     Thin subtrees that grow out of each other are heavier the more of them there are; the longest
@@ -111,16 +111,14 @@ def weights(tree: Forest) -> NDArray[np.float64]:
     return SUBTREE_WEIGHT * np.maximum(1.0, total / MOST_MOBILITY)
 
 
-def _levels(robots: int, pair: NDArray[np.int64]) -> NDArray[np.int64]:
+def _levels(robots: int, pair: Ints) -> Ints:
     """Count the hops from the anchor to each robot, -1 if none lead there, shape (N,)."""
     anchor = np.zeros(1, np.int64)
     hops = dijkstra(touching(pair, robots), directed=False, indices=anchor, unweighted=True)[0]
     return np.where(np.isfinite(hops), hops, -1).astype(np.int64)
 
 
-def _grown(
-    level: NDArray[np.int64], pair: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _grown(level: Ints, pair: Ints) -> tuple[Ints, Ints]:
     """Find the subtree of each robot and the parent of each, from the tips to the anchor."""
     owner, parent = np.zeros(len(level), np.int64), [0]
     nearer = level[pair].min(axis=1)
@@ -144,7 +142,7 @@ def _grown(
     return owner, np.array(parent)
 
 
-def _from_the_anchor(parent: NDArray[np.int64]) -> NDArray[np.int64]:
+def _from_the_anchor(parent: Ints) -> Ints:
     """Number subtrees so that each stands before all that grow out of it, and they in a row."""
     grown: list[list[int]] = [[] for _ in parent]
     for subtree in range(1, len(parent)):

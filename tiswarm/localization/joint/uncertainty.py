@@ -5,8 +5,8 @@ and the temperature lets them be missed. Only the first two are errors. Lengths 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import CALIBRATION, SCHEDULE
 from tiswarm.records.estimate import Solution
@@ -14,11 +14,11 @@ from tiswarm.records.estimate import Solution
 
 def deviation(
     problem: Problem,
-    mean: NDArray[np.float64],
-    within: NDArray[np.float64],
-    converged: NDArray[np.bool_],
+    mean: Reals,
+    within: Reals,
+    converged: Bools,
     sigma: float,
-) -> NDArray[np.float64]:
+) -> Reals:
     """Compute the standard deviation of the mean of the converged chains [R], shape (N,).
 
     Args:
@@ -39,12 +39,12 @@ def deviation(
     related = np.sqrt(square) ** (1.0 - power) * (fit.shared_noise_at * sigma) ** power
     sharp = (fit.sharp * (sigma / SCHEDULE.warmest) ** fit.sharp_power) ** (1.0 - noise)
     lacking = 1.0 + fit.underdetermined * problem.underdetermination
-    sd: NDArray[np.float64] = related * sharp * lacking
+    sd: Reals = related * sharp * lacking
     sd[0] = 0.0  # the position of the anchor is known
     return sd
 
 
-def between_chains(mean: NDArray[np.float64], converged: NDArray[np.bool_]) -> NDArray[np.float64]:
+def between_chains(mean: Reals, converged: Bools) -> Reals:
     """Compute the mean square error of the mean of chains that are draws like the truth, (N,).
 
     The mean of n draws is off by (n + 1) / n of their variance; the draws around it show
@@ -53,18 +53,18 @@ def between_chains(mean: NDArray[np.float64], converged: NDArray[np.bool_]) -> N
     position = mean[converged].mean(axis=0)
     chains = np.count_nonzero(converged)
     drawn = mean[converged] if chains > 1 else mean
-    square: NDArray[np.float64] = ((drawn - position) ** 2).sum(axis=2).mean(axis=0)
+    square: Reals = ((drawn - position) ** 2).sum(axis=2).mean(axis=0)
     return square * ((chains + 1.0) / (chains - 1.0) if chains > 1 else 1.0)
 
 
-def _others(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+def _others(mean: Reals) -> Reals:
     """Mean position of all robots but the anchor and the robot itself, shape (chains, N, 3)."""
     robots = mean.shape[1]
-    total: NDArray[np.float64] = mean[:, 1:].sum(axis=1, keepdims=True)
+    total: Reals = mean[:, 1:].sum(axis=1, keepdims=True)
     return (total - mean) / max(robots - 2, 1)
 
 
-def _noise_share(variance: NDArray[np.float64]) -> float:
+def _noise_share(variance: Reals) -> float:
     """Share of the contacts' variance that is noise, not temperature; 1 without contacts."""
     if not len(variance):
         return 1.0
@@ -72,9 +72,9 @@ def _noise_share(variance: NDArray[np.float64]) -> float:
 
 
 def distinct(
-    position: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    residual_sd: NDArray[np.float64],
+    position: Reals,
+    residual: Reals,
+    residual_sd: Reals,
     width: float,
 ) -> tuple[Solution, ...]:
     """Group chains into solutions that differ by more than the width of a dock at some robot.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Ints
 from tiswarm.report.render.scene import Array32, Scene
 
 SIDES = (6, 48)
@@ -24,10 +25,10 @@ class Mesh:
     triangle: NDArray[np.int32]
     """Points of each triangle, counterclockwise from outside, shape (T, 3)."""
 
-    point_capsule: NDArray[np.int64]
+    point_capsule: Ints
     """Capsule of each point, shape (V,)."""
 
-    triangle_capsule: NDArray[np.int64]
+    triangle_capsule: Ints
     """Capsule of each triangle, shape (T,)."""
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from tiswarm.aliases import Ints
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
@@ -101,7 +101,7 @@ class CaseView:
     force: Array
     """Force that each robot senses in its links [weight of a dock], shape (N,)."""
 
-    robot: NDArray[np.int64]
+    robot: Ints
     """Id of each robot, shape (N,)."""
 
     @cached_property

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tiswarm.aliases import Bools, Ints
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import (
@@ -24,7 +25,7 @@ from tiswarm.report.render.scene import (
 )
 
 Picture = NDArray[np.uint8]
-Trace = Callable[[Array32, Array32], tuple[Array32, NDArray[np.int64]]]
+Trace = Callable[[Array32, Array32], tuple[Array32, Ints]]
 """From pixels (column, row), shape (n, 2), and the directions of their rays, shape (n, 3), to the
 depth of the first capsule, infinite if there is none, and its index or -1, each of shape (n,)."""
 
@@ -88,7 +89,7 @@ def draw(scene: Scene, trace: Trace) -> Picture:
     return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
 
 
-def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
+def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, Ints]:
     """Find color and object (a capsule, GROUND or NOTHING) at pixels."""
     parts = [
         _cast_chunk(scene, trace, pixels[first : first + CHUNK])
@@ -97,7 +98,7 @@ def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
-def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, NDArray[np.int64]]:
+def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, Ints]:
     eye = scene.camera.eye.astype(np.float32)
     direction = scene.camera.directions(pixels)
     depth, capsule = trace(pixels, direction)
@@ -116,7 +117,7 @@ def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, N
     return color, seen
 
 
-def _edges(seen: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _edges(seen: Ints) -> Bools:
     """Mark pairs of neighboring pixels that show different objects."""
     edge = np.zeros(seen.shape, dtype=bool)
     beside, below = seen[:, 1:] != seen[:, :-1], seen[1:] != seen[:-1]
@@ -140,7 +141,7 @@ def open3d_tracer(scene: Scene) -> Trace:
     )
     eye = scene.camera.eye.astype(np.float32)
 
-    def trace(_pixels: Array32, direction: Array32) -> tuple[Array32, NDArray[np.int64]]:
+    def trace(_pixels: Array32, direction: Array32) -> tuple[Array32, Ints]:
         rays = np.column_stack([np.broadcast_to(eye, direction.shape), direction])
         answer = caster.cast_rays(o3d.core.Tensor(rays))
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
@@ -185,7 +186,7 @@ def taichi_tracer(scene: Scene) -> Trace:
     )
     capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
 
-    def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, NDArray[np.int64]]:
+    def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
         depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
         trace_capsules(
             np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
+from tiswarm.aliases import Bools, Ints, Reals
+
+Array = Reals
 Array32 = NDArray[np.float32]
 
 # --- camera ---
@@ -326,7 +328,7 @@ def _stand_back(across: Array, depth: Array, radius: float, slope: float) -> tup
     return (above - below) / 2.0, (above + below) / (2.0 * slope)
 
 
-def color_of_capsules(scene: Scene, which: NDArray[np.int64], points: Array32) -> Array32:
+def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
     """Color points on the surface of capsules, shape (n, 3).
 
     Args:
@@ -354,7 +356,7 @@ def color_of_capsules(scene: Scene, which: NDArray[np.int64], points: Array32) -
     return np.asarray(np.clip(color, 0.0, 1.0))
 
 
-def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, NDArray[np.bool_]]:
+def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, Bools]:
     """Color points of the ground's plane.
 
     Returns:
