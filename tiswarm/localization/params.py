@@ -5,10 +5,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from tiswarm.measurements.cues import cue_names
 from tiswarm.params import STRICT
 
 CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometry")
-"""What a localizer may use of a log, where it has it."""
+"""Cues that settings have a switch for."""
 
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
@@ -159,8 +160,9 @@ class CueParams:
 
     @property
     def cues(self) -> tuple[str, ...]:
-        """What of the log is used."""
-        return tuple(cue for cue in CUES if getattr(self, cue))
+        """What of the log is used: every cue without a switch, and those whose switch is on."""
+        names = dict.fromkeys((*CUES, *cue_names()))
+        return tuple(cue for cue in names if getattr(self, cue, True))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

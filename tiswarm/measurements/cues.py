@@ -1,6 +1,7 @@
 """What a log says, cue by cue: each is a function that turns the log into rows.
 
-To add a cue, write such a function and add it to `CUES`. Lengths in R.
+To add a cue, write such a function and add a line to `CUES`; every method that takes cues uses it
+then, unless its settings have a switch for it that is off. Lengths in R.
 """
 
 from collections.abc import Callable, Collection
@@ -94,17 +95,20 @@ def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precisio
     return Places.of(stance, dock, UP, value, variance=precision.height**2)
 
 
-CUES: tuple[tuple[tuple[str, ...], Producer], ...] = (
+CUES: list[tuple[tuple[str, ...], Producer]] = [
     (("contacts",), contacts),
     (("ground",), ground),
     (("height",), height),
     (("walk_contacts",), walk_contacts),
     (("ground", "walk_contacts"), walk_ground),
     (("odometry",), odometry_from_spawn),
-)
+]
 """Every producer, after the names of the cues that must be in use for it."""
 
-CUE_NAMES = tuple(dict.fromkeys(name for names, _ in CUES for name in names))
+
+def cue_names() -> tuple[str, ...]:
+    """List the names of all cues."""
+    return tuple(dict.fromkeys(name for names, _ in CUES for name in names))
 
 
 def measure(

@@ -7,7 +7,7 @@ import numpy as np
 from tiswarm.aliases import Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected
-from tiswarm.measurements.cues import CUE_NAMES, measure
+from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.rigidity import floppy_modes, floppy_robots, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
@@ -40,7 +40,7 @@ def observability(
         center = position / log.dock_radius
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     return Observability(
-        cues=tuple(cue for cue in CUE_NAMES if cue in cues),
+        cues=tuple(cue for cue in cue_names() if cue in cues),
         yaw_unknown=yaw_unknown,
         unknowns=bodies.dof * (log.robot_count - 1),
         gauge_yaw_sd=(
@@ -60,7 +60,7 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
     yaw_unknown = log.yaw_bias > 0.0
     cues: list[str] = []
     count = -1
-    for cue in CUE_NAMES:
+    for cue in cue_names():
         more = len(measure(log, [*cues, cue]))
         if more > count or cue == "contacts":
             cues.append(cue)

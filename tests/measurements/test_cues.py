@@ -1,0 +1,52 @@
+"""A cue is one function and one line; everything that takes cues uses it then."""
+
+import numpy as np
+
+from tiswarm.localization.least_squares import improve
+from tiswarm.localization.params import JointParams, LeastSquaresParams
+from tiswarm.localization.registry import localize
+from tiswarm.measurements import cues
+from tiswarm.measurements.model import Places
+from tiswarm.measurements.observability import observability
+from tiswarm.measurements.odometry import CENTER
+from tiswarm.sensing import SensingParams, observe
+
+
+def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
+    """Marks on a wall that every other robot sees say how far along x it is, to 0.05 R."""
+    history = towers[0]
+    log = observe(history, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+    params = JointParams(walk_contacts=False, ground=False, steps=1500, chains=4)
+    before = [localize(log, params), observability(log, params.cues)]
+
+    def wall(_log, odometry, _precision):
+        robot = np.arange(1, log.robot_count, 2)
+        x = history.position[robot, 0]
+        dock = np.full(len(robot), CENTER)
+        return Places.of(odometry.final[robot], dock, np.eye(3)[0], x, variance=0.05**2)
+
+    monkeypatch.setattr(cues, "CUES", [*cues.CUES, (("wall",), wall)])
+
+    after = [localize(log, params), observability(log, params.cues)]
+    reference = improve(log, LeastSquaresParams(rounds=2), history.position)
+
+    off = [np.abs(found[0].position - history.position)[:, 0].mean() for found in (before, after)]
+    assert off[1] < 0.5 * off[0]
+    assert after[0].sd.mean() < before[0].sd.mean()
+    assert after[1].cues[-1] == "wall"
+    assert after[1].floppy_modes < before[1].floppy_modes
+    assert np.abs(reference.position - history.position)[1::2, 0].max() < 0.5
+
+
+def test_a_dock_that_stays_put_counts_once(towers):
+    """What it touches at two stances in a row is one measurement, of a contact or the ground."""
+    log = observe(towers[0], SensingParams())
+    rows = cues.measure(log, cues.cue_names())
+    stances = log.stances
+
+    touches = len(log.contacts) + len(stances.contacts)
+    grounds = len(log.ground_docks) + len(stances.ground_docks)
+    heights = np.isfinite(log.flip_height).sum()
+    assert 0 < len(rows.other) < touches
+    assert 0 < len(rows.places.value) - heights < grounds
+    assert len(np.unique(rows.sensed_contacts, axis=0)) == len(rows.other)
