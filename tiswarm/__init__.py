@@ -25,6 +25,5 @@ _HOME = {
 def __getattr__(name: str) -> object:
     """Import a name when it is used; `import tiswarm` alone loads no kernel compiler."""
     if name not in _HOME:
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

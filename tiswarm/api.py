@@ -94,8 +94,7 @@ def _plain(values: Mapping[str, object]) -> dict[str, object]:
 def _from_numpy(value: object) -> object:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    message = f"is of type {type(value).__name__}"
-    raise TypeError(message)
+    raise TypeError(f"is of type {type(value).__name__}")
 
 
 def read_log(path: str | PathLike[str]) -> SensingLog:

@@ -170,12 +170,7 @@ def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
     return height
 
 
-def _stances(
-    history: History,
-    sensed: Reals,
-    length: Ints,
-    contacts: NDArray[np.int32],
-) -> Stances:
+def _stances(history: History, sensed: Reals, length: Ints, contacts: NDArray[np.int32]) -> Stances:
     """Gather every stance except each robot's last.
 
     Args:

@@ -52,8 +52,7 @@ def schema() -> None:
 def doctor(
     *,
     only_packages: Annotated[
-        bool,
-        typer.Option("--missing-packages", help="Print only the missing system packages."),
+        bool, typer.Option("--missing-packages", help="Print only the missing system packages.")
     ] = False,
 ) -> None:
     """List which devices and renderers work on this machine, and what to install for others."""

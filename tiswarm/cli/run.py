@@ -54,8 +54,7 @@ def run(
         typer.echo(study.forecast(study.plan(plan)))
         return
     if workers is not None and scheduler is not None:
-        msg = "choose only one of --workers, --scheduler"
-        raise InputError(msg)
+        raise InputError("choose only one of --workers, --scheduler")
     execution = study.Execution(
         workers=workers,
         scheduler=scheduler,
@@ -85,8 +84,7 @@ def _shard(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     number, count = map(int, found.groups()) if found else (0, 0)
     if not 1 <= number <= count:
-        msg = f"invalid shard {text}: use I/N with 1 <= I <= N"
-        raise InputError(msg)
+        raise InputError(f"invalid shard {text}: use I/N with 1 <= I <= N")
     return number, count
 
 

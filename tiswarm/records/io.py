@@ -99,8 +99,7 @@ class Table:
                 problem = f"has {len(cells)} cells; {len(self.columns)} are needed"
                 raise InputError(problem, path=self.path, line=line)
         if not rows:
-            problem = "there are no robots; add a row for each"
-            raise InputError(problem, path=self.path, line=2)
+            raise InputError("there are no robots; add a row for each", path=self.path, line=2)
         return rows
 
     def line(self, row: int) -> int:
@@ -130,11 +129,7 @@ class Table:
         return np.array(self._values(column, _finite, wanted, empty), np.float64)
 
     def _values(
-        self,
-        column: str,
-        parse: Callable[[str], float],
-        wanted: str,
-        empty: float | None = None,
+        self, column: str, parse: Callable[[str], float], wanted: str, empty: float | None = None
     ) -> list[float]:
         place, values = self.columns.index(column), []
         for line, cells in self.rows.items():

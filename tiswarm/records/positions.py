@@ -57,8 +57,7 @@ def write_positions(
         ValueError: a position is not finite.
     """
     if not np.isfinite(position).all():
-        message = f"{path.name}: positions must be finite"
-        raise ValueError(message)
+        raise ValueError(f"{path.name}: positions must be finite")
     places = [robot_id.tolist(), *position.T.tolist()]
     columns = dict(zip(_header(length_unit), places, strict=False)) | dict(further or {})
     text = io.StringIO()
@@ -92,8 +91,7 @@ def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
     required, optional = columns[:4], columns[4:]
     if table.columns != [name for name in columns if name in {*required, *table.columns}]:
         wanted = ",".join(required) + "".join(f"[,{name}]" for name in optional)
-        problem = f"the columns are not {wanted}; rename them"
-        raise InputError(problem, path=path, line=1)
+        raise InputError(f"the columns are not {wanted}; rename them", path=path, line=1)
     robot = table.integers("robot")
     position = np.column_stack([table.numbers(name) for name in required[1:]])
     for name in table.columns[4:]:

@@ -69,8 +69,7 @@ def read_sensing_log(path: Path) -> SensingLog:
     lines = numbered_lines(path)
     number, text = next(lines, (0, ""))
     if number == 0:
-        problem = "the file is empty; start it with a header line"
-        raise InputError(problem, path=path, line=1)
+        raise InputError("the file is empty; start it with a header line", path=path, line=1)
     with at_line(path, number):
         builder = SensingLogBuilder(parse_header(text))
     for number, text in lines:
@@ -243,8 +242,7 @@ class _StanceColumns:
 def _unit(orientation_wxyz: list[float], key: str) -> list[float]:
     length = math.hypot(*orientation_wxyz)
     if abs(length - 1.0) > FAR_FROM_UNIT:
-        problem = f"the quaternion has length {length:.6g}; scale it to 1"
-        raise InputError(problem, key=key)
+        raise InputError(f"the quaternion has length {length:.6g}; scale it to 1", key=key)
     if abs(length - 1.0) <= CLOSE_TO_UNIT:
         return orientation_wxyz
     return [part / length for part in orientation_wxyz]
@@ -254,8 +252,7 @@ def _refuse_repeated(items: Sequence[tuple[int, ...]], key: str) -> None:
     first: dict[tuple[int, ...], int] = {}
     for place, item in enumerate(items):
         if first.setdefault(item, place) != place:
-            problem = f"repeats {key}[{first[item]}]; list it once"
-            raise InputError(problem, key=f"{key}[{place}]")
+            raise InputError(f"repeats {key}[{first[item]}]; list it once", key=f"{key}[{place}]")
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:

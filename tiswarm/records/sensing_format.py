@@ -130,8 +130,7 @@ def _first_mistake(found: ValidationError, model: type[BaseModel]) -> InputError
 
 def _parse_json(text: str) -> dict[str, object]:
     if not text.strip():
-        problem = "the line is empty; delete it"
-        raise InputError(problem)
+        raise InputError("the line is empty; delete it")
     try:
         entries = _DECODER.decode(text)
     except json.JSONDecodeError as error:
@@ -141,8 +140,7 @@ def _parse_json(text: str) -> dict[str, object]:
         problem = "nested too deep, or a number of thousands of digits; write one robot a line"
         raise InputError(problem) from error
     if not isinstance(entries, dict):
-        problem = f"{shown(entries)} is not a JSON object; write the line as {{...}}"
-        raise InputError(problem)
+        raise InputError(f"{shown(entries)} is not a JSON object; write the line as {{...}}")
     return entries
 
 

@@ -30,8 +30,7 @@ _Values = TypeVar("_Values", bound=tuple[Any, ...])
 
 def _slug(text: str) -> str:
     if not _SLUG.fullmatch(text):
-        message = f"{text!r} cannot name a folder; use letters, digits, '-', '_' and '.'"
-        raise ValueError(message)
+        raise ValueError(f"{text!r} cannot name a folder; use letters, digits, '-', '_' and '.'")
     return text
 
 
@@ -49,8 +48,7 @@ def swept_keys(entry: str) -> list[str]:
 
 def _sweep_key(entry: str) -> str:
     if any(key.partition(".")[0] not in SWEEP_SECTIONS for key in swept_keys(entry)):
-        message = f"cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or keys in them"
-        raise ValueError(message)
+        raise ValueError(f"cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or keys in them")
     return entry
 
 
@@ -59,8 +57,7 @@ def _distinct(values: _Values) -> _Values:
     for value in values:
         text = json.dumps(value, sort_keys=True)
         if text in seen:
-            message = f"{text} occurs twice; give each value once"
-            raise ValueError(message)
+            raise ValueError(f"{text} occurs twice; give each value once")
         seen.add(text)
     return values
 

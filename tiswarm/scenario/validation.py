@@ -161,8 +161,7 @@ def parse_setting(text: str, *section: str) -> Setting:
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        problem = "is not KEY=VALUE; write it like robots=20"
-        raise InputError(problem, key=f"--set {text}")
+        raise InputError("is not KEY=VALUE; write it like robots=20", key=f"--set {text}")
     try:
         path = (*section, *_setting_path(key.strip()))
         data = renamed(parse_yaml(value).data, path)
@@ -202,8 +201,7 @@ def localization_params(
     """
     for cue in cues or ():
         if cue not in CUES:
-            problem = f"{cue} is not a cue; use {', '.join(CUES)}"
-            raise InputError(problem, key="--cues")
+            raise InputError(f"{cue} is not a cue; use {', '.join(CUES)}", key="--cues")
     switches = {} if cues is None else {cue: cue in cues for cue in CUES}
     settings = [parse_setting(text, "localization") for text in overrides]
     section = {"method": method, **switches, **(values or {})}

@@ -132,8 +132,7 @@ def _compose(text: str) -> yaml.Node:
         problem = "not YAML: an escape is out of range; correct it"
         raise InputError(problem, line=loader.line + 1 if loader else 1) from error
     if node is None:
-        problem = "is empty; write a value, or a scenario that starts with `name:`"
-        raise InputError(problem, line=1)
+        raise InputError("is empty; write a value, or a scenario that starts with `name:`", line=1)
     return node
 
 

@@ -7,12 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiswarm.compute import backend
-from tiswarm.errors import (
-    CasesFailedError,
-    EnvironmentTroubleError,
-    InputError,
-    TiswarmError,
-)
+from tiswarm.errors import CasesFailedError, EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.messages import counted
@@ -196,8 +191,7 @@ def _compute(
             _report(outcome.records, progress)
             first = next((record for record in outcome.records if not record.is_done), None)
             if first is not None and execution.fail_fast:
-                msg = f"stopped, for a case failed: {first.case}: {first.reason}"
-                raise CasesFailedError(msg)
+                raise CasesFailedError(f"stopped, for a case failed: {first.case}: {first.reason}")
             yield outcome
 
 

@@ -288,8 +288,7 @@ def compare(runs: Sequence[Path], out: Path) -> None:
         EnvironmentTroubleError: `out` cannot be made.
     """
     if len({run.resolve() for run in runs}) < max(2, len(runs)):
-        msg = "give two or more different run folders"
-        raise InputError(msg, key="RUN")
+        raise InputError("give two or more different run folders", key="RUN")
     names = [run.resolve().name for run in runs]
     if len(set(names)) < len(names):
         names = [str(run) for run in runs]

@@ -251,8 +251,7 @@ def _replayed_study(
     for row in done:
         trial = study.ask()
         if _suggested(trial, ranges) != {name: row[name] for name in ranges}:
-            problem = "its trials do not repeat here; give another --out"
-            raise InputError(problem, path=path)
+            raise InputError("its trials do not repeat here; give another --out", path=path)
         study.tell(trial, row["rmse_R"])
     return study
 
@@ -272,8 +271,7 @@ def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
         trials: list[dict[str, Any]] = earlier["trials"]
         same = all(earlier[name] == value for name, value in record.items())
     except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = "is no record of a fit; give another --out"
-        raise InputError(problem, path=path) from error
+        raise InputError("is no record of a fit; give another --out", path=path) from error
     if not same:
         problem = "is the record of a fit with other settings or other code; give another --out"
         raise InputError(problem, path=path)
