@@ -34,3 +34,18 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
 
     np.testing.assert_equal(table["paper_rmse_radii"].to_numpy(), published)
     np.testing.assert_allclose(table["rmse_R_to_paper"], 3.0 / np.array(published))
+
+
+@pytest.mark.parametrize("name", ["NA", "null"])
+def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
+    """The headline and the comparison of runs have the names as in `table.csv`."""
+    header = "condition,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,converged_mean"
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+        (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,\n")
+
+    line, _ = tables.headline(tmp_path / "a").splitlines()
+    tables.compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
+
+    assert line == f"{name}: RMSE 2.00 R, disparity 0.5000, 1 structure"
+    assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()

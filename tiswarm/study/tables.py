@@ -196,8 +196,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
 
 def headline(folder: Path) -> str:
     """Write the results of a run in a few lines, from its `table.csv`."""
-    rows = pd.read_csv(folder / "table.csv")
-    lines = [_headline_row(row) for row in rows.to_dict("records")]
+    lines = [_headline_row(row) for row in _read_table(folder).to_dict("records")]
     return "\n".join([*lines, f"results in {folder}"])
 
 
@@ -313,7 +312,8 @@ def compare(runs: Sequence[Path], out: Path) -> None:
 
 def _read_table(run: Path) -> pd.DataFrame:
     try:
-        return pd.read_csv(run / "table.csv")
+        # only empty cells are unknown: a condition may be called `NA` or `null`
+        return pd.read_csv(run / "table.csv", keep_default_na=False, na_values=[""])
     except (OSError, ValueError) as error:
         msg = "has no table.csv; give a folder that `tiswarm run` made"
         raise InputError(msg, path=run) from error
