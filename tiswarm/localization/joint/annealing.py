@@ -21,8 +21,14 @@ from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
 from tiswarm.localization.joint.force_kernels import INERTIA, TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
-from tiswarm.localization.joint.kernels import SKIN, STALE, THIN_SKIN, note_places, take_steps
-from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.joint.kernels import (
+    MEMORY,
+    SKIN,
+    STALE,
+    THIN_SKIN,
+    note_places,
+    take_steps,
+)
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import SCHEDULE
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays

@@ -6,12 +6,11 @@ import numpy as np
 
 from tiswarm.aliases import Reals
 from tiswarm.localization.joint.annealing import Annealed, anneal
-from tiswarm.localization.joint.convergence import Verdict, failed, judge
+from tiswarm.localization.joint.chains import Verdict, deviation, distinct, failed, judge
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.joint.settings import SCHEDULE
-from tiswarm.localization.joint.uncertainty import deviation, distinct
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate

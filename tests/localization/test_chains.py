@@ -1,6 +1,7 @@
 """Chains that cannot be right are annealed again, and an estimate that failed says so."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from hypothesis import strategies as st
 
 from tests.structures import Rule, structure
 from tiswarm.localization.joint import annealing, method
-from tiswarm.localization.joint.convergence import failed, judge, squares
+from tiswarm.localization.joint.chains import (
+    between_chains,
+    deviation,
+    distinct,
+    failed,
+    judge,
+    squares,
+)
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams
@@ -187,3 +195,129 @@ def test_parts_that_nothing_ties_are_kept_out_of_each_others_way():
         np.fill_diagonal(apart, np.inf)
         assert (apart > size[:, None] + size).all()
         assert found.convergence.converged
+
+
+ROBOTS = 4000
+
+
+def _known(*, noise, shortage=0.0):
+    return SimpleNamespace(variance=np.full(10, noise), underdetermination=shortage)
+
+
+@pytest.mark.parametrize("chains", [2, 3, 8])
+def test_chains_that_are_draws_like_the_truth_tell_how_far_off_their_mean_is(chains):
+    """However few there are: by what they differ, and how many they are."""
+    draw = np.random.default_rng(chains).normal(0.0, 0.5, (chains + 1, ROBOTS, 3))
+    truth, mean = draw[0], draw[1:]
+
+    told = between_chains(mean, np.ones(chains, bool))
+
+    error = ((mean.mean(axis=0) - truth) ** 2).sum(axis=1)
+    assert told.mean() == pytest.approx(error.mean(), rel=0.05)
+
+
+def test_of_one_sound_chain_the_others_tell_how_much_chains_differ():
+    """And nobody does where it is the only one."""
+    mean = np.random.default_rng(0).normal(0.0, 0.5, (3, ROBOTS, 3))
+    sound = np.array([True, False, False])
+
+    told = between_chains(mean, sound)
+
+    expected = ((mean[1:] - mean[0]) ** 2).sum(axis=(0, 2)) / 3.0
+    np.testing.assert_allclose(told, expected, rtol=1e-12)
+    np.testing.assert_array_equal(between_chains(mean[:1], sound[:1]), 0.0)
+
+
+@pytest.mark.parametrize("noise", [1e-9, 1.0])
+def test_the_tolerance_alone_makes_no_error(noise):
+    """A robot that strays as little as the tolerance makes it is sure to be where it is.
+
+    Unless noise makes it stray. More straying never means less error, more unknowns more.
+    """
+    mean = np.zeros((2, 4, 3))
+    spread = np.tile([0.0, 0.0, 1e-3, 1.0], (2, 1))
+
+    _, still, tied, free = deviation(_known(noise=noise), mean, spread, np.ones(2, bool), 0.025)
+    short = deviation(_known(noise=noise, shortage=0.5), mean, spread, np.ones(2, bool), 0.025)
+
+    assert still == 0.0
+    assert 0.0 < tied < free
+    assert (tied < 0.2 * np.sqrt(1e-3)) == (noise < 1.0)
+    assert short[-1] > 1.2 * free
+
+
+def test_the_colder_chains_end_the_surer_is_what_they_tell():
+    """Where they stray, without noise, as much all the same."""
+    mean, spread, sound = np.zeros((2, 2, 3)), np.ones((2, 2)), np.ones(2, bool)
+
+    cold, warm = (
+        deviation(_known(noise=1e-12), mean, spread, sound, tolerance)[1]
+        for tolerance in (0.01, 0.025)
+    )
+
+    assert 0.8 * warm < cold < 0.9 * warm
+
+
+def _told(mean):
+    """What chains tell of each robot that do nothing but disagree, in what they disagree by."""
+    sound = np.ones(len(mean), bool)
+    sd = deviation(_known(noise=1e-9), mean, np.zeros(mean.shape[:2]), sound, 0.025)
+    return sd[1:] / np.sqrt(between_chains(mean, sound)[1:])
+
+
+def test_what_all_robots_do_at_once_counts_more_than_what_each_does_alone():
+    """Of equal disagreement, whatever the number of robots but two: these share nothing."""
+    side = np.array([-1.0, 1.0, -1.0, 1.0])
+    for robots in (2, 100):
+        alone = np.random.default_rng(robots).choice([-1.0, 1.0], (4, robots, 3))
+        shared = np.tile(side[:, None, None], (1, robots, 3))
+        assert _told(shared)[0] == _told(shared)[-1]
+        assert (_told(shared).min() > 1.8 * _told(alone).max()) == (robots == 100)
+
+
+def test_the_anchor_is_where_it_is():
+    """Even where all others move at once."""
+    mean = np.random.default_rng(1).normal(0.0, 1.0, (4, 1, 3)) * np.array([0.0, 1.0, 1.0])[:, None]
+
+    spread = np.full((4, 3), 1e-9)  # as sums of squares leave
+    sd = deviation(_known(noise=1.0), mean, spread, np.ones(4, bool), 0.025)
+
+    assert sd[0] == 0.0
+    assert (sd[1:] > 0.0).all()
+
+
+def _chains(*shifts):
+    """Chains that put the last of twelve robots, and some others half as far, off by so much."""
+    rng = np.random.default_rng(0)
+    weight = np.zeros(12)
+    weight[-1], weight[3:6] = 1.0, 0.5
+    shift = np.outer(shifts, weight)[..., None] * np.array([0.6, 0.8, 0.0])
+    return rng.normal(0.0, 10.0, (12, 3)) + shift + rng.normal(0.0, 1e-3, shift.shape)
+
+
+def test_chains_that_differ_by_less_than_a_dock_are_one_solution():
+    """One chain alone is one too."""
+    position, residual = _chains(0.0, 1.9), np.array([0.3, 0.2])
+
+    (both,) = distinct(position, residual, 10.0 * residual, 2.0)
+    (alone,) = distinct(position[:1], residual[:1], residual[:1], 2.0)
+
+    assert (both.chains, both.residual, alone.chains) == (2, 0.2, 1)
+    np.testing.assert_array_equal(both.position, position[1])
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]])
+@pytest.mark.parametrize("unit", [1.0, 25.0])
+def test_chains_go_with_the_best_that_they_agree_with(order, unit):
+    """Whatever order they come in, and whatever unit lengths are in."""
+    position, residual = _chains(0.0, 5.0, 1.5, 6.0, -1.5), np.array([0.2, 0.1, 0.3, 0.4, 0.5])
+
+    found = distinct(
+        unit * position[order], unit * residual[order], 10.0 * residual[order], 2.0 * unit
+    )
+
+    assert [solution.chains for solution in found] == [2, 3]
+    for solution, best in zip(found, [1, 0], strict=True):
+        assert solution.residual == unit * residual[best]
+        assert solution.residual_sd == 10.0 * residual[best]
+        np.testing.assert_array_equal(solution.position, unit * position[best])
