@@ -511,3 +511,15 @@ def _edge_as_ground(history, log):
     ground, before = (np.array(rows, np.int32).reshape(-1, 2) for rows in (final, earlier))
     stances = dataclasses.replace(log.stances, ground_docks=before)
     return dataclasses.replace(log, ground_docks=ground, stances=stances)
+
+
+def test_the_residual_of_each_frame_uses_the_yaw_of_that_frame(towers):
+    """The first frame has robots as they were sensed, the last as they are estimated."""
+    log = observe(towers[0], dataclasses.replace(NOISY, yaw_bias_deg=20.0))
+    known = pose_problem(log, SHORT)
+
+    estimate = localize(log, SHORT)
+
+    for frame, yaw in ((0, np.zeros(log.robot_count)), (-1, estimate.yaw)):
+        gap = known.residual(estimate.trace[frame], yaw)
+        assert estimate.residual[frame] == pytest.approx(np.sqrt(np.mean(gap**2)), rel=1e-9)

@@ -12,7 +12,7 @@ from tiswarm.report.page import build_view, write_page
 from tiswarm.report.page_tables import case_table, result_tables, warnings_of
 from tiswarm.report.run_data import load_run
 
-SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,unlocated"
+SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
 
 
@@ -97,7 +97,7 @@ def test_warnings_count_what_limits_a_run():
             "status": ["done", "done", "failed"],
             "reason": ["the gap is bridged", None, "too few robots"],
             "floppy_modes": [4.0, 12.0, None],
-            "unlocated": [0.0, 3.0, None],
+            "disconnected": [0.0, 3.0, None],
         }
     )
     manifest = {"renders": {"structure.png": {"renderer": "taichi", "reason": "open3d: died"}}}
@@ -106,7 +106,7 @@ def test_warnings_count_what_limits_a_run():
 
     assert "1 of 3 cases failed: too few robots" in warnings
     assert "Growth ended early in 1 case: the gap is bridged" in warnings
-    assert "No chain of final contacts ties 3 robots in 1 case to the anchor" in warnings
+    assert "No measurement that was used ties 3 robots in 1 case to the anchor" in warnings
     assert "leave 4 to 12 floppy modes" in warnings
     assert "open3d: died" in warnings
     assert case_table(summary).frame["status"].tolist() == ["done", "done", "failed"]

@@ -48,7 +48,7 @@ def score(
         "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
-        "unlocated": int(estimate.disconnected.sum()),
+        "disconnected": int(estimate.disconnected.sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,
         "rmse_rho": rmse / robot.rho,
@@ -88,7 +88,7 @@ def by_robot(
     columns["hops_from_anchor"] = _whole(hops(log, np.zeros(1, np.int64))[0])
     columns["ground_docks"] = np.bincount(log.ground_docks[:, 0], minlength=log.robot_count)
     columns["flip_height_R"] = log.flip_height
-    columns["located"] = ~estimate.disconnected
+    columns["disconnected"] = estimate.disconnected
     columns["sensed_force"] = sensed_force
     return pd.DataFrame(columns)
 

@@ -201,12 +201,12 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
     if done["reason"].notna().any():
         ended = counted(int(done["reason"].notna().sum()), "case")
         found.append(f"Growth ended early in {ended}: {_reasons(done)}.")
-    if "unlocated" in done and (lost := done["unlocated"].fillna(0)).any():
+    if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
         robots = counted(int(lost.sum()), "robot")
         cases = counted(int((lost > 0).sum()), "case")
         found.append(
-            f"No chain of final contacts ties {robots} in {cases} to the anchor; their positions "
-            "rest on other cues or are guesses."
+            f"No measurement that was used ties {robots} in {cases} to the anchor; their positions "
+            "are guesses."
         )
     found += _floppiness(done)
     renders = manifest.get("renders", {}).values()
