@@ -79,11 +79,11 @@ def start(
     """
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
     if arch not in ARCHS:
-        msg = f"unknown backend {arch!r}; choose one of {', '.join(ARCHS)}"
-        raise InputError(msg, key="--arch")
+        raise InputError(
+            f"unknown backend {arch!r}; choose one of {', '.join(ARCHS)}", key="--arch"
+        )
     if threads is not None and threads < 1:
-        msg = f"{threads} threads cannot compute; give 1 or more"
-        raise InputError(msg, key="--threads")
+        raise InputError(f"{threads} threads cannot compute; give 1 or more", key="--threads")
     count = threads or available_threads()
     if _started and (_started.arch, _started.threads, _started.precision) == (
         arch,
@@ -150,8 +150,9 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         raise EnvironmentTroubleError(_missing(arch)) from error
     running = ti.lang.impl.current_cfg()
     if running.arch != wanted or running.default_fp != real:
-        msg = f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
-        raise EnvironmentTroubleError(msg)
+        raise EnvironmentTroubleError(
+            f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
+        )
 
 
 def faulty_driver() -> EnvironmentTroubleError:
@@ -181,8 +182,9 @@ def _cache_folder() -> Path:
     try:
         temporary = Path(tempfile.mkdtemp(prefix="tiswarm-kernels-"))
     except OSError as error:
-        msg = "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
-        raise EnvironmentTroubleError(msg) from error
+        raise EnvironmentTroubleError(
+            "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
+        ) from error
     atexit.register(_discard, temporary)
     return temporary
 
@@ -205,8 +207,7 @@ def _check_arithmetic(backend: Backend) -> None:
     except RuntimeError:
         computes = False
     if not computes:
-        msg = (
+        raise EnvironmentTroubleError(
             f"backend {backend.arch} does not compute in {backend.precision}; use --arch cpu, "
             "or --precision f32 where structures need not be grown"
         )
-        raise EnvironmentTroubleError(msg)

@@ -33,13 +33,15 @@ LIBRARIES = ("taichi", "quadrants")
 def _library() -> str:
     asked = os.environ.get("TISWARM_BACKEND")
     if asked is not None and asked not in LIBRARIES:
-        msg = f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
-        raise EnvironmentTroubleError(msg)
+        raise EnvironmentTroubleError(
+            f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
+        )
     for name in LIBRARIES if asked is None else (asked,):
         if find_spec(name):
             return name
-    msg = f"{asked or ' and '.join(LIBRARIES)} not installed; run: pip install {asked or 'taichi'}"
-    raise EnvironmentTroubleError(msg)
+    raise EnvironmentTroubleError(
+        f"{asked or ' and '.join(LIBRARIES)} not installed; run: pip install {asked or 'taichi'}"
+    )
 
 
 LIBRARY = _library()

@@ -101,14 +101,7 @@ def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
     return stride_y, (stride_y * int(cells[1])) | 1
 
 
-def _layout(
-    position: Reals,
-    bounds: Ints,
-    *,
-    docks: int,
-    reach: float,
-    cutoff: float,
-) -> Ints:
+def _layout(position: Reals, bounds: Ints, *, docks: int, reach: float, cutoff: float) -> Ints:
     """Lay out the tables: where each starts, its buckets and its strides, shape (S, 4)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
@@ -275,9 +268,8 @@ class NeighborList:
             8 * self.robots * self.docks,
         )
         if largest > MOST_ITEMS:
-            msg = (
+            raise InputError(
                 f"{self.robots} robots with {self.docks} docks and up to {self.capacity} neighbors "
                 f"need {largest} numbers in one table, more than {MOST_ITEMS}; "
                 "split the swarm into parts that do not touch"
             )
-            raise InputError(msg)

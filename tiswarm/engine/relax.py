@@ -158,8 +158,9 @@ class PreparedSwarm:
         orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
         norm = np.linalg.norm(orientation, axis=1)
         if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
-            msg = "positions must be finite and orientations unit quaternions (w, x, y, z)"
-            raise InputError(msg)
+            raise InputError(
+                "positions must be finite and orientations unit quaternions (w, x, y, z)"
+            )
         ids: Ints = np.zeros(robots, np.int64)
         if structure is not None:
             named = _shaped("structure", structure, (robots,))
@@ -221,16 +222,16 @@ class PreparedSwarm:
         """Take steps from where the robots were at first."""
         ramps = np.asarray(ramp, np.float64)
         if steps < 0 or ramps.shape not in {(), (steps,)}:
-            msg = f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
-            raise InputError(msg)
+            raise InputError(
+                f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
+            )
         limit = NO_LIMIT if max_step is None else max_step
         gains = Gains(attraction_gain, repulsion_gain, height_gain, self.spacing, limit)
         if not (all(0.0 <= gain <= LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
-            msg = (
+            raise InputError(
                 f"gains must be 0 to {LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {tuple(gains)}"
             )
-            raise InputError(msg)
         if steps == 0 or len(self.start_position) == 0:
             still = self.start_position.copy()
             return RelaxResult(position=still, largest_move=np.zeros(steps), list_builds=0)
@@ -240,8 +241,7 @@ class PreparedSwarm:
         position = np.empty_like(self.start_position)
         position[self.order] = self.memory.download(self.robots.position)
         if not self._is_resolved(position):
-            msg = "the forces diverged; lower the gains or give max_step"
-            raise InputError(msg)
+            raise InputError("the forces diverged; lower the gains or give max_step")
         return RelaxResult(position=position, largest_move=moves, list_builds=builds)
 
     def _is_resolved(self, position: Reals) -> bool:
@@ -305,8 +305,9 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
     try:
         array = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
-        msg = f"{name} is no table of numbers; give an array of shape {expected}"
-        raise InputError(msg) from error
+        raise InputError(
+            f"{name} is no table of numbers; give an array of shape {expected}"
+        ) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
     fits = array.ndim == len(shape) and all(
@@ -314,8 +315,7 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
         for length, wanted in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        msg = f"{name} has shape {array.shape}; expected {expected}"
-        raise InputError(msg)
+        raise InputError(f"{name} has shape {array.shape}; expected {expected}")
     return array
 
 
@@ -324,8 +324,7 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     given = _shaped("contacts", contacts, ("C", 4))
     odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]
     if odd.size:
-        msg = f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock"
-        raise InputError(msg)
+        raise InputError(f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock")
     rows = given.astype(np.int64)
     first, second = rows[:, [0, 2]].T
     beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
@@ -333,11 +332,10 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     if not wrong.any():
         wrong = structure[first] != structure[second]
     if wrong.any():
-        msg = (
+        raise InputError(
             f"contact {tuple(rows[wrong][0].tolist())} is not between docks 0 to {docks - 1} of "
             f"two of the {len(structure)} robots in one structure"
         )
-        raise InputError(msg)
     # One number a pair sorts far faster than rows of four do.
     one, other = first * docks + rows[:, 1], second * docks + rows[:, 3]
     most = len(structure) * docks
@@ -353,8 +351,7 @@ def _check_memory(running: Backend, robots: int, docks: int) -> None:
     needed = robots * (numbers * np.dtype(running.dtype).itemsize + 4 * integers)
     free = psutil.virtual_memory().available
     if running.arch == "cpu" and needed > free:
-        msg = (
+        raise EnvironmentTroubleError(
             f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB "
             "are free; use precision f32, fewer robots or a larger machine"
         )
-        raise EnvironmentTroubleError(msg)

@@ -149,8 +149,7 @@ class CueParams:
     ] = True
 
     walk_contacts: Annotated[
-        bool,
-        Field(description="Contacts of earlier stances count too, carried on by the flips."),
+        bool, Field(description="Contacts of earlier stances count too, carried on by the flips.")
     ] = True
 
     odometry: Annotated[

@@ -68,10 +68,7 @@ def localize_many(
             estimates[n] = estimate
             if with_observability:
                 known = observability(
-                    logs[n],
-                    params[n].cues,
-                    estimate.position,
-                    yaw_unknown=estimate.yaw is not None,
+                    logs[n], params[n].cues, estimate.position, yaw_unknown=estimate.yaw is not None
                 )
                 estimates[n] = replace(estimate, observability=known)
         on_progress(len(members))

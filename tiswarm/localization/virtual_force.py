@@ -153,11 +153,7 @@ class Localizer:
     """
 
     def __init__(
-        self,
-        header: Line,
-        params: LocalizationParams | None = None,
-        *,
-        capacity: int = 10_000,
+        self, header: Line, params: LocalizationParams | None = None, *, capacity: int = 10_000
     ) -> None:
         """Prepare for robots to join.
 
@@ -171,11 +167,13 @@ class Localizer:
         """
         chosen = VirtualForceParams() if params is None else params
         if not isinstance(chosen, VirtualForceParams):
-            msg = f"{chosen.method} places all robots at once; localize the log once it is whole"
-            raise InputError(msg)
+            raise InputError(
+                f"{chosen.method} places all robots at once; localize the log once it is whole"
+            )
         if chosen.back_propagation is not None:
-            msg = "back_propagation moves robots that have been placed; switch it off to join"
-            raise InputError(msg)
+            raise InputError(
+                "back_propagation moves robots that have been placed; switch it off to join"
+            )
         head = parse_header(_text(header))
         self._params = chosen
         self._unit = head.dock_radius
@@ -219,8 +217,9 @@ class Localizer:
             InputError: the line is malformed, or there is no more room.
         """
         if self._count == len(self._height):
-            msg = f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
-            raise InputError(msg)
+            raise InputError(
+                f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
+            )
         line = parse_robot(_text(robot))
         stance = self._builder.add(line)
         n, orientation = self._count, np.array([stance.orientation_wxyz])
@@ -288,9 +287,7 @@ def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:
     return dock_offsets(orientation_wxyz, WORLD_UP[None, :])[:, 0]
 
 
-def _contacts_by_robot(
-    logs: Sequence[SensingLog],
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """First row of each robot, shape (N + 1,), and rows (own dock, robot, dock), shape (2 C, 3)."""
     seen = [np.concatenate([log.contacts[:, [2, 3, 0, 1]], log.contacts]) for log in logs]
     # Earlier robots come first, in the order in which the joiner sensed them.

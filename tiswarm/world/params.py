@@ -166,8 +166,7 @@ class ChainParams(EdgeParams):
 
 
 StructureParams = Annotated[
-    TowerParams | CantileverParams | BridgeParams | ChainParams,
-    Field(discriminator="kind"),
+    TowerParams | CantileverParams | BridgeParams | ChainParams, Field(discriminator="kind")
 ]
 """Any kind of structure."""
 

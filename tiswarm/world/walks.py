@@ -108,13 +108,7 @@ class Walks:
         self.disturbed = np.zeros(slots, np.int32)
         self.joined = np.zeros(slots, np.int32)
 
-    def start(
-        self,
-        slot: int,
-        center: Reals,
-        orientation_wxyz: Reals,
-        goal: Reals,
-    ) -> None:
+    def start(self, slot: int, center: Reals, orientation_wxyz: Reals, goal: Reals) -> None:
         """Put a new robot in a slot, with its center [R], orientation and goal [R]."""
         self.stances.center[slot, 0] = center
         self.stances.orientation[slot, 0] = orientation_wxyz
@@ -127,8 +121,9 @@ class Walks:
         arrays = (*cells, *docks, *self.climbers, *self.stances)
         flip_kernels.climb(self.limits, movers, self.state, *arrays)
         if (self.state[movers] == SCRATCH_FULL).any():
-            msg = "more docks than fit stand within one flip of a robot: the structure overlaps"
-            raise TiswarmError(msg)
+            raise TiswarmError(
+                "more docks than fit stand within one flip of a robot: the structure overlaps"
+            )
         if self.settles:
             flip_kernels.settle(self.limits, movers, *arrays)
 
