@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.compute.arrays import Allocator
+from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import LIBRARY
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError

@@ -1,4 +1,4 @@
-"""Start of the compute backend, and the record of its device, precision and threads.
+"""Start of the compute backend, its device, precision and threads, and arrays on it.
 
 Nothing else may call `ti.init`. A device that is not there is an error, never a silent
 change of device.
@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg  # noqa: F401  # brings linear algebra of its own, to be limited too
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tiswarm.compute.lang import LIBRARY, ti
+from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.params import ARCHS, Arch, Precision
-
-DTYPES: dict[Precision, type[np.floating[Any]]] = {"f64": np.float64, "f32": np.float32}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +49,7 @@ class Backend:
     @property
     def dtype(self) -> type[np.floating[Any]]:
         """NumPy type of the precision."""
-        return DTYPES[self.precision]
+        return np.float64 if self.precision == "f64" else np.float32
 
 
 _started: Backend | None = None
@@ -79,17 +78,13 @@ def start(
     """
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
     if arch not in ARCHS:
-        raise InputError(
-            f"unknown backend {arch!r}; choose one of {', '.join(ARCHS)}", key="--arch"
-        )
+        choices = ", ".join(ARCHS)
+        raise InputError(f"unknown backend {arch!r}; choose one of {choices}", key="--arch")
     if threads is not None and threads < 1:
         raise InputError(f"{threads} threads cannot compute; give 1 or more", key="--threads")
     count = threads or available_threads()
-    if _started and (_started.arch, _started.threads, _started.precision) == (
-        arch,
-        count,
-        precision,
-    ):
+    wanted = (arch, count, precision)
+    if _started and (_started.arch, _started.threads, _started.precision) == wanted:
         return _started
     # Linear algebra with threads of its own would fight the kernels' and round differently.
     threadpool_limits(1, user_api="blas")
@@ -97,12 +92,9 @@ def start(
     _started = None  # a start that fails may leave nothing running
     gc.collect()  # an array let go later is freed by its address, where another may lie by then
     _init(arch, count, precision, cache)
+    library = f"{LIBRARY} {'.'.join(map(str, ti.__version__))}"
     started = Backend(
-        arch=arch,
-        threads=count,
-        precision=precision,
-        library=f"{LIBRARY} {'.'.join(map(str, ti.__version__))}",
-        cache=str(cache),
+        arch=arch, threads=count, precision=precision, library=library, cache=str(cache)
     )
     _check_arithmetic(started)
     _started = started
@@ -118,8 +110,8 @@ def current() -> Backend:
 def fast_arithmetic() -> Iterator[None]:
     """Let kernels that are compiled within reorder sums and ignore NaN.
 
-    Sums over neighbors are then vectorized. Their bits are still the same for any number of
-    threads, but may differ between kinds of processors.
+    Sums over neighbors are then vectorized. Their bits do not depend on the number of threads,
+    but may differ between kinds of processors.
     """
     config = ti.lang.impl.current_cfg()
     config.fast_math = True
@@ -133,21 +125,20 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
     """Call the library's own start-up, quietly, and check what came of it."""
     wanted = getattr(ti, arch)
     real = ti.f64 if precision == "f64" else ti.f32
+    options = {
+        "cpu_max_num_threads": threads,
+        "fast_math": False,  # it would drop NaN checks and change bits
+        "offline_cache": True,
+        "offline_cache_file_path": str(cache),
+        "debug": os.environ.get("TISWARM_DEBUG") == "1",
+    }
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            ti.init(
-                arch=wanted,
-                enable_fallback=False,
-                default_fp=real,
-                cpu_max_num_threads=threads,
-                fast_math=False,  # it would drop NaN checks and change bits
-                offline_cache=True,
-                offline_cache_file_path=str(cache),
-                debug=os.environ.get("TISWARM_DEBUG") == "1",
-                log_level=ti.ERROR,
-            )
+            ti.init(wanted, real, enable_fallback=False, log_level=ti.ERROR, **options)
     except RuntimeError as error:
-        raise EnvironmentTroubleError(_missing(arch)) from error
+        raise EnvironmentTroubleError(
+            f"backend {arch} is not available on this machine; use --arch cpu"
+        ) from error
     running = ti.lang.impl.current_cfg()
     if running.arch != wanted or running.default_fp != real:
         raise EnvironmentTroubleError(
@@ -157,15 +148,10 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
 
 def faulty_driver() -> EnvironmentTroubleError:
     """Return the error of a device that did not do a kernel's work."""
-    msg = (
+    return EnvironmentTroubleError(
         f"backend {current().arch} returned without placing every robot; "
         "its driver is faulty: use --arch cpu"
     )
-    return EnvironmentTroubleError(msg)
-
-
-def _missing(arch: Arch) -> str:
-    return f"backend {arch} is not available on this machine; use --arch cpu"
 
 
 def _cache_folder() -> Path:
@@ -185,14 +171,9 @@ def _cache_folder() -> Path:
         raise EnvironmentTroubleError(
             "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
         ) from error
-    atexit.register(_discard, temporary)
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    atexit.register(ti.reset)  # runs first, since the library still writes to the folder
     return temporary
-
-
-def _discard(folder: Path) -> None:
-    """Remove a temporary folder of compiled kernels, once the library has written to it."""
-    ti.reset()
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _check_arithmetic(backend: Backend) -> None:
@@ -201,9 +182,8 @@ def _check_arithmetic(backend: Backend) -> None:
     value = expected.copy()
     try:
         probe_arithmetic(value)
-        computes = bool(
-            np.allclose(value, expected, rtol=8 * np.finfo(backend.dtype).eps, atol=0.0)
-        )
+        resolution = 8 * np.finfo(backend.dtype).eps
+        computes = np.allclose(value, expected, rtol=resolution, atol=0.0)
     except RuntimeError:
         computes = False
     if not computes:
@@ -211,3 +191,51 @@ def _check_arithmetic(backend: Backend) -> None:
             f"backend {backend.arch} does not compute in {backend.precision}; use --arch cpu, "
             "or --precision f32 where structures need not be grown"
         )
+
+
+@dataclass(frozen=True)
+class Allocator:
+    """Where arrays are reserved, and in which precision.
+
+    A kernel starts sooner with arrays on the device, but these take longer to make: few starts
+    are quicker with arrays on the host.
+    """
+
+    running: Backend
+
+    on_host: bool
+    """Whether arrays are NumPy's; the device is a CPU then."""
+
+    def for_few_launches(self) -> "Allocator":
+        """Return the allocator for arrays that few launches use."""
+        return Allocator(self.running, on_host=self.running.arch == "cpu")
+
+    def reals(self, *shape: int) -> DeviceArray:
+        """Reserve an array of real numbers."""
+        if self.on_host:
+            return np.empty(shape, self.running.dtype)
+        return ti.ndarray(ti.f64 if self.running.precision == "f64" else ti.f32, shape)
+
+    def ints(self, *shape: int) -> DeviceArray:
+        """Reserve an array of integers."""
+        return np.empty(shape, np.int32) if self.on_host else ti.ndarray(ti.i32, shape)
+
+    def upload(self, values: NDArray[Any]) -> DeviceArray:
+        """Copy an array, in the precision of the backend if its numbers are real."""
+        integer = np.issubdtype(values.dtype, np.integer)
+        array = self.ints(*values.shape) if integer else self.reals(*values.shape)
+        self.refill(array, values)
+        return array
+
+    def refill(self, array: DeviceArray, values: NDArray[Any]) -> None:
+        """Copy values into an array that is there; reserving one takes a millisecond."""
+        if self.on_host:
+            array[...] = values
+        else:
+            real = array.dtype != ti.i32
+            array.from_numpy(np.array(values, self.running.dtype if real else np.int32, order="C"))
+
+    def download(self, array: DeviceArray) -> NDArray[Any]:
+        """Copy an array back to the host."""
+        values: NDArray[Any] = array.copy() if self.on_host else array.to_numpy()
+        return values

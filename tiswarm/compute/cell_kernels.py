@@ -12,8 +12,7 @@ import numpy as np
 
 from tiswarm.compute.lang import Ints2, Ref, ti
 
-STRIDE_Y = 1_640_531_527
-STRIDE_Z = 1_013_904_223
+STRIDE_Y, STRIDE_Z = 1_640_531_527, 1_013_904_223
 MIN_BUCKETS = 128
 """Fewest buckets for which the 27 cubes around a point keep apart (and any power of two above)."""
 

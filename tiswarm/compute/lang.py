@@ -70,7 +70,6 @@ if TYPE_CHECKING:
     Ints4 = Any
 else:
     kernel_struct = ti.dataclass
-
     Float = float
     F64 = ti.f64
     I32 = ti.i32
@@ -96,23 +95,6 @@ of that many iterations, the others idle: `for i in range(pieces * GRAIN): if i 
 """
 
 __all__ = [
-    "F64",
-    "GRAIN",
-    "I32",
-    "LIBRARY",
-    "DeviceArray",
-    "Float",
-    "Ints1",
-    "Ints2",
-    "Ints3",
-    "Ints4",
-    "Reals1",
-    "Reals2",
-    "Reals3",
-    "Ref",
-    "Static",
-    "Vec3",
-    "Vec4",
-    "kernel_struct",
-    "ti",
-]
+    "F64", "GRAIN", "I32", "LIBRARY", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3", "Ints4",
+    "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "kernel_struct", "ti",
+]  # fmt: skip

@@ -14,11 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import Reals
 
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_A = np.uint64(0xBF58476D1CE4E5B9)
-_MIX_B = np.uint64(0x94D049BB133111EB)
-_TO_UNIT = 2.0**-53
-
 
 def dock_offsets(orientation_wxyz: Reals, dock_offset_body: Reals) -> Reals:
     """Turn each robot's docks into the world frame.
@@ -51,7 +46,7 @@ def uniform(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
     key = _mix(key ^ np.uint64(zlib.crc32(stream.encode())))
     bits = _mix(_mix(key ^ np.asarray(robot, dtype=np.uint64)) ^ np.asarray(draw, dtype=np.uint64))
     shape = np.broadcast_shapes(np.shape(robot), np.shape(draw))
-    return ((bits >> np.uint64(11)).astype(np.float64) * _TO_UNIT).reshape(shape)
+    return ((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(shape)
 
 
 def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
@@ -65,7 +60,7 @@ def normal(seed: int, stream: str, robot: ArrayLike, draw: ArrayLike) -> Reals:
 
 def _mix(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Scatter 64 bits; multiplication wraps on purpose."""
-    mixed = value + _GOLDEN
-    mixed = (mixed ^ (mixed >> np.uint64(30))) * _MIX_A
-    mixed = (mixed ^ (mixed >> np.uint64(27))) * _MIX_B
+    mixed = value + np.uint64(0x9E3779B97F4A7C15)
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return mixed ^ (mixed >> np.uint64(31))

@@ -88,12 +88,8 @@ def cell(value, per_length):
 @ti.func
 def bucket_of_cell(grid: Ref, x, y, z, structure):
     """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
-    key = (
-        x
-        + grid.stride_y * y
-        + grid.stride_z * z
-        + STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
-    )  # fmt: skip
+    key = x + grid.stride_y * y + grid.stride_z * z
+    key += STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
     return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
 
 
@@ -140,31 +136,6 @@ def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
 
 
 @ti.func
-def scan_block(grid: Ref, block, cells: Ref):
-    """Replace the counts of a block of buckets by their running sums; return the last one."""
-    total = 0
-    for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
-        total += cells.begin[grid.table + k + 2]
-        cells.begin[grid.table + k + 2] = total
-    return total
-
-
-@ti.func
-def sort_structure(grid: Ref, base, first, last, dock: Ref, cells: Ref):
-    """Sort the docks `first` to `last` of one small structure, on one thread."""
-    for k in range(grid.buckets + 2):
-        cells.begin[grid.table + k] = 0
-    for m in range(first, last):
-        count_dock(grid, base, m, dock, cells)
-    for k in range(1, grid.buckets):
-        cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
-    for m in range(first, last):
-        scatter_dock(grid, base, m, dock, cells)
-    for bucket in range(grid.buckets):
-        sort_bucket(grid, base, bucket, dock, cells)
-
-
-@ti.func
 def nearer_side(value, index, per_width):
     """Find the cell beside its own that a place is nearer to (-1 or 1), and how near [cutoff]."""
     within = value * per_width - index
@@ -203,12 +174,11 @@ def add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place
             near &= near - 1
             other = cells.dock[slot]
             # Always write, and count neighbors only: a branch could not be predicted.
-            rows.entry[place + ti.min(count, room) * grid.entry_stride] = (
-                other << (grid.own_bits + 1)
-            ) | own
-            count += ti.cast(
-                (other < own_first) | (other >= own_first + grid.docks), ti.i32
-            ) & ti.cast(cells.place[slot + structures] == here[3], ti.i32)
+            entry = place + ti.min(count, room) * grid.entry_stride
+            rows.entry[entry] = (other << (grid.own_bits + 1)) | own
+            foreign = (other < own_first) | (other >= own_first + grid.docks)
+            fellow = cells.place[slot + structures] == here[3]
+            count += ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32)
         at += BLOCK
     return count
 
@@ -264,41 +234,31 @@ def without_connected(grid: Ref, connected, rows: Ref, place, count):
 
 
 @ti.func
-def fill_row(
-    grid: Ref, base, robot, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
-):
-    """List the docks connected to a robot, then all others near its own; return how many.
-
-    The row starts at `place`, where `room` entries fit and a spare one. Entries that do not fit
-    are counted, not written.
-    """
-    own_first = robot * grid.docks
-    connected = connections.start[robot + 1] - connections.start[robot]
-    for c in range(ti.min(connected, room)):
-        entry = connections.entry[connections.start[robot] + c]
-        rows.entry[place + c * grid.entry_stride] = entry
-    count = connected
-    for own in range(grid.docks):
-        here = dock_at(dock, base, own_first + own)
-        count = add_dock(grid, here, own, own_first, cells, rows, place, room, count)
-    if count <= room:
-        count = without_connected(grid, connected, rows, place, count)
-    return count
-
-
-@ti.func
 def fill_rows_of(
     grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
 ):
-    """Write the rows of robots `first` to `last` in succession; return how many entries."""
+    """Write the rows of robots `first` to `last` in succession; return how many entries.
+
+    A row lists the docks connected to a robot, then all others near its own. From `place` on
+    `room` entries fit and a spare one. Entries that do not fit are counted, not written.
+    """
     used = 0
     for robot in range(first, last):
-        free = ti.min(used, room)
-        rows.first[robot] = place + free
-        rows.count[robot] = fill_row(
-            grid, base, robot, dock, cells, connections, rows, place + free, room - free
-        )
-        used += rows.count[robot]
+        at = place + ti.min(used, room)
+        free = room - ti.min(used, room)
+        connected = connections.start[robot + 1] - connections.start[robot]
+        for c in range(ti.min(connected, free)):
+            entry = connections.entry[connections.start[robot] + c]
+            rows.entry[at + c * grid.entry_stride] = entry
+        count = connected
+        for own in range(grid.docks):
+            here = dock_at(dock, base, robot * grid.docks + own)
+            count = add_dock(grid, here, own, robot * grid.docks, cells, rows, at, free, count)
+        if count <= free:
+            count = without_connected(grid, connected, rows, at, count)
+        rows.first[robot] = at
+        rows.count[robot] = count
+        used += count
     return used
 
 
@@ -306,12 +266,17 @@ def fill_rows_of(
 def list_structure(
     grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
 ):
-    """Write the rows of one small structure, robots `first` to `last`, on one thread.
-
-    Returns:
-        Entries of all its rows; more than `room` if they did not fit.
-    """
-    sort_structure(grid, base, first * grid.docks, last * grid.docks, dock, cells)
+    """Sort the docks of one small structure and write its rows, on one thread; see above."""
+    for k in range(grid.buckets + 2):
+        cells.begin[grid.table + k] = 0
+    for m in range(first * grid.docks, last * grid.docks):
+        count_dock(grid, base, m, dock, cells)
+    for k in range(1, grid.buckets):
+        cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
+    for m in range(first * grid.docks, last * grid.docks):
+        scatter_dock(grid, base, m, dock, cells)
+    for bucket in range(grid.buckets):
+        sort_bucket(grid, base, bucket, dock, cells)
     return fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
 
 
@@ -340,7 +305,11 @@ def sort_docks(
     for m in range(sorted_dock.shape[0]):
         count_dock(grid, base, m, dock, cells)
     for block in range(block_total.shape[0]):
-        block_total[block] = scan_block(grid, block, cells)
+        total = 0
+        for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
+            total += begin[k + 2]
+            begin[k + 2] = total
+        block_total[block] = total
     ti.loop_config(serialize=True)
     for block in range(1, block_total.shape[0]):
         block_total[block] += block_total[block - 1]
@@ -355,11 +324,10 @@ def sort_docks(
 @ti.kernel
 def fill_rows(
     docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32, entry_stride: I32,
-    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1,
+    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1, longest: Ints1,
     begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
     start: Ints1, connection: Ints1,  # Connections
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows, written
-    longest: Ints1,
 ):  # fmt: skip
     """Write every robot's row. Numbers are those of `grid`, with one table for all docks.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Ints, Reals
-from tiswarm.compute.arrays import Allocator
+from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import (
     BLOCK,
@@ -31,7 +31,6 @@ MOST_ITEMS = 2**31 - 1
 """Largest number that the kernels' integers can hold."""
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
-BUCKETS_PER_DOCK = 1
 FIRST_CAPACITY = 8
 """Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
 RUN = 512
@@ -105,39 +104,11 @@ def _layout(position: Reals, bounds: Ints, *, docks: int, reach: float, cutoff: 
     """Lay out the tables: where each starts, its buckets and its strides, shape (S, 4)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
-        wanted = BUCKETS_PER_DOCK * docks * int(last - first)
-        buckets = max(FEWEST_BUCKETS, 1 << (wanted - 1).bit_length())
+        buckets = max(FEWEST_BUCKETS, 1 << (docks * int(last - first) - 1).bit_length())
         extent = np.ptp(position[first:last], axis=0) + 2.0 * reach
         rows.append((at, buckets, *hash_strides(extent, cutoff, buckets)))
         at += buckets + 2
     return np.array(rows, np.int64)
-
-
-def own_bits_for(docks: int) -> int:
-    """Count the bits that number a robot's own dock."""
-    return max(1, (docks - 1).bit_length())
-
-
-def pack_contacts(
-    contacts: Ints, *, robots: int, docks: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Write contacts as row entries of both robots, in an order that is the contacts' own.
-
-    Args:
-        contacts: Rows of (robot i, dock, robot j, dock), shape (C, 4).
-        robots: N.
-        docks: Docks of a robot.
-
-    Returns:
-        First entry of each robot, shape (N + 1,), and entries, shape (2 C,).
-    """
-    robot, own, other, dock = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]]).T
-    bits = own_bits_for(docks)
-    entry = ((other * docks + dock) << (bits + 1)) | (1 << bits) | own
-    by_robot = np.sort((robot << 32) | entry)
-    start = np.zeros(robots + 1, np.int32)
-    start[1:] = np.bincount(robot, minlength=robots).cumsum()
-    return start, (by_robot & MOST_ITEMS).astype(np.int32)
 
 
 class NeighborList:
@@ -174,46 +145,48 @@ class NeighborList:
             InputError: where there are more docks than an entry can number.
         """
         self.memory = memory
-        self.robots, self.docks = len(position), docks
-        self.own_bits = own_bits_for(docks)
+        self.robots = robots = len(position)
+        self.docks = docks
+        self.own_bits = max(1, (docks - 1).bit_length())
         self.cutoff = cutoff
         on_cpu = memory.running.arch == "cpu"
         self.run = RUN if on_cpu else 1
+        # A core reads along a row, a graphics card the same entry of many rows at once.
+        self.entry_stride = 1 if on_cpu else robots
         # A row of its own has to hold more than what rows need on average.
         self.capacity = FIRST_CAPACITY * docks * (1 if on_cpu else 2)
-        bounds = np.array([0, self.robots]) if start is None else start
+        bounds = np.array([0, robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
         self._check_size()
         self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
-        first, entry = pack_contacts(contacts, robots=self.robots, docks=docks)
         seldom = memory.for_few_launches()
         self.table = seldom.upload(tables)
-        self.connections = Connections(
-            start=seldom.upload(first),
-            entry=seldom.upload(entry if len(entry) else np.zeros(1, np.int32)),
-        )
+        first, entry = self._pack(contacts)
+        self.connections = Connections(start=seldom.upload(first), entry=seldom.upload(entry))
         self.cells = Cells(
             begin=seldom.ints(self.table_size),
-            dock=seldom.ints(self.robots * docks),
-            place=seldom.reals(4 * (self.robots * docks + BLOCK)),
+            dock=seldom.ints(robots * docks),
+            place=seldom.reals(4 * (robots * docks + BLOCK)),
         )
         self.block_total = seldom.ints(-(-self.table_size // SCAN_BLOCK))
         self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
-        self.rows = Rows(
-            first=memory.ints(self.robots),
-            count=memory.ints(self.robots),
-            entry=memory.ints(self._row_size()),
-        )
+        entries, first, count = (memory.ints(n) for n in (self._row_size(), robots, robots))
+        self.rows = Rows(entries, first, count)
         self.builds = 0
 
-    @property
-    def entry_stride(self) -> int:
-        """Distance from one entry of a row to the next.
+    def _pack(self, contacts: Ints) -> tuple[Ints, Ints]:
+        """Write contacts as row entries of both robots, in an order that is the contacts' own.
 
-        A core reads along a row, a graphics card reads the same entry of many rows at once.
+        Returns:
+            First entry of each robot, shape (N + 1,), and entries, shape (2 C,).
         """
-        return 1 if self.run > 1 else self.robots
+        robot, own, other, dock = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]]).T
+        bits = self.own_bits
+        entry = ((other * self.docks + dock) << (bits + 1)) | (1 << bits) | own
+        start = np.bincount(robot, minlength=self.robots).cumsum()
+        by_robot = np.sort((robot << 32) | entry) & MOST_ITEMS
+        return np.r_[0, start], by_robot if len(by_robot) else np.zeros(1, np.int64)
 
     def build(self, dock: DeviceArray, base: int) -> None:
         """Write all rows anew, as long as they need to be.
@@ -231,8 +204,8 @@ class NeighborList:
             run_stride = room + 1 if self.run > 1 else 1
             fill_rows(
                 self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
-                self.entry_stride, self.run, run_stride, room, base, dock,
-                *self.cells, *self.connections, *self.rows, self.longest,
+                self.entry_stride, self.run, run_stride, room, base, dock, self.longest,
+                *self.cells, *self.connections, *self.rows,
             )  # fmt: skip
             used = int(self.longest[0])
             if used <= room:
@@ -261,12 +234,8 @@ class NeighborList:
 
     def _check_size(self) -> None:
         """Refuse swarms that the kernels' integers cannot number."""
-        largest = max(
-            self.robots * self.docks << (self.own_bits + 1),
-            self._row_size(),
-            self.table_size,
-            8 * self.robots * self.docks,
-        )
+        docks = self.robots * self.docks
+        largest = max(docks << (self.own_bits + 1), self._row_size(), self.table_size, 8 * docks)
         if largest > MOST_ITEMS:
             raise InputError(
                 f"{self.robots} robots with {self.docks} docks and up to {self.capacity} neighbors "

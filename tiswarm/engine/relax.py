@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
-from tiswarm.compute.arrays import Allocator
-from tiswarm.compute.backend import Backend
+from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine.kernels import (
     STALE,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute import backend
-from tiswarm.compute.arrays import Allocator
-from tiswarm.compute.backend import Backend
+from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList

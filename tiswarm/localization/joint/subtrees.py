@@ -12,7 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.aliases import Ints, Reals
-from tiswarm.compute.arrays import Allocator
+from tiswarm.compute.backend import Allocator
 from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.contacts import touching
