@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.compute import backend
 from tiswarm.localization.params import (
     BackPropagation,
     JointParams,
@@ -63,6 +64,36 @@ def _in_unit(log: SensingLog, scale: float) -> SensingLog:
         flip_height=scale * log.flip_height,
         spawn_position=scale * log.spawn_position,
         noise=dataclasses.replace(log.noise, spawn=scale * log.noise.spawn),
+    )
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
+def test_an_anchor_far_from_the_origin_costs_no_precision(log, params, precision):
+    """Map coordinates in meters with docks of 2 cm are 2e8 dock radii."""
+    backend.start(precision=precision)
+    far = np.array([2e8, -1e8, 3e6])
+    # In whole parts of 2^-20 the sums below are exact, so that chains take the same steps.
+    near, there = (_moved(log, by, 2.0**-20) for by in (0.0 * far, far))
+
+    found, same = localize(near, params), localize(there, params)
+
+    np.testing.assert_allclose(same.position - far, found.position, rtol=0.0, atol=1e-7)
+    assert same.residual.tobytes() == found.residual.tobytes()
+
+
+def _moved(log: SensingLog, by: np.ndarray, part: float) -> SensingLog:
+    """Move a swarm, its coordinates rounded to whole parts."""
+
+    def whole(value):
+        return np.round(np.asarray(value) / part) * part
+
+    return dataclasses.replace(
+        log,
+        anchor_position=whole(log.anchor_position) + by,
+        ground_z=float(whole(log.ground_z) + by[2]),
+        flip_height=whole(log.flip_height) + by[2],
+        spawn_position=whole(log.spawn_position) + by,
     )
 
 

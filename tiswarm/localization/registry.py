@@ -3,6 +3,9 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from tiswarm.aliases import Reals
 from tiswarm.localization import least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
@@ -63,13 +66,37 @@ def localize_many(
     estimates: dict[int, Estimate] = {}
     for members in batches.values():
         method = METHODS[params[members[0]].method]
-        batch = method.localize_batch([logs[n] for n in members], [params[n] for n in members])
-        for n, estimate in zip(members, batch, strict=True):
-            estimates[n] = estimate
+        centered = [_centered(logs[n]) for n in members]
+        batch = method.localize_batch(centered, [params[n] for n in members])
+        for n, relative in zip(members, batch, strict=True):
+            estimate = _moved(relative, logs[n].anchor_position)
             if with_observability:
                 known = observability(
                     logs[n], params[n].cues, estimate.position, yaw_unknown=estimate.yaw is not None
                 )
-                estimates[n] = replace(estimate, observability=known)
+                estimate = replace(estimate, observability=known)
+            estimates[n] = estimate
         on_progress(len(members))
     return [estimates[n] for n in range(len(logs))]
+
+
+def _centered(log: SensingLog) -> SensingLog:
+    """Put the anchor at the origin: far from it, numbers lose the digits that robots differ by."""
+    anchor = log.anchor_position
+    return replace(
+        log,
+        anchor_position=np.zeros(3),
+        ground_z=None if log.ground_z is None else log.ground_z - float(anchor[2]),
+        flip_height=log.flip_height - anchor[2],
+        spawn_position=log.spawn_position - anchor,
+    )
+
+
+def _moved(estimate: Estimate, by: Reals) -> Estimate:
+    """Move an estimate by a vector, shape (3,)."""
+    return replace(
+        estimate,
+        position=estimate.position + by,
+        trace=estimate.trace + by,
+        solutions=tuple(replace(s, position=s.position + by) for s in estimate.solutions),
+    )

@@ -191,7 +191,8 @@ class Localizer:
             yaw=np.zeros(capacity, dtype),
             position=np.full((capacity, 3), np.nan, dtype),
         )
-        self._robots.position[0] = np.array(head.anchor_position) / self._unit
+        self._anchor = np.array(head.anchor_position)
+        self._robots.position[0] = 0.0  # far from the origin, numbers lose digits
 
     @property
     def log(self) -> SensingLog:
@@ -202,7 +203,8 @@ class Localizer:
     def positions(self) -> Reals:
         """Estimated centers in the log's unit, in join order, shape (n, 3)."""
         position: NDArray[np.floating] = self._robots.position[: self._count]
-        return position.astype(np.float64) * self._unit
+        moved: Reals = position.astype(np.float64) * self._unit + self._anchor
+        return moved
 
     def join(self, robot: Line) -> Reals:
         """Place the next robot; the first one is the anchor.
@@ -225,11 +227,13 @@ class Localizer:
         n, orientation = self._count, np.array([stance.orientation_wxyz])
         self._robots.dock_offset[n] = dock_offsets(orientation, self._dock_body)[0]
         self._direction[n] = _directions(orientation, self._params)[0]
-        self._height[n] = np.nan if line.flip_height is None else line.flip_height / self._unit
+        height = np.nan if line.flip_height is None else line.flip_height - self._anchor[2]
+        self._height[n] = height / self._unit
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         position: NDArray[np.floating] = self._robots.position[n]
-        return position.astype(np.float64) * self._unit
+        moved: Reals = position.astype(np.float64) * self._unit + self._anchor
+        return moved
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
