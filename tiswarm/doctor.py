@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -96,9 +95,7 @@ def draw_test_picture(renderer: str) -> float:
     center = np.array([[0.0, 0.0, 1.0]])
     dock = center + RobotGeometry().dock_offset_body[None]
     robots = Robots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
-    scene = build_scene([robots], 0.0)
-    small = replace(scene.camera, width=scene.camera.width // 10, height=scene.camera.height // 10)
-    draw_scenes([replace(scene, camera=small)], renderer)
+    draw_scenes([build_scene([robots], 0.0).shrunk(10)], renderer)
     return time.perf_counter() - begin
 
 

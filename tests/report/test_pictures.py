@@ -1,7 +1,6 @@
 """Pictures are drawn by the best renderer that works, and name it."""
 
 import builtins
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,10 +19,7 @@ PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    scene = build_pictures(load_run(run_folder).cases[0])["structure"].scene
-    camera = scene.camera
-    small = replace(camera, width=camera.width // 4, height=camera.height // 4)
-    return replace(scene, camera=small)
+    return build_pictures(load_run(run_folder).cases[0])["structure"].scene.shrunk(4)
 
 
 @pytest.fixture

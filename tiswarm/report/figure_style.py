@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = Reals
-
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
 JOIN_COLORS = (
@@ -33,19 +31,8 @@ ERROR_COLORS = ("#FCF0C3", "#F9B64C", "#E4572E", "#8C0D2F")
 PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 """Colors that color-blind readers can distinguish (Okabe and Ito)."""
 
-LINE_STYLES = ("-", "--", ":")
-MARKERS = "osD^vPX"
-COLUMN_WIDTH = 3.5
-"""Width of a column of a paper [inch]."""
-
-PAGE_WIDTH = 7.0
-"""Width of a page of a paper [inch]."""
-
-NOTE_HEIGHT = 0.1
-"""Height of a note below a figure [inch]."""
-
-DPI = 300
-"""Resolution [dots per inch]."""
+COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
+"""Widths of a column and of a page of a paper [inch]."""
 
 STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.6,
@@ -61,12 +48,12 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def rgb(color: str) -> Array:
+def rgb(color: str) -> Reals:
     """Split a color such as #0072B2 into red, green and blue, 0 to 1, shape (3,)."""
     return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
 
 
-def colors_along(share: NDArray[np.floating], colors: Sequence[str]) -> Array:
+def colors_along(share: NDArray[np.floating], colors: Sequence[str]) -> Reals:
     """Interpolate colors at places from 0 to 1 along a range, shape (n, 3)."""
     stops = np.linspace(0.0, 1.0, len(colors))
     channels = np.array([rgb(color) for color in colors]).T
@@ -77,7 +64,7 @@ def new_figure(width: float, height: float) -> "Figure":
     """Make an empty figure of a size [inch] with a constrained layout."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    return Figure(figsize=(width, height), dpi=300, layout="constrained")
 
 
 def panel_grid(
@@ -93,13 +80,13 @@ def panel_grid(
 
 def line_style(place: int) -> dict[str, Any]:
     """Choose color and dashes of the line at a place among others."""
-    dashes = LINE_STYLES[place // len(PALETTE) % len(LINE_STYLES)]
+    dashes = ("-", "--", ":")[place // len(PALETTE) % 3]
     return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes}
 
 
-def dot_area(count: int) -> float:
-    """Choose the area of a dot [pt^2]: the more dots, the smaller."""
-    return float(np.clip(9000.0 / max(count, 1), 1.0, 12.0))
+def marker_style(place: int) -> dict[str, Any]:
+    """Choose color and marker of the points at a place among others."""
+    return {"color": PALETTE[place % len(PALETTE)], "marker": "osD^vPX"[place % 7]}
 
 
 def shortened(name: str) -> str:
@@ -107,34 +94,28 @@ def shortened(name: str) -> str:
     return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name.replace("structure.kind=", ""))
 
 
-def add_note(figure: "Figure", note: str) -> None:
-    """Write a small line below the figure, at the right."""
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
+def add_note(figure: "Figure", *notes: str) -> None:
+    """Write a small line below the figure, at the right, unless all notes are empty."""
+    note = "; ".join(filter(None, notes))
     if not note:
         return
-    engine = figure.get_layout_engine()
-    if isinstance(engine, ConstrainedLayoutEngine):
-        line = NOTE_HEIGHT / float(figure.get_size_inches()[1])
-        engine.set(rect=(0.0, line, 1.0, 1.0 - line))
+    line = 0.1 / float(figure.get_size_inches()[1])  # 0.1 inch
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0.0, line, 1.0, 1.0 - line))
     figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
 
 
 def png(figure: "Figure") -> bytes:
     """Encode a figure as PNG; equal figures give equal bytes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    stream = io.BytesIO()
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.print_png(stream, metadata={"Software": None})
-    return stream.getvalue()
+    return _encoded(figure, "png", {"Software": None})
 
 
 def pdf(figure: "Figure") -> bytes:
     """Encode a figure as vectors (PDF); equal figures give equal bytes."""
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    return _encoded(figure, "pdf", {"CreationDate": None, "Creator": None, "Producer": None})
 
+
+def _encoded(figure: "Figure", form: str, metadata: dict[str, None]) -> bytes:
     stream = io.BytesIO()
-    canvas: Any = FigureCanvasPdf(figure)
-    canvas.print_pdf(stream, metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    figure.savefig(stream, format=form, metadata=metadata)
     return stream.getvalue()

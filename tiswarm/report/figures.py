@@ -6,47 +6,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiswarm.aliases import Reals
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
-from tiswarm.report.figure_style import (
-    COLUMN_WIDTH,
-    JOIN_COLORS,
-    PAGE_WIDTH,
-    STYLE,
-    Array,
-    add_note,
-    dot_area,
-    line_style,
-    new_figure,
-    panel_grid,
-    pdf,
-    png,
-    shortened,
-)
+from tiswarm.report import figure_style
+from tiswarm.report.figure_style import COLUMN_WIDTH, PAGE_WIDTH, line_style, pdf, png, shortened
 from tiswarm.report.run_data import Case, RunData, Series
 from tiswarm.report.table_figures import draw_accuracy, draw_scaling, profile_painters
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
 
-Painter = Callable[[RunData], "Figure"]
+_MAX_PANELS = 9
+_MAX_BANDS = 5  # lines in a panel beyond which bands would hide each other
+_MAX_POINTS = 20_000  # points drawn in one panel: a fixed random choice where there are more
+_MAX_KINDS = 4
+_LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
 
-MAX_PANELS = 9
-MAX_BANDS = 5
-"""Lines in a panel beyond which bands would hide each other."""
-
-LEGEND_LINE = 0.14
-"""Height of a line of text in a legend or title [inch]."""
-
-MAX_POINTS = 20_000
-"""Points drawn in one panel: a fixed random choice where there are more."""
-
-MAX_KINDS = 4
-GROWS = {
+_GROWS = {
     "tower": ("z_R", "True height [R]"),
     "cantilever": ("x_R", "True distance out from the edge [R]"),
     "bridge": ("x_R", "True distance along the gap [R]"),
@@ -69,34 +49,29 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     """
     from matplotlib import style
 
-    if not run.series:
-        progress.info("no figures: no case is done")
-        _remove_others(run.folder / "figures", [])
-        return []
-    place = run.subfolder("figures")
     written = []
-    for name, draw in _painters(run).items():
-        with style.context(["default", STYLE]):
+    painters = _painters(run) if run.series else {}
+    if not painters:
+        progress.info("no figures: no case is done")
+    for name, draw in painters.items():
+        with style.context(["default", figure_style.STYLE]):
             figure = draw(run)
             for suffix, encode in (("png", png), ("pdf", pdf)):
-                path = place / f"{name}.{suffix}"
+                path = run.subfolder("figures") / f"{name}.{suffix}"
                 if suffix == "png" or vector or path.exists():
                     write_bytes(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
-    _remove_others(place, written)
+    folder = run.folder / "figures"
+    for path in {*folder.glob("*.png"), *folder.glob("*.pdf")} - {*written}:
+        path.unlink()
     return written
 
 
-def _remove_others(place: Path, written: list[Path]) -> None:
-    for path in {*place.glob("*.png"), *place.glob("*.pdf")} - set(written):
-        path.unlink()
-
-
-def _painters(run: RunData) -> dict[str, "Painter"]:
+def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     """List the figures that a run has, by file name."""
-    painters: dict[str, Painter] = {"convergence": draw_convergence}
-    if by_kind(run.series):
+    painters: dict[str, Callable[[RunData], Figure]] = {"convergence": draw_convergence}
+    if _first_by_kind(run.series):
         painters["error-along-growth"] = draw_error_along_growth
     else:
         painters["error-against-height"] = draw_error_against_height
@@ -113,16 +88,16 @@ def draw_convergence(run: RunData) -> "Figure":
     Each point of a sweep has a panel with a line for each condition; many lines have no bands.
     """
     points = _by_point(run.series)
-    shown = dict(list(points.items())[:MAX_PANELS])
+    shown = dict(list(points.items())[:_MAX_PANELS])
     names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
-    bands = len(names) <= MAX_BANDS and max(map(len, run.series.values())) > 1
+    seeds = max(map(len, run.series.values()))
+    bands = len(names) <= _MAX_BANDS and seeds > 1
     columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
     rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
-    figure = new_figure(
-        COLUMN_WIDTH if columns == 1 else PAGE_WIDTH,
-        0.8 + 1.9 * rows + LEGEND_LINE * (len(names) // in_line),
-    )
-    panels = panel_grid(figure, len(shown), columns, sharey=True)
+    width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
+    height = 0.8 + 1.9 * rows + _LEGEND_LINE * (len(names) // in_line)
+    figure = figure_style.new_figure(width, height)
+    panels = figure_style.panel_grid(figure, len(shown), columns, sharey=True)
     legend: dict[str, Artist] = {}
     top = 0.0
     for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
@@ -131,14 +106,13 @@ def draw_convergence(run: RunData) -> "Figure":
         legend |= {str(line.get_label()): line for line in axes.lines}
     panels[0].set_ylim(0.0, 1.05 * top or 1.0)
     figure.supylabel("RMSE [R]", fontsize=8.0)
-    seeds = max(map(len, run.series.values()))
     figure.legend(
         legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
         title=f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}", title_fontsize=7.0,
     )  # fmt: skip
     left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} not shown" if left else ""
-    add_note(figure, "; ".join(filter(None, [more, run.note])))
+    figure_style.add_note(figure, more, run.note)
     return figure
 
 
@@ -156,40 +130,33 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
     """Draw mean and band of each series, colored by its place in `names`; returns the top [R]."""
     top = 0.0
     for name, cases in series.items():
-        style = line_style(names.index(name))
+        look = line_style(names.index(name))
         iteration, rmse = _traces(cases)
         if not iteration.size:
             continue
         mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * bands
-        axes.plot(iteration, mean, label=name, **style)
+        axes.plot(iteration, mean, label=name, **look)
         if bands:
             axes.fill_between(
-                iteration, mean - sd, mean + sd, color=style["color"], alpha=0.2, linewidth=0.0
+                iteration, mean - sd, mean + sd, color=look["color"], alpha=0.2, linewidth=0.0
             )
         top = max(top, float((mean + sd).max()))
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
-    _cut_long_lines(axes)
-    return top
-
-
-def _cut_long_lines(axes: "Axes") -> None:
-    """Cut lines that are much longer than most, which they would compress."""
+    # cut lines that are much longer than most, which they would compress
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     drawn = 2.0 * float(np.median(ends or [0.0]))
     if max(ends, default=0.0) > drawn > 0.0:
         axes.set_xlim(right=drawn)
         axes.set_xlabel(f"Iteration (drawn to {drawn:.0f} of {max(ends):.0f})")
+    return top
 
 
-def _traces(cases: list[Case]) -> tuple[Array, Array]:
+def _traces(cases: list[Case]) -> tuple[Reals, Reals]:
     """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
-    names = ["iteration", "rmse_R"]
-    tables = [case.columns("convergence.csv", names) for case in cases]
+    tables = [case.columns("convergence.csv", ["iteration", "rmse_R"]) for case in cases]
     tables = [table for table in tables if len(table)]
-    if not tables:
-        return np.empty(0), np.empty((0, 0))
-    iteration = np.unique(np.concatenate([table[:, 0] for table in tables]))
+    iteration = np.unique(np.concatenate([np.empty(0), *(table[:, 0] for table in tables)]))
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
 
 
@@ -199,38 +166,28 @@ def draw_error_against_height(run: RunData) -> "Figure":
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
     """
     shown = list(run.series.items())
-    if len(shown) > MAX_PANELS:
+    if len(shown) > _MAX_PANELS:
         conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
         shown.sort(key=lambda item: conditions.index(item[1][0].condition))
-    shown = shown[:MAX_PANELS]
-    columns = min(3, len(shown))
+    shown = shown[:_MAX_PANELS]
+    columns, rows = min(3, len(shown)), -(-len(shown) // 3)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
-    figure = new_figure(width, 0.5 + (2.0 + LEGEND_LINE * lines) * -(-len(shown) // columns))
-    panels = panel_grid(figure, len(shown), columns, sharex=True, sharey=True)
+    figure = figure_style.new_figure(width, 0.5 + (2.0 + _LEGEND_LINE * lines) * rows)
+    panels = figure_style.panel_grid(figure, len(shown), columns, sharex=True, sharey=True)
     tables = [_errors_at(cases, "z_R") for _, cases in shown]
     _scatter(panels, tables)
-    notes = [run.note] if run.note else []
+    notes = [run.note]
     for axes, (name, _), table in zip(panels, shown, tables, strict=True):
-        if len(table) > MAX_POINTS:
-            notes.append(f"{name}: {MAX_POINTS} of {len(table)} robots drawn")
+        if len(table) > _MAX_POINTS:
+            notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
         axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
     figure.supxlabel("True height [R]", fontsize=8.0)
     figure.supylabel("Error [R]", fontsize=8.0)
     if len(shown) < len(run.series):
         notes.append(f"{len(run.series) - len(shown)} more series not shown")
-    add_note(figure, "; ".join(notes))
+    figure_style.add_note(figure, *notes)
     return figure
-
-
-def by_kind(series: Series) -> dict[str, Series]:
-    """Group series by kind of structure; empty unless a run sweeps only a few kinds."""
-    kinds: dict[str, Series] = {}
-    for cases in series.values():
-        kinds.setdefault(cases[0].kind, {})[cases[0].condition] = cases
-    points = {cases[0].point for cases in series.values()}
-    few = 1 < len(kinds) == len(points) <= MAX_KINDS
-    return kinds if few and set(kinds) <= set(GROWS) else {}
 
 
 def draw_error_along_growth(run: RunData) -> "Figure":
@@ -238,46 +195,51 @@ def draw_error_along_growth(run: RunData) -> "Figure":
 
     Each kind of structure has a panel with the first condition.
     """
-    kinds = by_kind(run.series)
-    figure = new_figure(PAGE_WIDTH, 2.6)
-    panels = panel_grid(figure, len(kinds), len(kinds), sharey=True)
-    first = {kind: next(iter(series.values())) for kind, series in kinds.items()}
-    _scatter(panels, [_errors_at(cases, GROWS[kind][0]) for kind, cases in first.items()])
-    for axes, (kind, cases) in zip(panels, first.items(), strict=True):
+    kinds = _first_by_kind(run.series)
+    figure = figure_style.new_figure(PAGE_WIDTH, 2.6)
+    panels = figure_style.panel_grid(figure, len(kinds), len(kinds), sharey=True)
+    _scatter(panels, [_errors_at(cases, _GROWS[kind][0]) for kind, cases in kinds.items()])
+    for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
+        axes.set_xlabel(_GROWS[kind][1])
         many = counted(len(cases), "structure")
-        axes.set_xlabel(GROWS[kind][1])
         axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
     panels[0].set_ylabel("Error [R]")
-    add_note(figure, run.note)
+    figure_style.add_note(figure, run.note)
     return figure
 
 
-def _errors_at(cases: list[Case], column: str) -> Array:
+def _first_by_kind(series: Series) -> Series:
+    """Take the first series of each kind of structure; none unless a run sweeps a few kinds."""
+    kinds: Series = {}
+    for cases in series.values():
+        kinds.setdefault(cases[0].kind, cases)
+    points = {cases[0].point for cases in series.values()}
+    few = 1 < len(kinds) == len(points) <= _MAX_KINDS
+    return kinds if few and kinds.keys() <= _GROWS.keys() else {}
+
+
+def _errors_at(cases: list[Case], column: str) -> Reals:
     """Gather a column, error and join index of all robots with an error, shape (robots, 3)."""
-    tables = []
-    for case in cases:
-        values = case.columns("robots.csv", [column, "error_R"])
-        tables.append(np.column_stack([values, np.arange(len(values))]))
-    table = np.concatenate(tables)
-    finite: Array = table[np.isfinite(table).all(axis=1)]
+    tables = [case.columns("robots.csv", [column, "error_R"]) for case in cases]
+    table = np.concatenate([np.column_stack([t, np.arange(len(t))]) for t in tables])
+    finite: Reals = table[np.isfinite(table).all(axis=1)]
     return finite
 
 
-def _scatter(panels: "list[Axes]", tables: list[Array]) -> None:
+def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     """Draw a table of `_errors_at` in each panel, colored by join index."""
     from matplotlib.colors import LinearSegmentedColormap
 
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
-    dots: PathCollection
-    colors = LinearSegmentedColormap.from_list("join", JOIN_COLORS)
+    colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
     for axes, table in zip(panels, tables, strict=True):
-        points = np.random.default_rng(0).permutation(table)[:MAX_POINTS]
+        x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
+        area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
-            points[:, 0], points[:, 1], c=points[:, 2], s=dot_area(len(points)),
-            cmap=colors, vmin=0.0, vmax=last, linewidths=0.0, clip_on=False,
-        )  # fmt: skip
+            x, y, c=join, s=area, cmap=colors, vmin=0.0, vmax=last, linewidths=0.0, clip_on=False
+        )
     panels[0].set_ylim(bottom=0.0)
     figure = panels[0].figure
-    rows = -(-len(panels) // 3)
-    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=25 * rows, pad=0.02)
+    aspect = 25 * -(-len(panels) // 3)
+    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)
     bar.ax.spines["outline"].set_visible(False)

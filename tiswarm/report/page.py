@@ -3,10 +3,8 @@
 import base64
 import io
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -19,28 +17,18 @@ from tiswarm.records.messages import counted
 from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
 from tiswarm.report.page_tables import case_table, machine_table, result_tables, warnings_of
 from tiswarm.report.render.pictures import CaseView, read_case_view
-from tiswarm.report.run_data import RunData
+from tiswarm.report.run_data import RunData, damaged
 
-LARGEST = 7_900_000
-"""Largest page [bytes]; pictures beyond it remain in files of their own."""
-
-PHOTO_QUALITY = 85
-ON_PAGE = {"figures": 0.42, "renders": 0.36}
-"""Width on the page over the width of the picture, which has the resolution of print."""
-
-SMALL_ON_PAGE = 0.72
-"""The same ratio for animations, which have the resolution of a screen."""
-
-MOST_CASES = 12
-"""Cases in the 3D view."""
-
+_LARGEST = 7_900_000  # largest page [bytes]; pictures beyond it remain in files of their own
+_MOST_CASES = 12  # in the 3D view
 MOST_ROBOTS = 10_000
 """Robots in the 3D view, in all cases together."""
 
-DIGITS = 4
-"""Decimals of positions in the 3D view."""
+_DIGITS = 4  # decimals of positions in the 3D view
+_ON_PAGE = {"figures": 0.42, "renders": 0.36}
+"""Width on the page over the width of the picture, which has the resolution of print."""
 
-CAPTIONS = {
+_CAPTIONS = {
     "accuracy": "Mean RMSE and Procrustes disparity with 95 % confidence intervals",
     "convergence": "RMSE against iteration",
     "error-against-height": "Error of each robot against its true height",
@@ -57,8 +45,7 @@ CAPTIONS = {
 """Captions by file name; a longer name adds a sweep point or a case."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
+class Shown(NamedTuple):
     """A picture within the page; sizes in pixels."""
 
     source: str
@@ -71,8 +58,7 @@ class Shown:
     """Width on the page."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class View:
+class View(NamedTuple):
     """The cases of the 3D view."""
 
     data: dict[str, Any]
@@ -90,18 +76,15 @@ def write_page(run: RunData, progress: Progress) -> Path:
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     environment = Environment(
-        loader=PackageLoader("tiswarm.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+        loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
+        autoescape=True, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     template = environment.get_template("report.html")
     page = _gather(run)
-    room = LARGEST - len(template.render(page=page).encode())
-    page["figures"] = list(_pictures(run.folder / "figures", room, lossless=True))
+    room = _LARGEST - len(template.render(page=page).encode())
+    page["figures"] = _pictures(run.folder / "figures", room, lossless=True)
     room -= sum(len(picture.source) for picture in page["figures"])
-    page["renders"] = list(_pictures(run.folder / "renders", room, lossless=False))
+    page["renders"] = _pictures(run.folder / "renders", room, lossless=False)
     path = run.folder / "report.html"
     write_text(path, template.render(page=page) + "\n")
     progress.info(path.name)
@@ -110,7 +93,14 @@ def write_page(run: RunData, progress: Progress) -> Path:
 
 def _gather(run: RunData) -> dict[str, Any]:
     """Gather what the template shows, except for the pictures."""
-    scenario, manifest = _read_text(run.folder / "scenario.yaml"), _manifest(run.folder)
+    scenario = _read(run.folder / "scenario.yaml")
+    manifest: dict[str, Any] = {}
+    if (path := run.folder / "manifest.json").exists():
+        try:
+            manifest = json.loads(_read(path))
+        except ValueError as error:
+            problem = f"is not JSON: {error}; run the scenario again to restore it"
+            raise InputError(problem, path=path) from error
     stated = yaml.safe_load(scenario)
     arch = manifest.get("backend", {}).get("arch", "cpu")
     return {
@@ -156,7 +146,7 @@ def build_view(run: RunData) -> View | None:
     first = [cases[0] for cases in run.series.values()]
     view = read_case_view(first[0])
     shown = [_data(view)]
-    for case in first[1:MOST_CASES]:
+    for case in first[1:_MOST_CASES]:
         data = _data(read_case_view(case))
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
@@ -166,7 +156,7 @@ def build_view(run: RunData) -> View | None:
     if robots > MOST_ROBOTS:
         notes.append(f"It contains the first {MOST_ROBOTS} of {robots} robots.")
     return View(
-        data={"offsets": view.dock_offset_body.round(DIGITS).tolist(), "cases": shown},
+        data={"offsets": view.dock_offset_body.round(_DIGITS).tolist(), "cases": shown},
         note=" ".join(notes),
     )
 
@@ -175,70 +165,50 @@ def _data(view: CaseView) -> dict[str, Any]:
     """List poses and errors of the robots that have an estimate, the first ones if too many."""
     table = np.column_stack([view.error, view.pose, view.estimated_pose])
     known = np.flatnonzero(np.isfinite(table).all(axis=1))[:MOST_ROBOTS]
-    error, true, turn, estimate, sensed = np.split(
-        table[known].round(DIGITS), [1, 4, 8, 11], axis=1
-    )
+    parts = np.split(table[known].round(_DIGITS), [1, 4, 8, 11], axis=1)
+    error, true, turn, estimate, sensed = (part.tolist() for part in parts)
     return {
         "name": view.case.name,
         "robot": view.robot[known].tolist(),
-        "error": error[:, 0].tolist(),
-        "worst": max(float(error.max(initial=0.0)), 1e-3),
-        "true": true.tolist(),
-        "turn": turn.tolist(),
-        "estimate": estimate.tolist(),
-        "sensed": sensed.tolist(),
+        "error": [value for (value,) in error],
+        "worst": max(float(parts[0].max(initial=0.0)), 1e-3),
+        "true": true,
+        "turn": turn,
+        "estimate": estimate,
+        "sensed": sensed,
     }
 
 
-def _pictures(folder: Path, room: int, *, lossless: bool) -> Iterable[Shown]:
+def _pictures(folder: Path, room: int, *, lossless: bool) -> list[Shown]:
     """Embed the pictures of a folder that fit into the room [bytes]; link the others."""
+    pictures = []
     for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
+        kind, data, share = "gif", path.read_bytes(), 0.72  # resolution of a screen
         with Image.open(path) as image:
             width, height = image.size
-            kind, data = "gif", path.read_bytes()
             if path.suffix == ".png":
                 stream = io.BytesIO()
-                image.convert("RGB").save(
-                    stream, "WEBP", lossless=lossless, quality=PHOTO_QUALITY, method=4
-                )
-                kind, data = "webp", stream.getvalue()
+                image.convert("RGB").save(stream, "WEBP", lossless=lossless, quality=85, method=4)
+                kind, data, share = "webp", stream.getvalue(), _ON_PAGE[folder.name]
         source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-        room -= len(source)
-        fits = room > 0
         where = f"{folder.name}/{path.name}"
         caption = f"{caption_of(path.stem)} ({where})"
-        yield Shown(
-            source=source if fits else where,
-            caption=caption if fits else f"{caption}; separate file: page size limit",
-            width=width,
-            height=height,
-            wide=round(width * (ON_PAGE[folder.name] if kind == "webp" else SMALL_ON_PAGE)),
-        )
+        room -= len(source)
+        if room <= 0:
+            source, caption = where, f"{caption}; separate file: page size limit"
+        pictures.append(Shown(source, caption, width, height, wide=round(width * share)))
+    return pictures
 
 
 def caption_of(name: str) -> str:
     """Describe a picture by the longest known part of its name."""
-    known = max((key for key in CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
+    known = max((key for key in _CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
     rest = name.removeprefix(known).strip("-")
-    return ", ".join(filter(None, [CAPTIONS.get(known, ""), rest]))
+    return ", ".join(filter(None, [_CAPTIONS.get(known, ""), rest]))
 
 
-def _read_text(path: Path) -> str:
+def _read(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeError) as error:
-        problem = f"cannot be read: {error}; run the scenario again to restore it"
-        raise InputError(problem, path=path) from error
-
-
-def _manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest; empty where there is none."""
-    path = folder / "manifest.json"
-    if not path.exists():
-        return {}
-    try:
-        content: dict[str, Any] = json.loads(_read_text(path))
-    except ValueError as error:
-        problem = f"is not JSON: {error}; run the scenario again to restore it"
-        raise InputError(problem, path=path) from error
-    return content
+        raise damaged(path, error) from error

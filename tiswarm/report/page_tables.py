@@ -1,7 +1,7 @@
 """The tables and warnings of a run's page: chosen columns, formatted, with units."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pandas as pd
@@ -9,52 +9,50 @@ import pandas as pd
 from tiswarm.records.messages import counted
 from tiswarm.report.run_data import swept_words
 
-MOST_CASES = 2_000
-"""Rows of the table of cases; `summary.csv` has all."""
-
-MOST_REASONS = 5
+_MOST_CASES = 2_000  # rows of the table of cases; `summary.csv` has all
+_MOST_REASONS = 5
 
 # Label, name of the measure and decimals of each column.
-ACCURACY = [
+_ACCURACY = [
     ("RMSE [R]", "rmse_R", 2),
     ("RMSE [rho]", "rmse_rho", 2),
     ("disparity", "procrustes_disparity", 4),
 ]
-LIMITS = [
+_LIMITS = [
     ("contacts per robot", "contacts_per_robot", 2),
     ("floppy modes", "floppy_modes", 1),
     ("rms radius [R]", "rms_radius_R", 1),
 ]
-ALIGNED = [
+_ALIGNED = [
     ("not aligned", "rmse_R", 2),
     ("yaw and translation aligned", "rmse_yaw_aligned_R", 2),
     ("rigidly aligned", "rmse_rigid_aligned_R", 2),
     ("relative, robots in contact", "rmse_per_contact_R", 2),
 ]
-CALIBRATION = [
+_CALIBRATION = [
     ("robots in their 50 % interval", "coverage_50", 2),
     ("robots in their 90 % interval", "coverage_90", 2),
     ("precision of outliers", "outlier_precision", 2),
     ("recall of outliers", "outlier_recall", 2),
     ("converged estimates", "converged", 2),
 ]
-PUBLISHED = [
+_PUBLISHED = [
     ("published RMSE [robot radii]", "paper_rmse_radii", 2),
     ("published disparity", "paper_procrustes_disparity", 3),
 ]
-CASE = [
+_CASE = [
     ("robots", "robots", 0),
-    *ACCURACY[:1],
+    *_ACCURACY[:1],
     ("yaw aligned [R]", "rmse_yaw_aligned_R", 2),
     ("rigidly aligned [R]", "rmse_rigid_aligned_R", 2),
-    *ACCURACY[2:],
-    *LIMITS,
+    *_ACCURACY[2:],
+    *_LIMITS,
     ("height [R]", "height_R", 1),
     ("peak stress", "peak_stress", 0),
 ]
-MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
+_MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
 
-Column = tuple[str, str, int]
+_Column = tuple[str, str, int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,14 +71,20 @@ class Table:
 
 def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
     """Format the results of a run; `paired` may be empty."""
-    tables = [_localization(table), _aligned(table)]
-    if calibration := _means(table, CALIBRATION):
+    words = swept_words(table)
+    note = (
+        "Alignment removes a rotated or shifted frame; the rest is a wrong shape. The last column "
+        "is the error of one robot's position relative to a robot in contact."
+    )
+    aligned = _labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note)
+    tables = [_localization(table), aligned]
+    if calibration := _means(table, _CALIBRATION):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
             "standard deviation implies. Precision: wrong contacts among those reported as "
             "outliers; recall: reported outliers among wrong contacts."
         )
-        tables.append(_labeled(swept_words(table), calibration, "Calibration", note))
+        tables.append(_labeled(words, calibration, "Calibration", note))
     if "wilcoxon_p" in paired:
         tables.append(_differences(paired))
     return tables
@@ -88,34 +92,25 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
 
 def _localization(table: pd.DataFrame) -> Table:
     """Format accuracy beside the published numbers, and what limits it."""
-    published = [column for column in PUBLISHED if table[column[1]].notna().any()]
+    published = [column for column in _PUBLISHED if table[column[1]].notna().any()]
     note = "Mean ± half width of its 95 % confidence interval over structures."
     if published:
         note += (
             " R is the radius of a dock, rho the distance from a robot's center to a dock. The "
             'published "robot radius" is not defined, so that the table lists both.'
         )
-    rmse, rho, disparity = ACCURACY
-    columns = {"structures": _numbers(table["cases"], 0)} | _means(table, [rmse, rho])
+    columns = {"structures": _numbers(table["cases"], 0)} | _means(table, _ACCURACY[:2])
     columns |= {label: _numbers(table[name], n) for label, name, n in published[:1]}
-    columns |= _means(table, [disparity])
+    columns |= _means(table, _ACCURACY[2:])
     columns |= {label: _numbers(table[name], n) for label, name, n in published[1:]}
-    return _labeled(swept_words(table), columns | _means(table, LIMITS), "Localization", note)
-
-
-def _aligned(table: pd.DataFrame) -> Table:
-    note = (
-        "Alignment removes a rotated or shifted frame; the rest is a wrong shape. The last column "
-        "is the error of one robot's position relative to a robot in contact."
-    )
-    return _labeled(swept_words(table), _means(table, ALIGNED), "RMSE after alignment [R]", note)
+    return _labeled(swept_words(table), columns | _means(table, _LIMITS), "Localization", note)
 
 
 def _differences(paired: pd.DataFrame) -> Table:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
-    rows = paired[first & paired["measure"].isin(list(MEASURES))]
-    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(MEASURES))
+    rows = paired[first & paired["measure"].isin(list(_MEASURES))]
+    words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(_MEASURES))
     p = rows["wilcoxon_p"]
     columns = {
         "difference": _mean(rows, "difference", 3, sign="+"),
@@ -131,14 +126,13 @@ def _differences(paired: pd.DataFrame) -> Table:
 
 def case_table(summary: pd.DataFrame) -> Table:
     """Format a row for each case."""
-    left_out = len(summary) - MOST_CASES
-    shown = summary.head(MOST_CASES)
+    shown = summary.head(_MOST_CASES)
     words = shown[["case", "status"]].fillna("").astype(str)
-    numbers = {label: _numbers(shown[name], n) for label, name, n in CASE if name in shown}
+    numbers = {label: _numbers(shown[name], n) for label, name, n in _CASE if name in shown}
     reason = {"reason": shown["reason"].fillna("").astype(str)}
-    note = f"{counted(left_out, 'more case')} in summary.csv." if left_out > 0 else ""
-    table = _labeled(words, numbers | reason, "", note)
-    return Table(frame=table.frame, words=[*words, "reason"], note=note)
+    left_out = len(summary) - len(shown)
+    note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
+    return replace(_labeled(words, numbers | reason, "", note), words=[*words, "reason"])
 
 
 def machine_table(manifest: Mapping[str, Any]) -> Table:
@@ -146,14 +140,11 @@ def machine_table(manifest: Mapping[str, Any]) -> Table:
     facts = {
         **manifest.get("machine", {}),
         **manifest.get("backend", {}),
-        "peak_memory_MB": manifest.get("peak_memory_MB", ""),
-        "python": manifest.get("python", ""),
+        **{key: manifest.get(key, "") for key in ("peak_memory_MB", "python")},
         **manifest.get("libraries", {}),
-        **{
-            f"{name} [s wall, s CPU]": f"{spent['wall_s']}, {spent['cpu_s']}"
-            for name, spent in manifest.get("stages", {}).items()
-        },
     }
+    for name, spent in manifest.get("stages", {}).items():
+        facts[f"{name} [s wall, s CPU]"] = f"{spent['wall_s']}, {spent['cpu_s']}"
     rows = [
         (name.replace("_MB", " [MB]").replace("_", " "), str(value))
         for name, value in facts.items()
@@ -169,7 +160,7 @@ def _labeled(words: pd.DataFrame, columns: dict[str, pd.Series], title: str, not
     return Table(frame=frame, words=words.columns.astype(str), title=title, note=note)
 
 
-def _means(table: pd.DataFrame, columns: Sequence[Column]) -> dict[str, pd.Series]:
+def _means(table: pd.DataFrame, columns: Sequence[_Column]) -> dict[str, pd.Series]:
     """Format the means that a table has, by label."""
     return {
         label: _mean(table, name, digits)
@@ -196,32 +187,36 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
     failed = summary[summary["status"] != "done"]
     found = []
     if len(failed):
-        found.append(f"{len(failed)} of {len(summary)} cases failed: {_reasons(failed)}.")
+        why = _some(failed["reason"].dropna().unique(), "; ")
+        found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
     found += _unconverged(done)
-    if done["reason"].notna().any():
-        ended = counted(int(done["reason"].notna().sum()), "case")
-        found.append(f"Growth ended early in {ended}: {_reasons(done)}.")
+    ended = done["reason"].dropna()
+    if len(ended):
+        why = _some(ended.unique(), "; ")
+        found.append(f"Growth ended early in {counted(len(ended), 'case')}: {why}.")
     if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
-        robots = counted(int(lost.sum()), "robot")
-        cases = counted(int((lost > 0).sum()), "case")
+        robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
         found.append(
             f"No measurement that was used ties {robots} in {cases} to the anchor; their positions "
             "are guesses."
         )
-    found += _floppiness(done)
+    if "floppy_modes" in done and ((modes := done["floppy_modes"]) > 0).any():
+        least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"
+        count = least if least == most else f"{least} to {most}"
+        found.append(
+            f"The measurements that the method uses leave {count} floppy modes a case: motions "
+            "that change no measurement. No method can remove errors along them."
+        )
     renders = manifest.get("renders", {}).values()
-    reasons = {str(picture["reason"]) for picture in renders if picture["reason"]}
-    found += [f"A simpler renderer drew the pictures: {reason}." for reason in sorted(reasons)]
-    return found
+    reasons = sorted({str(picture["reason"]) for picture in renders if picture["reason"]})
+    return found + [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
 
 
-def _reasons(cases: pd.DataFrame) -> str:
-    """List the first reasons that differ."""
-    return "; ".join(_some([*map(str, cases["reason"].dropna().unique())]))
-
-
-def _some(items: list[str]) -> list[str]:
-    return items if len(items) <= MOST_REASONS else [*items[:MOST_REASONS], "..."]
+def _some(items: Iterable[object], separator: str) -> str:
+    """Join the first of some texts."""
+    first = [*map(str, items)]
+    more = ["..."] if len(first) > _MOST_REASONS else []
+    return separator.join(first[:_MOST_REASONS] + more)
 
 
 def _unconverged(done: pd.DataFrame) -> list[str]:
@@ -231,24 +226,10 @@ def _unconverged(done: pd.DataFrame) -> list[str]:
     lost = done[done["converged"].eq(False)]  # noqa: FBT003 - other methods leave it empty
     if not len(lost):
         return []
-    names = ", ".join(_some([*map(str, lost["case"])]))
     warning = (
-        f"{len(lost)} of {counted(len(done), 'case')} did not converge ({names}). The misfit of "
-        f"their best chain exceeds its expectation by up to {lost['misfit_sd'].max():.0f} sd. All "
-        "tables include their errors. Try more steps or chains."
-    )
-    return [warning]
-
-
-def _floppiness(done: pd.DataFrame) -> list[str]:
-    """State how much the measurements leave undetermined."""
-    if "floppy_modes" not in done or not (done["floppy_modes"] > 0).any():
-        return []
-    modes = done["floppy_modes"]
-    least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"
-    count = least if least == most else f"{least} to {most}"
-    warning = (
-        f"The measurements that the method uses leave {count} floppy modes a case: motions that "
-        "change no measurement. No method can remove errors along them."
+        f"{len(lost)} of {counted(len(done), 'case')} did not converge "
+        f"({_some(lost['case'], ', ')}). The misfit of their best chain exceeds its expectation "
+        f"by up to {lost['misfit_sd'].max():.0f} sd. All tables include their errors. Try more "
+        "steps or chains."
     )
     return [warning]

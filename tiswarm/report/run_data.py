@@ -97,8 +97,9 @@ class RunData:
         if found:
             return max(found, key=lambda case: case.robots)
         if not done:
-            problem = "no case of this run is done; there is nothing to draw"
-            raise InputError(problem, path=self.folder)
+            raise InputError(
+                "no case of this run is done; there is nothing to draw", path=self.folder
+            )
         some = ", ".join(case.name for case in done[:9])
         problem = f"no case {name!r} is done; choose one of {some}"
         raise InputError(problem, path=self.folder, key="--case")
@@ -106,20 +107,14 @@ class RunData:
     def table(
         self, name: str, columns: Sequence[str] = (), *, optional: bool = False
     ) -> pd.DataFrame:
-        """Read a table of the run.
-
-        Args:
-            name: Name of the file.
-            columns: Columns that it must have.
-            optional: Whether a missing table is empty instead of an error.
+        """Read a table of the run with columns that it must have; a missing one may be empty.
 
         Raises:
             InputError: the table or a column is missing or damaged.
         """
-        path = self.folder / name
-        if optional and not path.exists():
+        if optional and not (self.folder / name).exists():
             return pd.DataFrame()
-        return read_table(path, columns)
+        return read_table(self.folder / name, columns)
 
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.
@@ -152,12 +147,7 @@ def load_run(folder: Path) -> RunData:
 def read_table(
     path: Path, columns: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> pd.DataFrame:
-    """Read a table.
-
-    Args:
-        path: The file.
-        columns: Columns that it must have.
-        numbers: Columns of numbers that it must have; empty cells become NaN.
+    """Read a table with columns that it must have; empty cells of `numbers` become NaN.
 
     Raises:
         InputError: the table or a column is missing or damaged.
@@ -168,9 +158,14 @@ def read_table(
         table = table.astype(dict.fromkeys(numbers, float))
         table[list(columns)]
     except (OSError, ValueError, KeyError) as error:
-        problem = f"cannot be read: {error}; run the scenario again to restore it"
-        raise InputError(problem, path=path) from error
+        raise damaged(path, error) from error
     return table
+
+
+def damaged(path: Path, error: Exception) -> InputError:
+    """Explain why a file of a run cannot be read."""
+    problem = f"cannot be read: {error}; run the scenario again to restore it"
+    return InputError(problem, path=path)
 
 
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,34 +12,24 @@ import pandas as pd
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
-from tiswarm.report.figure_style import (
-    MARKERS,
-    PAGE_WIDTH,
-    PALETTE,
-    STYLE,
-    add_note,
-    line_style,
-    new_figure,
-    panel_grid,
-    png,
-    shortened,
-)
+from tiswarm.report import figure_style
+from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, panel_grid, shortened
 from tiswarm.report.run_data import RunData, read_table, swept_columns, swept_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MEASURES = {
+_MEASURES = {
     "rmse_R": ("RMSE [R]", "paper_rmse_radii"),
     "procrustes_disparity": ("Procrustes disparity", "paper_procrustes_disparity"),
 }
 """Axis label and published counterpart of each measure."""
 
-MOST_ROWS = 60
-MOST_COLUMNS = 4
-LEGEND_MARK, LEGEND_LETTER = 0.5, 0.055
-"""Widths of a legend's marker with the space around it, and of a letter [inch]."""
+_MOST_ROWS = 60
+_MOST_COLUMNS = 4
+_MOST_POINTS = 4  # most points of a sweep that have a figure of profiles each
+_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
 
 PROFILED = {
     "join": "Join index",
@@ -48,9 +38,6 @@ PROFILED = {
     "contacts": "Contacts of the robot",
     "hops_apart": "Hops between two robots",
 }
-MOST_POINTS = 4
-"""Most points of a sweep that have a figure of profiles each."""
-
 SCALING_PANELS = {
     "rmse_R": "RMSE [R]",
     "procrustes_disparity": "Procrustes disparity",
@@ -59,8 +46,6 @@ SCALING_PANELS = {
     "localize_wall_s": "Localization, wall time [s]",
     "localize_peak_memory_MB": "Localization, peak memory [MB]",
 }
-SCALING_COLUMNS = ["series", "measure", "robots", "mean", "exponent", "slope"]
-THOUSAND = 1000
 
 
 def draw_accuracy(run: RunData) -> "Figure":
@@ -72,24 +57,21 @@ def draw_accuracy(run: RunData) -> "Figure":
     Raises:
         InputError: the table is damaged.
     """
-    published = [column for _, column in MEASURES.values()]
+    published = [column for _, column in _MEASURES.values()]
     table = run.table("table.csv", ["condition", "cases", *published])
     swept = swept_words(table).drop(columns="condition")
     values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
     texts = [", ".join(f"{key}={value}" for key, value in row) for row in values]
     points = pd.Series([shortened(text) for text in texts], table.index)
     names = list(dict.fromkeys(table["condition"]))
-    shown = list(dict.fromkeys(points))[: max(1, MOST_ROWS // len(names))]
-    figure = new_figure(PAGE_WIDTH, 0.9 + 0.12 * len(names) * (1 + len(shown)))
-    panels = panel_grid(figure, len(MEASURES), len(MEASURES), sharey=True)
-    for axes, (measure, (_, counterpart)) in zip(panels, MEASURES.items(), strict=True):
+    shown = list(dict.fromkeys(points))[: max(1, _MOST_ROWS // len(names))]
+    figure = figure_style.new_figure(PAGE_WIDTH, 0.9 + 0.12 * len(names) * (1 + len(shown)))
+    panels = panel_grid(figure, len(_MEASURES), len(_MEASURES), sharey=True)
+    for axes, (measure, (_, counterpart)) in zip(panels, _MEASURES.items(), strict=True):
         for index, point in enumerate(shown):
             rows = table[points == point].set_index("condition").reindex(names)
             place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
-            look: dict[str, Any] = {
-                "color": PALETTE[index % len(PALETTE)], "marker": MARKERS[index % len(MARKERS)],
-                "linestyle": "", "markersize": 3.5,
-            }  # fmt: skip
+            look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
             mean, ci95 = rows[f"{measure}_mean"], rows[f"{measure}_ci95"].fillna(0.0)
             axes.errorbar(mean, place, xerr=ci95, label=point or "mean", **look)
             axes.plot(rows[counterpart], place, markerfacecolor="white", **look)
@@ -103,57 +85,52 @@ def draw_accuracy(run: RunData) -> "Figure":
     if labels[0].startswith("published"):  # matplotlib lists lines before error bars
         handles, labels = [*handles[1:], handles[0]], [*labels[1:], labels[0]]
     if len(handles) > 1:
-        width = LEGEND_MARK + LEGEND_LETTER * max(map(len, labels))
-        columns = max(1, min(MOST_COLUMNS, int(PAGE_WIDTH / width)))
+        width = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels))
+        columns = max(1, min(_MOST_COLUMNS, int(PAGE_WIDTH / width)))
         figure.legend(handles, labels, loc="outside upper right", ncols=columns)
     left = len(set(points)) - len(shown)
     more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
-    notes = ["mean and 95 % confidence interval over structures", more, run.note]
-    add_note(figure, "; ".join(text for text in notes if text))
+    interval = "mean and 95 % confidence interval over structures"
+    figure_style.add_note(figure, interval, more, run.note)
     return figure
 
 
-def draw_comparison(folder: Path, progress: Progress) -> Path:
-    """Draw `comparison.png` beside the table that it shows."""
+def draw_comparison(folder: Path, progress: Progress) -> None:
+    """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
     from matplotlib import style
 
-    path = folder / "comparison.png"
-    with style.context(["default", STYLE]):
-        write_bytes(path, png(comparison_figure(read_table(folder / "comparison.csv"))))
-    progress.info(path.name)
-    return path
+    table = read_table(folder / "comparison.csv")
+    with style.context(["default", figure_style.STYLE]):
+        write_bytes(folder / "comparison.png", figure_style.png(_comparison(table)))
+    progress.info("comparison.png")
 
 
-def comparison_figure(table: pd.DataFrame) -> "Figure":
+def _comparison(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each row with its confidence interval, one color a run."""
-    shown = table.head(MOST_ROWS)
-    swept = swept_words(shown).iloc[:, 1:]
-    labels = [
-        ", ".join(value for value in reversed(row.values()) if value != "nan")
-        for row in swept.to_dict("records")
-    ]
-    figure = new_figure(PAGE_WIDTH, 0.9 + 0.17 * len(shown))
-    panels = panel_grid(figure, len(MEASURES), len(MEASURES), sharey=True)
-    for axes, name in zip(panels, MEASURES, strict=True):
+    shown = table.head(_MOST_ROWS)
+    swept = swept_words(shown).iloc[:, 1:].to_dict("records")
+    labels = [", ".join(v for v in reversed(row.values()) if v != "nan") for row in swept]
+    figure = figure_style.new_figure(PAGE_WIDTH, 0.9 + 0.17 * len(shown))
+    panels = panel_grid(figure, len(_MEASURES), len(_MEASURES), sharey=True)
+    for axes, name in zip(panels, _MEASURES, strict=True):
         for index, run in enumerate(shown["run"].unique()):
             rows = (shown["run"] == run).to_numpy()
             axes.errorbar(
                 shown.loc[rows, f"{name}_mean"], np.flatnonzero(rows),
                 xerr=shown.loc[rows, f"{name}_ci95"].fillna(0.0), fmt="o", markersize=3.5,
-                color=PALETTE[index % len(PALETTE)], label=run, linewidth=1.0,
+                color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
     _finish_rows(panels, labels)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    note = "mean and 95 % confidence interval"
-    if len(shown) < len(table):
-        note += f"; {len(table) - len(shown)} more rows are in comparison.csv"
-    add_note(figure, note)
+    left = len(table) - len(shown)
+    more = f"{left} more rows are in comparison.csv" if left else ""
+    figure_style.add_note(figure, "mean and 95 % confidence interval", more)
     return figure
 
 
 def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
     """Label rows, from the top, and axes."""
-    for axes, (label, _) in zip(panels, MEASURES.values(), strict=True):
+    for axes, (label, _) in zip(panels, _MEASURES.values(), strict=True):
         axes.set_xlabel(label)
         axes.set_xlim(left=0.0)
         axes.locator_params(axis="x", nbins=6)
@@ -177,25 +154,27 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     swept = swept_columns(table, before="by")[1:]
     table[swept] = swept_words(table, before="by")[swept]
     points = dict(list(table.groupby(swept, sort=False))) if swept else {}
-    if not 1 < len(points) <= MOST_POINTS:
-        return {"profiles": partial(draw_profiles, table=table)}
-    return {
-        f"profiles-{_slug(point)}": partial(draw_profiles, table=part.drop(columns=swept))
-        for point, part in points.items()
-    }
+    if not 1 < len(points) <= _MOST_POINTS:
+        return {"profiles": partial(_draw_profiles, table=table)}
+    painters: dict[str, Callable[[RunData], Figure]] = {}
+    for point, part in points.items():
+        slug = re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, point))).strip("-")
+        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.drop(columns=swept))
+    return painters
 
 
-def draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
+def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops."""
     swept = swept_columns(table, before="by")
-    figure = new_figure(PAGE_WIDTH, 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10))
+    height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
+    figure = figure_style.new_figure(PAGE_WIDTH, height)
     panels = panel_grid(figure, len(PROFILED), 3)
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
             axes.plot(
                 (rows["low"] + rows["high"]) / 2.0, rows["rmse_R"], marker="o", markersize=2.5,
-                label=", ".join(map(str, reversed(series))), **line_style(place),
+                label=", ".join(map(str, reversed(series))), **figure_style.line_style(place),
             )  # fmt: skip
         axes.set(xlabel=label, ylabel="RMSE [R]")
         axes.set_ylim(bottom=0.0)
@@ -204,14 +183,8 @@ def draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
-    add_note(figure, run.note)
+    figure_style.add_note(figure, run.note)
     return figure
-
-
-def _slug(point: object) -> str:
-    """Write values of the sweep as part of a file name."""
-    values = point if isinstance(point, tuple) else (point,)
-    return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, values))).strip("-")
 
 
 def draw_scaling(run: RunData) -> "Figure":
@@ -222,26 +195,23 @@ def draw_scaling(run: RunData) -> "Figure":
     Raises:
         InputError: the table is damaged.
     """
-    table = run.table("scaling.csv", SCALING_COLUMNS)
-    figure = new_figure(PAGE_WIDTH, 4.4)
-    names = list(dict.fromkeys(table["series"]))
-    for axes, (measure, label) in zip(
-        figure.subplots(2, 3).flat, SCALING_PANELS.items(), strict=True
-    ):
+    columns = ["series", "measure", "robots", "mean", "exponent", "slope"]
+    table = run.table("scaling.csv", columns)
+    figure = figure_style.new_figure(PAGE_WIDTH, 4.4)
+    sizes = sorted(set(table["robots"]))
+    labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
+    panels = panel_grid(figure, len(SCALING_PANELS), 3)
+    for axes, (measure, label) in zip(panels, SCALING_PANELS.items(), strict=True):
         rows = table[table["measure"] == measure]
-        for place, name in enumerate(names):
+        for place, name in enumerate(dict.fromkeys(table["series"])):
             part = rows[(rows["series"] == name) & (rows["mean"] > 0.0)]
+            text = name + _powers(part)
+            look = marker_style(place)
             axes.plot(
-                part["robots"],
-                part["mean"],
-                f"{MARKERS[place % len(MARKERS)]}-",
-                color=PALETTE[place % len(PALETTE)],
-                markersize=3.0,
-                label=name + _powers(part),
+                part["robots"], part["mean"], linestyle="-", markersize=3.0, label=text, **look
             )
         axes.set(xscale="log", xlabel="Robots N", ylabel=label)
-        sizes = sorted(set(table["robots"]))
-        axes.set_xticks(sizes, [f"{n:g}" if n < THOUSAND else f"{n / THOUSAND:g}k" for n in sizes])
+        axes.set_xticks(sizes, labels)
         axes.minorticks_off()
         if measure.endswith("_MB"):
             axes.set_ylim(0.0, 1.5 * rows["mean"].max())
@@ -249,7 +219,7 @@ def draw_scaling(run: RunData) -> "Figure":
             _show_decades(axes, rows["mean"])
         if len(rows):
             axes.legend(fontsize=5.5, loc="upper left")
-    add_note(figure, run.note)
+    figure_style.add_note(figure, run.note)
     return figure
 
 

@@ -14,32 +14,20 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.figure_style import JOIN_COLORS
-from tiswarm.report.render.pictures import (
-    TRUE_SIZE,
-    CaseView,
-    Rendered,
-    Scale,
-    add_legend,
-    read_case_view,
-)
+from tiswarm.report.render.pictures import TRUE_SIZE, Rendered, Scale, add_legend, read_case_view
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import Scene, build_scene
+from tiswarm.report.render.scene import build_scene
 from tiswarm.report.run_data import RunData
 
 Movie = Literal["gif", "mp4"]
 
-MOST_FRAMES = 60
-SHRINK = 2
-"""Size of a picture over that of a frame."""
-
-FRAME_MS = 90
-"""Duration of a frame [ms]."""
-
 LAST_MS = 2_500
 """Duration of the last frame, which shows the whole structure [ms]."""
 
-COLORS = 192
-"""Colors of a GIF; its last frame determines them."""
+_FRAME_MS = 90  # duration of a frame
+_MOST_FRAMES = 60
+_SHRINK = 2  # size of a picture over that of a frame
+_COLORS = 192  # colors of a GIF; its last frame determines them
 
 
 def animate_run(
@@ -66,10 +54,17 @@ def animate_run(
         EnvironmentTroubleError: the renderer does not work here, or the library for MP4 is missing.
     """
     view = read_case_view(run.choose(case))
-    joined = _joins(len(view.pose))
-    pictures, used, reason = draw_scenes(_scenes(view, joined), renderer)
+    robots = len(view.pose)
+    joined = np.linspace(1, robots, min(robots, _MOST_FRAMES)).round().astype(int).tolist()
+    whole = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+    scenes = []
+    for n in joined:
+        part = replace(whole, center=whole.center[:n], dock=whole.dock[:n], color=whole.color[:n])
+        scene = build_scene([part], view.ground_z, around=whole.dock.reshape(-1, 3))
+        scenes.append(scene.shrunk(_SHRINK))
+    pictures, used, reason = draw_scenes(scenes, renderer)
     frames = [
-        _with_legend(Image.fromarray(picture), count, len(view.pose))
+        _with_legend(Image.fromarray(picture), count, robots)
         for picture, count in zip(pictures, joined, strict=True)
     ]
     suffix = "" if case is None else f"-{case}"
@@ -80,35 +75,11 @@ def animate_run(
     return Rendered(path=path, renderer=used, reason=reason)
 
 
-def _joins(robots: int) -> list[int]:
-    """Choose the number of robots in each frame, ascending to all of them."""
-    counts: list[int] = (
-        np.linspace(1, robots, min(robots, MOST_FRAMES)).round().astype(int).tolist()
-    )
-    return counts
-
-
-def _scenes(view: CaseView, joined: Sequence[int]) -> list[Scene]:
-    """Build a scene of the size of a frame for each number of robots."""
-    whole = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
-    around = whole.dock.reshape(-1, 3)
-    scenes = []
-    for count in joined:
-        robots = replace(
-            whole, center=whole.center[:count], dock=whole.dock[:count], color=whole.color[:count]
-        )
-        scene = build_scene([robots], view.ground_z, around=around)
-        camera = scene.camera
-        small = replace(camera, width=camera.width // SHRINK, height=camera.height // SHRINK)
-        scenes.append(replace(scene, camera=small))
-    return scenes
-
-
 def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
     """Add a legend to a frame, and make its size even, as MP4 requires."""
     legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {count} of {robots} robots")
-    band = add_legend(Image.new("RGB", (SHRINK * picture.width, 0)), legend)
-    band = band.resize((picture.width, band.height // SHRINK), Image.Resampling.LANCZOS)
+    band = add_legend(Image.new("RGB", (_SHRINK * picture.width, 0)), legend)
+    band = band.resize((picture.width, band.height // _SHRINK), Image.Resampling.LANCZOS)
     height = picture.height + band.height
     frame = Image.new("RGB", (picture.width // 2 * 2, height // 2 * 2), "white")
     frame.paste(band, (0, 0))
@@ -118,17 +89,11 @@ def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
 
 def _gif(frames: Sequence[Image.Image]) -> bytes:
     """Encode frames in one palette, to avoid flicker."""
-    palette = frames[-1].quantize(COLORS)
+    palette = frames[-1].quantize(_COLORS)
     first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [_FRAME_MS] * len(rest) + [LAST_MS]
     stream = io.BytesIO()
-    first.save(
-        stream,
-        "GIF",
-        save_all=True,
-        append_images=rest,
-        duration=[FRAME_MS] * len(rest) + [LAST_MS],
-        loop=0,
-    )
+    first.save(stream, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
     return stream.getvalue()
 
 
@@ -138,11 +103,11 @@ def _mp4(frames: Sequence[Image.Image]) -> bytes:
         import imageio.v3 as iio  # noqa: PLC0415 - an extra
         import imageio_ffmpeg  # noqa: F401, PLC0415 - what imageio calls
     except ImportError as error:
-        msg = "MP4 needs imageio and imageio-ffmpeg; pip install 'tiswarm[video]', or use GIF"
-        raise EnvironmentTroubleError(msg) from error
+        problem = "MP4 needs imageio and imageio-ffmpeg; pip install 'tiswarm[video]', or use GIF"
+        raise EnvironmentTroubleError(problem) from error
     with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
         path = Path(place, "growth.mp4")
         pictures = [np.asarray(frame) for frame in frames]
-        pictures += pictures[-1:] * (LAST_MS // FRAME_MS)
-        iio.imwrite(path, pictures, plugin="FFMPEG", fps=1000 / FRAME_MS, macro_block_size=2)
+        pictures += pictures[-1:] * (LAST_MS // _FRAME_MS)
+        iio.imwrite(path, pictures, plugin="FFMPEG", fps=1000 / _FRAME_MS, macro_block_size=2)
         return path.read_bytes()

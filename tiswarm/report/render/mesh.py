@@ -1,6 +1,6 @@
 """Turns capsules into triangles."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +8,11 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints
 from tiswarm.report.render.scene import Array32, Scene
 
-SIDES = (6, 48)
-"""Least and most sides of a sphere's equator."""
-
-SLANT = 0.9
-"""Upward part below which an axis may be crossed with the vertical."""
+_SIDES = (6, 48)  # least and most sides of a sphere's equator
+_SLANT = 0.9  # upward part below which an axis may be crossed with the vertical
 
 
-@dataclass(frozen=True, kw_only=True)
-class Mesh:
+class Mesh(NamedTuple):
     """V points and T triangles of every capsule of a scene."""
 
     point: Array32
@@ -45,7 +41,8 @@ def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
     for radius in np.unique(scene.radius):
         which = np.flatnonzero(scene.radius == radius)
         seen = float(radius) * scene.camera.pixels_per_slope / depth
-        point, triangle = _unit_sphere(sides or _side_count(seen))
+        even = int(np.clip(3.2 * seen**0.58, *_SIDES)) // 2 * 2
+        point, triangle = _unit_sphere(sides or even)
         points.append(_stretch(scene.start[which], scene.end[which], radius * point))
         firsts = first + np.arange(len(which)) * len(point)
         triangles.append((firsts[:, None, None] + triangle).reshape(-1, 3))
@@ -59,11 +56,6 @@ def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
         point_capsule=capsule.repeat(count[:, 0]),
         triangle_capsule=capsule.repeat(count[:, 1]),
     )
-
-
-def _side_count(pixels: float) -> int:
-    """Choose an even number of sides for a sphere of this radius in the picture."""
-    return int(np.clip(3.2 * pixels**0.58, *SIDES)) // 2 * 2
 
 
 def _unit_sphere(sides: int) -> tuple[Array32, NDArray[np.int32]]:
@@ -86,7 +78,7 @@ def _stretch(start: Array32, end: Array32, ball: Array32) -> Array32:
     span = (end - start).astype(np.float64)
     span[:, 2] += 1e-9  # a sphere has no axis: take z
     axis = span / np.linalg.norm(span, axis=1, keepdims=True)
-    helper = np.where(np.abs(axis[:, 2:]) < SLANT, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    helper = np.where(np.abs(axis[:, 2:]) < _SLANT, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     side = np.cross(helper, axis)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     frames = np.stack([side, np.cross(axis, side), axis], axis=1).astype(np.float32)

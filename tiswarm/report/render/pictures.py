@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tiswarm.aliases import Ints
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
@@ -27,46 +27,36 @@ from tiswarm.report.figure_style import (
     rgb,
 )
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import Array, Look, Robots, Rods, Scene, build_scene
+from tiswarm.report.render.scene import Look, Robots, Scene, build_scene
 from tiswarm.report.run_data import Case, RunData
 
-POSITION = ["x_R", "y_R", "z_R"]
-POSE = [*POSITION, "qw", "qx", "qy", "qz"]
-ESTIMATED_POSE = [
-    *(name.replace("_R", "_est_R") for name in POSITION),
-    *(f"{name}_sensed" for name in POSE[3:]),
+POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
+_ESTIMATED_POSE = [
+    *("x_est_R", "y_est_R", "z_est_R"),
+    *("qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"),
 ]
-RELATED = ["error_R", "sensed_force", "robot"]
 
 TRUE_SIZE = Look(0.45, 0.3, 1.0)
-TRUTH_LOOK = Look(0.3, 0.18, 0.72)
-ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)
-"""Beside TRUTH_LOOK: where both coincide, blue docks on orange arms are seen."""
-
-NODE = Look(0.3, 0.3, 0.6)
-"""A robot as a node of a graph: one ball."""
-
-EDGE_RADIUS = 0.16
-EDGE_GRAY = (0.45, 0.45, 0.47)
+_TRUTH_LOOK = Look(0.3, 0.18, 0.72)
+_ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)  # where both coincide, blue docks on orange arms are seen
+_NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 
 # --- legend [pixels] ---
 
-LEGEND_MARGIN = 18
-LEGEND_HEIGHT = 62
-FONT = 26
-INK = (40, 40, 40)
-BAR_LENGTH = 200
+_LEGEND_MARGIN = 18
+_LEGEND_HEIGHT = 62
+_FONT = 26
+_INK = (40, 40, 40)
+_BAR_LENGTH = 200
 
 
-@dataclass(frozen=True)
-class Keys:
+class Keys(NamedTuple):
     """A legend of single colors (hex) and their meanings."""
 
     entries: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class Scale:
+class Scale(NamedTuple):
     """A legend of a range of colors (hex) and the meanings of its ends."""
 
     colors: tuple[str, ...]
@@ -74,14 +64,11 @@ class Scale:
     high: str
 
 
-Legend = Keys | Scale
-
-
 class Picture(NamedTuple):
     """A scene and the meaning of its colors."""
 
     scene: Scene
-    legend: Legend
+    legend: Keys | Scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,16 +76,16 @@ class CaseView:
     """N robots of a case: true and estimated poses, errors and forces."""
 
     case: Case
-    pose: Array
+    pose: Reals
     """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
 
-    estimated_pose: Array
+    estimated_pose: Reals
     """Estimated center [R] and sensed quaternion wxyz, NaN where unknown, shape (N, 7)."""
 
-    error: Array
+    error: Reals
     """Distance between true and estimated center [R], shape (N,)."""
 
-    force: Array
+    force: Reals
     """Force that each robot senses in its links [weight of a dock], shape (N,)."""
 
     robot: Ints
@@ -118,7 +105,7 @@ class CaseView:
             return parse_header(text)
 
     @property
-    def dock_offset_body(self) -> Array:
+    def dock_offset_body(self) -> Reals:
         """Vectors from center to dock, body frame [R], shape (docks, 3)."""
         return np.array(self.header.dock_offsets) / self.header.dock_radius
 
@@ -129,17 +116,14 @@ class CaseView:
         return None if height is None else height / self.header.dock_radius
 
     @property
-    def color_by_join(self) -> Array:
+    def color_by_join(self) -> Reals:
         """Color of each robot by its join index, shape (N, 3)."""
         return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)
 
-    def robots(self, pose: Array, color: Array, look: Look) -> Robots:
-        """Place the docks of the robots whose pose is known, and leave out the others.
+    def robots(self, pose: Reals, color: Reals, look: Look) -> Robots:
+        """Place the docks of the robots whose pose (N, 7) is known, and leave out the others.
 
-        Args:
-            pose: Center [R] and quaternion wxyz, shape (N, 7).
-            color: Red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
-            look: Radii of the robots' parts.
+        `color` is red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
         """
         known = np.flatnonzero(np.isfinite(pose).all(axis=1))
         center = pose[known, :3]
@@ -154,14 +138,16 @@ def read_case_view(case: Case) -> CaseView:
     Raises:
         InputError: a file of the case is missing or damaged.
     """
-    table = case.columns("robots.csv", [*POSE, *ESTIMATED_POSE, *RELATED])
+    names = [*POSE, *_ESTIMATED_POSE, "error_R", "sensed_force", "robot"]
+    pose, estimated, rest = np.split(case.columns("robots.csv", names), [7, 14], axis=1)
+    error, force, robot = rest.T
     return CaseView(
         case=case,
-        pose=table[:, :7],
-        estimated_pose=table[:, 7:14],
-        error=table[:, 14],
-        force=table[:, 15],
-        robot=table[:, 16].astype(np.int64),
+        pose=pose,
+        estimated_pose=estimated,
+        error=error,
+        force=force,
+        robot=robot.astype(np.int64),
     )
 
 
@@ -173,24 +159,20 @@ def build_pictures(case: Case) -> dict[str, Picture]:
     """
     view = read_case_view(case)
     structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
-    truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUTH_LOOK)
-    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), ESTIMATE_LOOK)
+    by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
+    truth = view.robots(view.pose, rgb(TRUE_BLUE), _TRUTH_LOOK)
+    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), _ESTIMATE_LOOK)
+    both = Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated")))
     return {
-        "structure": Picture(
-            build_scene([structure], view.ground_z),
-            Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}"),
-        ),
+        "structure": Picture(build_scene([structure], view.ground_z), by_join),
         "sensed-force": _scaled(view, view.force, FORCE_COLORS, "sensed force [dock weights]"),
-        "truth-and-estimate": Picture(
-            build_scene([truth, estimate], view.ground_z),
-            Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))),
-        ),
+        "truth-and-estimate": Picture(build_scene([truth, estimate], view.ground_z), both),
         "error": _scaled(view, view.error, ERROR_COLORS, "error [R]"),
         "contact-graph": _contact_graph(view),
     }
 
 
-def _scaled(view: CaseView, value: Array, colors: tuple[str, ...], title: str) -> Picture:
+def _scaled(view: CaseView, value: Reals, colors: tuple[str, ...], title: str) -> Picture:
     """Color the structure by a value of each robot, from zero to the greatest."""
     greatest = max(np.nanmax(value, initial=0.0), 1e-9)
     color = colors_along(np.nan_to_num(value) / greatest, colors)
@@ -205,37 +187,34 @@ def _contact_graph(view: CaseView) -> Picture:
     farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
     center = view.pose[:, :3]
-    nodes = Robots(center=center, dock=center[:, None], color=color, look=NODE)
-    ends = center[view.log.contacts[:, [0, 2]]]
-    rods = Rods(start=ends[:, 0], end=ends[:, 1], radius=EDGE_RADIUS, color=EDGE_GRAY)
-    legend = Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}")
-    return Picture(build_scene([nodes], None, rods=rods), legend)
+    nodes = Robots(center=center, dock=center[:, None], color=color, look=_NODE)
+    scene = build_scene([nodes], None, rods=center[view.log.contacts[:, [0, 2]]])
+    return Picture(scene, Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}"))
 
 
-def add_legend(picture: Image.Image, legend: Legend) -> Image.Image:
+def add_legend(picture: Image.Image, legend: Keys | Scale) -> Image.Image:
     """Add a white band with a legend above a picture."""
-    whole = Image.new("RGB", (picture.width, picture.height + LEGEND_HEIGHT), "white")
-    whole.paste(picture, (0, LEGEND_HEIGHT))
+    whole = Image.new("RGB", (picture.width, picture.height + _LEGEND_HEIGHT), "white")
+    whole.paste(picture, (0, _LEGEND_HEIGHT))
     pen = ImageDraw.Draw(whole)
-    font = ImageFont.load_default(FONT)
-    left = float(LEGEND_MARGIN)
+    font = ImageFont.load_default(_FONT)
+    left = float(_LEGEND_MARGIN)
     if isinstance(legend, Scale):
-        pen.text((left, LEGEND_MARGIN), legend.low, INK, font)
+        pen.text((left, _LEGEND_MARGIN), legend.low, _INK, font)
         left += pen.textlength(f"{legend.low} ", font)
-        bar = colors_along(np.linspace(0.0, 1.0, BAR_LENGTH), legend.colors)
+        bar = colors_along(np.linspace(0.0, 1.0, _BAR_LENGTH), legend.colors)
         for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
-            pen.line((left + x, LEGEND_MARGIN + 6, left + x, LEGEND_MARGIN + 26), tuple(color))
-        pen.text((left + BAR_LENGTH, LEGEND_MARGIN), f" {legend.high}", INK, font)
+            pen.line((left + x, _LEGEND_MARGIN + 6, left + x, _LEGEND_MARGIN + 26), tuple(color))
+        pen.text((left + _BAR_LENGTH, _LEGEND_MARGIN), f" {legend.high}", _INK, font)
         return whole
     for color, text in legend.entries:
-        pen.ellipse((left, LEGEND_MARGIN, left + 24, LEGEND_MARGIN + 24), fill=color)
-        pen.text((left + 34, LEGEND_MARGIN + 12), text, INK, font, anchor="lm")
+        pen.ellipse((left, _LEGEND_MARGIN, left + 24, _LEGEND_MARGIN + 24), fill=color)
+        pen.text((left + 34, _LEGEND_MARGIN + 12), text, _INK, font, anchor="lm")
         left += 70 + pen.textlength(text, font)
     return whole
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rendered:
+class Rendered(NamedTuple):
     """A picture file."""
 
     path: Path

@@ -13,36 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Ints
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.scene import (
-    Array,
-    Array32,
-    Scene,
-    color_of_capsules,
-    color_of_ground,
-)
+from tiswarm.report.render.scene import Array32, Scene, color_of_capsules, color_of_ground
 
 Picture = NDArray[np.uint8]
 Trace = Callable[[Array32, Array32], tuple[Array32, Ints]]
 """From pixels (column, row), shape (n, 2), and the directions of their rays, shape (n, 3), to the
 depth of the first capsule, infinite if there is none, and its index or -1, each of shape (n,)."""
 
-SUBPIXELS = np.array(
-    [[x + 0.5, (5 * x + 2) % 8 + 0.5] for x in range(8)], dtype=np.float32
-) / 8.0  # fmt: skip
+_SUBPIXELS = np.array([[x + 0.5, (5 * x + 2) % 8 + 0.5] for x in range(8)], np.float32) / 8.0
 """Eight places in an edge pixel, no two of them in one row or column."""
 
-MANY_EDGES = 0.3
-"""Share of edge pixels above which four rays are cast in each instead of eight."""
-
-GROUND, NOTHING = -1, -2
-CHUNK = 400_000
-"""Rays cast at a time, to bound memory."""
-
-TILE = 12
-"""Edge of a tile in which the `taichi` renderer sorts capsules [pixels]."""
+_MANY_EDGES = 0.3  # share of edge pixels above which four rays are cast in each instead of eight
+_GROUND, _NOTHING = -1, -2
+_CHUNK = 400_000  # rays cast at a time, to bound memory
+_TILE = 12  # edge of a tile in which the `taichi` renderer sorts capsules [pixels]
 
 
 def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[Picture], str, str]:
@@ -67,33 +54,32 @@ def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[
     reason = ""
     for name in TRACERS if renderer is None else (renderer,):
         try:
-            pictures = [draw(scene, TRACERS[name](scene)) for scene in scenes]
+            pictures = [_draw(scene, TRACERS[name](scene)) for scene in scenes]
         except (ImportError, OSError, RuntimeError) as error:
             reason = f"{name}: {error}; `tiswarm doctor` names what to install"
         else:
             return pictures, name, reason
-    problem = f"cannot draw with {reason}"
-    raise EnvironmentTroubleError(problem)
+    raise EnvironmentTroubleError(f"cannot draw with {reason}")
 
 
-def draw(scene: Scene, trace: Trace) -> Picture:
+def _draw(scene: Scene, trace: Trace) -> Picture:
     """Draw a scene, shape (height, width, 3)."""
     width, height = scene.camera.width, scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
     color, seen = _cast(scene, trace, corner + np.float32(0.5))
     edge = np.flatnonzero(_edges(seen.reshape(height, width)))
-    places = SUBPIXELS if len(edge) < MANY_EDGES * len(seen) else SUBPIXELS[::2]
+    places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
     finer = [_cast(scene, trace, corner[edge] + place)[0] for place in places]
     color[edge] = np.mean(finer, axis=0)
     return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
 
 
 def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, Ints]:
-    """Find color and object (a capsule, GROUND or NOTHING) at pixels."""
+    """Find color and object (a capsule, _GROUND or _NOTHING) at pixels."""
     parts = [
-        _cast_chunk(scene, trace, pixels[first : first + CHUNK])
-        for first in range(0, max(len(pixels), 1), CHUNK)
+        _cast_chunk(scene, trace, pixels[first : first + _CHUNK])
+        for first in range(0, max(len(pixels), 1), _CHUNK)
     ]
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
@@ -103,14 +89,14 @@ def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, I
     direction = scene.camera.directions(pixels)
     depth, capsule = trace(pixels, direction)
     color = np.ones((len(pixels), 3), np.float32)
-    seen = np.where(capsule >= 0, capsule, NOTHING)
+    seen = np.where(capsule >= 0, capsule, _NOTHING)
     if scene.ground is not None:  # a backdrop: it never hides a robot
         low = np.flatnonzero((capsule < 0) & (direction[:, 2] < 0.0))
         fall = (np.float32(scene.ground.corner[2]) - eye[2]) / direction[low, 2]
         gray, there = color_of_ground(scene.ground, eye + fall[:, None] * direction[low])
         there &= fall > 0.0
         color[low[there]] = gray[there]
-        seen[low[there]] = GROUND
+        seen[low[there]] = _GROUND
     hit = np.flatnonzero(seen >= 0)
     points = eye + depth[hit, None] * direction[hit]
     color[hit] = color_of_capsules(scene, seen[hit], points)
@@ -136,14 +122,13 @@ def open3d_tracer(scene: Scene) -> Trace:
     o3d = import_open3d()
     mesh = mesh_capsules(scene)
     caster = o3d.t.geometry.RaycastingScene()
-    caster.add_triangles(
-        o3d.core.Tensor(mesh.point), o3d.core.Tensor(mesh.triangle.astype(np.uint32))
-    )
+    tensor = o3d.core.Tensor
+    caster.add_triangles(tensor(mesh.point), tensor(mesh.triangle.astype(np.uint32)))
     eye = scene.camera.eye.astype(np.float32)
 
     def trace(_pixels: Array32, direction: Array32) -> tuple[Array32, Ints]:
         rays = np.column_stack([np.broadcast_to(eye, direction.shape), direction])
-        answer = caster.cast_rays(o3d.core.Tensor(rays))
+        answer = caster.cast_rays(tensor(rays))
         triangle = answer["primitive_ids"].numpy().astype(np.int64)
         missed = triangle == o3d.t.geometry.RaycastingScene.INVALID_ID
         triangle[missed] = 0
@@ -175,15 +160,11 @@ def taichi_tracer(scene: Scene) -> Trace:
     camera = scene.camera
     start = camera.project(scene.start.astype(np.float64))
     end = camera.project(scene.end.astype(np.float64))
-    nearest: Array = np.minimum(start[:, 2], end[:, 2]) - scene.radius
+    nearest: Reals = np.minimum(start[:, 2], end[:, 2]) - scene.radius
     tile_start, tile_item = _sort_into_tiles(scene, start, end, nearest)
-    lens = np.array(
-        [
-            [camera.pixels_per_slope, camera.width / 2.0, camera.height / 2.0],
-            [TILE, -(-camera.width // TILE), 0.0],
-        ],
-        dtype=np.float32,
-    )
+    middle = (camera.width / 2.0, camera.height / 2.0)
+    tiles = (_TILE, -(-camera.width // _TILE), 0.0)
+    lens = np.array([[camera.pixels_per_slope, *middle], tiles], np.float32)
     capsules = [part.astype(np.float32) for part in (start, end, scene.radius, nearest)]
 
     def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
@@ -197,15 +178,11 @@ def taichi_tracer(scene: Scene) -> Trace:
 
 
 def _sort_into_tiles(
-    scene: Scene, start: Array, end: Array, nearest: Array
+    scene: Scene, start: Reals, end: Reals, nearest: Reals
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """List, for each tile, the capsules whose outline may reach it, nearest first.
-
-    Returns:
-        First item of each tile, shape (tiles + 1,), and the capsules, shape (items,).
-    """
+    """List the first item of each tile, and the capsules that may reach it, nearest first."""
     camera = scene.camera
-    columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
+    columns, rows = -(-camera.width // _TILE), -(-camera.height // _TILE)
     order = np.argsort(nearest, kind="stable")
     reach = scene.radius[:, None].astype(np.float64)
     slopes = [
@@ -215,11 +192,10 @@ def _sort_into_tiles(
         for away in (-1.0, 1.0)
     ]
     middle = np.array([camera.width, camera.height]) / 2.0
-    flip = np.array([1.0, -1.0])
-    places = [middle + flip * camera.pixels_per_slope * slope for slope in slopes]
-    limit = np.array([columns - 1, rows - 1])
-    first = np.clip(np.min(places, axis=0) // TILE, 0, limit).astype(np.int64)[order]
-    last = np.clip(np.max(places, axis=0) // TILE, 0, limit).astype(np.int64)[order]
+    down = np.array([1.0, -1.0]) * camera.pixels_per_slope
+    places = np.array([middle + down * slope for slope in slopes])[:, order]
+    corners = np.array([places.min(axis=0), places.max(axis=0)]) // _TILE
+    first, last = np.clip(corners, 0, [columns - 1, rows - 1]).astype(np.int64)
     wide, tall = (last - first + 1).T
     count = wide * tall
     item = np.repeat(np.arange(len(order)), count)

@@ -6,7 +6,7 @@ and one set of formulas turns it into color, so that all renderers draw the same
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,61 +14,40 @@ from scipy.spatial import cKDTree
 
 from tiswarm.aliases import Bools, Ints, Reals
 
-Array = Reals
 Array32 = NDArray[np.float32]
+
+_ROD_RADIUS = 0.16  # [R]
+_ROD_GRAY = (0.45, 0.45, 0.47)
 
 # --- camera ---
 
-ELEVATION = math.radians(14.0)
-"""Angle of the view above the horizontal [rad]."""
-
-OBLIQUE = math.radians(20.0)
-"""Angle between the view and the normal of the long side [rad]."""
-
-LENS = math.tan(math.radians(12.0))
-"""Half of the longer side of the picture at distance 1."""
-
-ASPECTS = (0.45, 2.4)
-"""Least and greatest width over height."""
-
-MARGIN = 1.06
-"""Size of the picture over the size of what it shows."""
-
-PIXELS = 1_100_000
-"""Pixels of a picture, approximately."""
+_ELEVATION = math.radians(14.0)  # angle of the view above the horizontal
+_OBLIQUE = math.radians(20.0)  # angle between the view and the normal of the long side
+_LENS = math.tan(math.radians(12.0))  # half of the longer side of the picture at distance 1
+_ASPECTS = (0.45, 2.4)  # least and greatest width over height
+_MARGIN = 1.06  # size of the picture over the size of what it shows
+_PIXELS = 1_100_000  # pixels of a picture, approximately
 
 # --- light ---
 
-BLOCKER_RADIUS = 1.45
-"""Radius of the sphere that blocks as much light as a robot [dock radii]."""
-
-SHADE_RANGE = 8.0
-"""Distance beyond which robots cast no shade [R]; half of it in a crowd, to save time."""
-
-CROWD = 2_000
-"""Robots of a crowd."""
-
-SAME_PLACE = 1e-6
-"""Distance from a robot's center within which the robot casts no shade: its own hub [R]."""
-
-STANDING = 0.1
-"""Gap between a dock and the ground below which the dock stands on it [R]."""
-
-GROUND_CELLS = 160
-GROUND_FADE = (2.0, 9.0)
-"""Distances from the nearest standing dock where the ground starts and ends to fade [R]."""
-
-GROUND_GRAY = 0.92
+_BLOCKER_RADIUS = 1.45  # sphere that blocks as much light as a robot [dock radii]
+_SHADE_RANGE = 8.0  # beyond it robots cast no shade [R]; half of it in a crowd, to save time
+_CROWD = 2_000  # robots of a crowd
+_SAME_PLACE = 1e-6  # distance from its center within which a robot casts no shade: its hub [R]
+_STANDING = 0.1  # gap to the ground below which a dock stands on it [R]
+_GROUND_CELLS = 160
+_GROUND_FADE = (2.0, 9.0)  # distances from the nearest standing dock where the ground fades [R]
+_GROUND_GRAY = 0.92
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
     """A pinhole camera."""
 
-    eye: Array
+    eye: Reals
     """Position of the eye [R], shape (3,)."""
 
-    axes: Array
+    axes: Reals
     """Right, up and forward, unit vectors in rows, shape (3, 3)."""
 
     half_height: float
@@ -97,7 +76,7 @@ class Camera:
         rays: Array32 = slope[:, :1] * right + slope[:, 1:] * up + forward
         return rays
 
-    def project(self, points: Array) -> Array:
+    def project(self, points: Reals) -> Reals:
         """Split the way from the eye to points into right, up and forward parts, shape (n, 3)."""
         return (points - self.eye) @ self.axes.T
 
@@ -106,7 +85,7 @@ class Camera:
 class Ground:
     """A square patch of flat ground, cut into cells."""
 
-    corner: Array
+    corner: Reals
     """Center of the cell with the least x and y [R], shape (3,)."""
 
     cell: float
@@ -141,6 +120,11 @@ class Scene:
     camera: Camera
     ground: Ground | None
 
+    def shrunk(self, times: int) -> "Scene":
+        """Return the same scene before a camera with so many times fewer pixels a side."""
+        width, height = self.camera.width // times, self.camera.height // times
+        return replace(self, camera=replace(self.camera, width=width, height=height))
+
 
 @dataclass(frozen=True)
 class Look:
@@ -155,56 +139,41 @@ class Look:
 class Robots:
     """N robots to draw."""
 
-    center: Array
+    center: Reals
     """Centers [R], shape (N, 3)."""
 
-    dock: Array
+    dock: Reals
     """Dock centers [R], shape (N, docks, 3)."""
 
-    color: Array
+    color: Reals
     """Red, green, blue of each robot, 0 to 1, shape (N, 3)."""
 
     look: Look
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rods:
-    """Straight rods of one thickness and color."""
-
-    start: Array
-    """One end of each rod [R], shape (n, 3)."""
-
-    end: Array
-    """Other end of each rod [R], shape (n, 3)."""
-
-    radius: float
-    color: tuple[float, float, float]
 
 
 def build_scene(
     groups: list[Robots],
     ground_z: float | None,
     *,
-    rods: Rods | None = None,
-    around: Array | None = None,
+    rods: Reals | None = None,
+    around: Reals | None = None,
 ) -> Scene:
     """Turn robots into lit capsules in front of a camera.
 
     Args:
         groups: Robots to draw.
         ground_z: Height of the ground [R]; None for no ground.
-        rods: Rods to draw besides; they cast no shade.
+        rods: Both ends of gray rods that cast no shade [R], shape (n, 2, 3).
         around: Docks that fit into the picture and onto the ground [R], shape (n, 3); those of the
             groups if None.
     """
     parts = [part for robots in groups for part in _capsules(robots)]
     if rods is not None:
-        count = len(rods.start)
-        look = (np.full(count, rods.radius), np.tile(rods.color, (count, 1)))
-        parts.append((rods.start, rods.end, *look))
+        look = (np.full(len(rods), _ROD_RADIUS), np.tile(_ROD_GRAY, (len(rods), 1)))
+        parts.append((rods[:, 0], rods[:, 1], *look))
     start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
     center = np.concatenate([robots.center for robots in groups])
-    reach = np.concatenate([np.full(len(r.center), BLOCKER_RADIUS * r.look.dock) for r in groups])
+    reach = np.concatenate([np.full(len(r.center), _BLOCKER_RADIUS * r.look.dock) for r in groups])
     blockers = np.column_stack([center, reach])
     if around is None:
         around = np.concatenate([robots.dock.reshape(-1, 3) for robots in groups])
@@ -219,7 +188,7 @@ def build_scene(
     )
 
 
-def _capsules(robots: Robots) -> list[tuple[Array, ...]]:
+def _capsules(robots: Robots) -> list[tuple[Reals, ...]]:
     """Make start, end, radius and color of hubs, arms and docks."""
     docks, look = robots.dock.shape[1], robots.look
     hub, dock = robots.center, robots.dock.reshape(-1, 3)
@@ -231,7 +200,7 @@ def _capsules(robots: Robots) -> list[tuple[Array, ...]]:
     ]
 
 
-def _shade(points: Array, blockers: Array) -> Array32:
+def _shade(points: Reals, blockers: Reals) -> Array32:
     """Sum the light that robots block from points, in terms that are linear in the normal.
 
     A sphere of radius r at distance d in direction u blocks (r/d)^2 max(0, n.u) of the light
@@ -242,44 +211,40 @@ def _shade(points: Array, blockers: Array) -> Array32:
         blockers: Center and radius of the spheres [R], shape (N, 4).
     """
     center = blockers[:, :3]
-    reach = SHADE_RANGE if len(center) <= CROWD else SHADE_RANGE / 2.0
+    reach = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
     pairs = cKDTree(points).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
     i, j = pairs["i"], pairs["j"]
     away = center[j] - points[i]
     distance = np.maximum(pairs["v"], 1e-9)
     blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / reach)
-    blocked *= SHADE_RANGE / reach  # makes up for the shorter range in a crowd
-    blocked[pairs["v"] < SAME_PLACE] = 0.0
+    blocked *= _SHADE_RANGE / reach  # makes up for the shorter range in a crowd
+    blocked[pairs["v"] < _SAME_PLACE] = 0.0
     terms = np.column_stack([blocked / 4.0, away * (blocked / distance / 2.0)[:, None]])
     sums = [np.bincount(i, weights=term, minlength=len(points)) for term in terms.T]
     return np.column_stack(sums).astype(np.float32)
 
 
-def _ground(dock: Array, blockers: Array, height: float) -> Ground | None:
+def _ground(dock: Reals, blockers: Reals, height: float) -> Ground | None:
     """Lay ground around the docks that stand on it, darker beneath robots."""
-    standing = dock[np.abs(dock[:, 2] - 1.0 - height) < STANDING, :2]
+    standing = dock[np.abs(dock[:, 2] - 1.0 - height) < _STANDING, :2]
     if not len(standing):
         return None
-    low = standing.min(axis=0) - GROUND_FADE[1]
-    side = float(np.max(standing.max(axis=0) + GROUND_FADE[1] - low))
-    cell = side / (GROUND_CELLS - 1)
-    x, y = np.meshgrid(*(low[:, None] + cell * np.arange(GROUND_CELLS)), indexing="xy")
+    low = standing.min(axis=0) - _GROUND_FADE[1]
+    side = float(np.max(standing.max(axis=0) + _GROUND_FADE[1] - low))
+    cell = side / (_GROUND_CELLS - 1)
+    x, y = np.meshgrid(*(low[:, None] + cell * np.arange(_GROUND_CELLS)), indexing="xy")
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
     distance, _ = cKDTree(standing).query(points[:, :2])
-    near, far = GROUND_FADE
+    near, far = _GROUND_FADE
     fade = np.clip((far - distance) / (far - near), 0.0, 1.0)
+    opacity = fade * fade * (3.0 - 2.0 * fade)
     shade = _shade(points, blockers)
-    gray = GROUND_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
-    shape = (GROUND_CELLS, GROUND_CELLS)
-    return Ground(
-        corner=np.array([*low, height]),
-        cell=cell,
-        gray=gray.reshape(shape).astype(np.float32),
-        opacity=(fade * fade * (3.0 - 2.0 * fade)).reshape(shape).astype(np.float32),
-    )
+    gray = _GROUND_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
+    gray, opacity = (part.reshape(x.shape).astype(np.float32) for part in (gray, opacity))
+    return Ground(corner=np.array([*low, height]), cell=cell, gray=gray, opacity=opacity)
 
 
-def fit_camera(points: Array, radius: float) -> Camera:
+def fit_camera(points: Reals, radius: float) -> Camera:
     """Place a camera so that balls of one radius around all points fill the picture.
 
     Args:
@@ -292,36 +257,33 @@ def fit_camera(points: Array, radius: float) -> Camera:
     axes = np.array([right, np.cross(back, right), -back])
     seen = points @ axes.T
     wide, tall, _ = np.ptp(seen, axis=0) + 2.0 * radius
-    aspect = float(np.clip(wide / tall, *ASPECTS))
-    height = round(math.sqrt(PIXELS / aspect) / 2.0) * 2
+    aspect = float(np.clip(wide / tall, *_ASPECTS))
+    height = round(math.sqrt(_PIXELS / aspect) / 2.0) * 2
     width = round(aspect * height / 2.0) * 2
-    half_height = LENS / max(aspect, 1.0)
+    half_height = _LENS / max(aspect, 1.0)
     right_at, right_distance = _stand_back(seen[:, 0], seen[:, 2], radius, aspect * half_height)
     up_at, up_distance = _stand_back(seen[:, 1], seen[:, 2], radius, half_height)
     place = np.array([right_at, up_at, -max(right_distance, up_distance)])
     return Camera(eye=place @ axes, axes=axes, half_height=half_height, width=width, height=height)
 
 
-def _view_direction(points: Array) -> Array:
+def _view_direction(points: Reals) -> Reals:
     """Point from the structure to the eye: from the -y side, a little above, onto the long side."""
     flat = points[:, :2] - points[:, :2].mean(axis=0)
     variance, direction = np.linalg.eigh(flat.T @ flat)
     along = direction[:, 1] if variance[1] > 2.0 * variance[0] else np.array([1.0, 0.0])
-    facing = math.atan2(-abs(along[0]), along[1] * np.sign(along[0] or 1.0))
-    azimuth = facing + OBLIQUE
-    flat_part = math.cos(ELEVATION)
-    return np.array(
-        [flat_part * math.cos(azimuth), flat_part * math.sin(azimuth), math.sin(ELEVATION)]
-    )
+    azimuth = math.atan2(-abs(along[0]), along[1] * np.sign(along[0] or 1.0)) + _OBLIQUE
+    level, up = math.cos(_ELEVATION), math.sin(_ELEVATION)
+    return np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
 
 
-def _stand_back(across: Array, depth: Array, radius: float, slope: float) -> tuple[float, float]:
+def _stand_back(across: Reals, depth: Reals, radius: float, slope: float) -> tuple[float, float]:
     """Find where the eye sees every ball between two planes through it.
 
     Returns:
         Place of the eye across the view, and its distance in front of depth 0.
     """
-    slope /= MARGIN
+    slope /= _MARGIN
     reach = radius * math.hypot(1.0, slope)
     above = float(np.max(across - slope * depth)) + reach
     below = float(np.max(-across - slope * depth)) + reach
@@ -329,13 +291,7 @@ def _stand_back(across: Array, depth: Array, radius: float, slope: float) -> tup
 
 
 def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
-    """Color points on the surface of capsules, shape (n, 3).
-
-    Args:
-        scene: The scene.
-        which: Capsule of each point, shape (n,).
-        points: Points on the surface [R], shape (n, 3).
-    """
+    """Color points on the surfaces [R] of given capsules, shape (n, 3)."""
     start, span = scene.start[which], scene.end[which] - scene.start[which]
     length = np.maximum(_dot(span, span), np.float32(1e-12))
     along = np.clip(_dot(points - start, span) / length, 0.0, 1.0)
@@ -357,11 +313,7 @@ def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
 
 
 def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, Bools]:
-    """Color points of the ground's plane.
-
-    Returns:
-        Red, green, blue over white, shape (n, 3), and whether there is ground at all, (n,).
-    """
+    """Color points of the ground's plane over white, and mark those where there is ground."""
     cells = len(ground.gray)
     place = (points[:, :2] - ground.corner[:2]) / ground.cell
     inside = ((place >= 0.0) & (place < cells - 1)).all(axis=1)
