@@ -90,8 +90,8 @@ DeviceArray = Any
 GRAIN = 512
 """Iterations of a parallel loop that one thread takes at a time, even if fewer are requested.
 
-A loop over few, long pieces of work runs on one thread unless each piece stands at the start
-of that many iterations, the others idle: `for i in range(pieces * GRAIN): if i % GRAIN == 0:`.
+A loop over few, long pieces of work runs on one thread unless each piece stands at the start of
+that many iterations: `for piece, idle in ti.ndrange(pieces, GRAIN): if idle == 0:`.
 """
 
 __all__ = [

@@ -11,20 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Ints, Reals
+from tiswarm.compute import neighbor_kernels as kernels
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.neighbor_kernels import (
-    BLOCK,
-    CELL_LENGTH,
-    CELL_WIDTH,
-    LONGEST_RUN,
-    SCAN_BLOCK,
-    Cells,
-    Connections,
-    Rows,
-    fill_rows,
-    sort_docks,
-)
+from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows
 from tiswarm.errors import InputError
 
 MOST_ITEMS = 2**31 - 1
@@ -89,9 +79,9 @@ def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
     Returns:
         Buckets from one cell to the next along y, and along z.
     """
-    edge = cutoff * np.array([CELL_LENGTH, CELL_WIDTH, CELL_WIDTH])
+    edge = cutoff * np.array([kernels.CELL_LENGTH, kernels.CELL_WIDTH, kernels.CELL_WIDTH])
     # A run, or a neighbor on either side, extends beyond the box.
-    padding = np.array([LONGEST_RUN + 1, 3, 3])
+    padding = np.array([kernels.LONGEST_RUN + 1, 3, 3])
     cells = np.ceil(extent / edge) + padding
     while (excess := cells.prod() / buckets) > 1.0 and (cells > padding).any():
         widest = np.argmax(np.where(cells > padding, cells * edge, 0.0))
@@ -167,9 +157,9 @@ class NeighborList:
         self.cells = Cells(
             begin=seldom.ints(self.table_size),
             dock=seldom.ints(robots * docks),
-            place=seldom.reals(4 * (robots * docks + BLOCK)),
+            place=seldom.reals(4 * (robots * docks + kernels.BLOCK)),
         )
-        self.block_total = seldom.ints(-(-self.table_size // SCAN_BLOCK))
+        self.block_total = seldom.ints(-(-self.table_size // kernels.SCAN_BLOCK))
         self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
         entries, first, count = (memory.ints(n) for n in (self._row_size(), robots, robots))
         self.rows = Rows(entries, first, count)
@@ -195,14 +185,14 @@ class NeighborList:
             dock: Places of docks and, last, their structure: rows of four.
             base: Where in `dock` the current ones start.
         """
-        sort_docks(
+        kernels.sort_docks(
             self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, self.block_total,
             *self.cells,
         )  # fmt: skip
         while True:
             room = self.run * self.capacity
             run_stride = room + 1 if self.run > 1 else 1
-            fill_rows(
+            kernels.fill_rows(
                 self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
                 self.entry_stride, self.run, run_stride, room, base, dock, self.longest,
                 *self.cells, *self.connections, *self.rows,

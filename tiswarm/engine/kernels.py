@@ -3,7 +3,7 @@
 A force is the step of a robot's center in one iteration [R]. Offsets point from the robot's own
 dock to the other one: a positive magnitude pulls toward it. Forces are gathered from a robot's row,
 never scattered, so runs repeat bit for bit. `grid` is the struct of
-`tiswarm.compute.neighbor_kernels`, `gains` one with the fields of `Gains`.
+`tiswarm.compute.neighbor_kernels`.
 """
 
 from typing import NamedTuple
@@ -18,8 +18,7 @@ STEPS_A_LAUNCH = 4
 UNKNOWN = -1e30
 """Height of robots that no height pulls."""
 
-TAKEN = 0
-STALE = 1
+TAKEN, STALE = 0, 1
 """Columns of `control`: steps taken, and whether rows are stale or no step is left."""
 
 
@@ -99,8 +98,7 @@ def parting(offset, stiffness, spacing):
 def capped(step, max_step):
     """Shorten a step to the length `max_step` where it is longer."""
     length = step.norm()
-    scale = ti.select(length > max_step, max_step / length, 1.0)
-    return step * scale
+    return step * ti.select(length > max_step, max_step / length, 1.0)
 
 
 @ti.func
@@ -115,13 +113,7 @@ def force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Re
         entry = rows.entry[first + e * grid.entry_stride]
         own = base + 4 * (robot * grid.docks + (entry & (flag - 1)))
         other = base + 4 * (entry >> (grid.own_bits + 1))
-        offset = ti.Vector(
-            [
-                robots.dock[other] - robots.dock[own],
-                robots.dock[other + 1] - robots.dock[own + 1],
-                robots.dock[other + 2] - robots.dock[own + 2],
-            ]
-        )
+        offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         distance = offset.norm()
         pull = pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
         force += pull / ti.max(distance, TINY) * offset
@@ -172,11 +164,8 @@ def step_robots(
     """
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(Robots(position, reference, height, arm, dock))
+    gains = ti.static(Gains(attraction_gain, repulsion_gain, height_gain, spacing, max_step))
     grid = ti.Struct(docks=docks, own_bits=own_bits, entry_stride=entry_stride)
-    gains = ti.Struct(
-        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
-        spacing=spacing, max_step=max_step,
-    )  # fmt: skip
     half = dock.shape[0] // 2
     for k in ti.static(range(STEPS_A_LAUNCH)):
         t = first_t + k
@@ -271,15 +260,11 @@ def relax_structures(
     connections = ti.static(Connections(connection_start, connection))
     rows = ti.static(Rows(entry, row_first, row_count))
     robots = ti.static(Robots(position, reference, height, arm, dock))
-    gains = ti.Struct(
-        attraction_gain=attraction_gain, repulsion_gain=repulsion_gain, height_gain=height_gain,
-        spacing=spacing, max_step=max_step,
-    )  # fmt: skip
+    gains = ti.static(Gains(attraction_gain, repulsion_gain, height_gain, spacing, max_step))
     stray_limit = 0.5 * (cutoff - spacing)
     half = dock.shape[0] // 2
-    for i in range((start.shape[0] - 1) * GRAIN):
-        if i % GRAIN == 0:
-            s = i // GRAIN
+    for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
+        if idle == 0:
             grid = ti.Struct(
                 docks=docks, own_bits=own_bits, cutoff=cutoff, table=table[s, 0],
                 buckets=table[s, 1], stride_y=table[s, 2], stride_z=table[s, 3],

@@ -19,19 +19,8 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
-from tiswarm.engine.kernels import (
-    STALE,
-    STEPS_A_LAUNCH,
-    TAKEN,
-    UNKNOWN,
-    Gains,
-    Robots,
-    place_docks,
-    relax_structures,
-    start_interval,
-    step_robots,
-    turn_docks,
-)
+from tiswarm.engine import kernels
+from tiswarm.engine.kernels import Gains, Robots
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.params import Arch, Precision
 from tiswarm.robot import Robot
@@ -166,14 +155,14 @@ class PreparedSwarm:
             ids = np.unique(named, return_inverse=True)[1].astype(np.int64)
         body, self.spacing = robot.dock_offset_body, robot.spacing
         connected = _checked_contacts(contacts, len(body), ids)
-        target = np.zeros(1) if height is None else _shaped("height", height, (robots,))
+        target = None if height is None else _shaped("height", height, (robots,))
         self.running = running = backend.start(arch, threads=threads, precision=precision)
         if not self._is_resolved(center):
-            msg = (
-                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
-                f"{running.precision} resolves; move the swarm to the origin"
+            way_out = " or use precision f64" if precision == "f32" else ""
+            raise InputError(
+                f"a robot {np.abs(center).max():.3g} from the origin is beyond what {precision} "
+                f"resolves; move the swarm to the origin{way_out}"
             )
-            raise InputError(msg + (" or use precision f64" if running.precision == "f32" else ""))
         if robots == 0:
             return
         size = np.bincount(ids)
@@ -184,29 +173,25 @@ class PreparedSwarm:
         new = np.argsort(order)
         connected[:, [0, 2]] = new[connected[:, [0, 2]]]
         self.memory = memory = Allocator(running, on_host=self.by_structure)
+        reach, start = np.linalg.norm(body, axis=1).max(), self.start if self.by_structure else None
         self.neighbors = NeighborList(
-            memory,
-            center[order],
-            connected,
-            docks=len(body),
-            reach=float(np.linalg.norm(body, axis=1).max()),
-            cutoff=(1.0 + SKIN) * self.spacing,
-            start=self.start if self.by_structure else None,
+            memory, center[order], connected,
+            docks=len(body), reach=reach, cutoff=(1.0 + SKIN) * self.spacing, start=start,
+        )  # fmt: skip
+        heights = (
+            np.zeros(1) if target is None else np.nan_to_num(target[order], nan=kernels.UNKNOWN)
         )
         self.robots = Robots(
-            arm=memory.reals(robots * len(body), 3),
-            dock=memory.reals(2 * robots * len(body) * 4),
             position=memory.reals(robots, 3),
             reference=memory.reals(robots, 3),
-            height=memory.upload(
-                np.nan_to_num(target if height is None else target[order], nan=UNKNOWN)
-            ),
+            height=memory.upload(heights),
+            arm=memory.reals(robots * len(body), 3),
+            dock=memory.reals(2 * robots * len(body) * 4),
         )
-        self.control, self.moves = memory.ints(2), memory.reals(1)
-        self.ramp = memory.reals(1)
+        self.control, self.moves, self.ramp = memory.ints(2), memory.reals(1), memory.reals(1)
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(ids[order])
-        turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
+        kernels.turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
 
     def relax(
         self,
@@ -231,13 +216,12 @@ class PreparedSwarm:
                 f"gains must be 0 to {LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {tuple(gains)}"
             )
-        if steps == 0 or len(self.start_position) == 0:
-            still = self.start_position.copy()
-            return RelaxResult(position=still, largest_move=np.zeros(steps), list_builds=0)
+        position = self.start_position.copy()
+        if steps == 0 or len(position) == 0:
+            return RelaxResult(position=position, largest_move=np.zeros(steps), list_builds=0)
         relax = self._by_structure if self.by_structure else self._all_at_once
         self._go_to_start()
         moves, builds = relax(gains, np.broadcast_to(ramps, steps))
-        position = np.empty_like(self.start_position)
         position[self.order] = self.memory.download(self.robots.position)
         if not self._is_resolved(position):
             raise InputError("the forces diverged; lower the gains or give max_step")
@@ -251,7 +235,7 @@ class PreparedSwarm:
     def _go_to_start(self) -> None:
         robots = self.robots
         self.memory.refill(robots.position, self.start_position[self.order])
-        place_docks(self.structure, robots.position, robots.arm, robots.dock)
+        kernels.place_docks(self.structure, robots.position, robots.arm, robots.dock)
 
     def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
@@ -260,20 +244,22 @@ class PreparedSwarm:
             self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
         self.memory.refill(self.ramp, ramp)
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
-        control[TAKEN] = 0
+        control[kernels.TAKEN] = 0
         while taken < steps:
             neighbors.build(robots.dock, taken % 2 * half)
-            start_interval(robots.position, robots.reference, control)
-            while not control[STALE]:
-                taken = int(control[TAKEN])
+            kernels.start_interval(robots.position, robots.reference, control)
+            while not control[kernels.STALE]:
+                taken = int(control[kernels.TAKEN])
                 with backend.fast_arithmetic():
-                    for t in range(taken, taken + LAUNCHES * STEPS_A_LAUNCH, STEPS_A_LAUNCH):
-                        step_robots(
+                    for t in range(
+                        taken, taken + LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
+                    ):
+                        kernels.step_robots(
                             neighbors.docks, neighbors.own_bits, neighbors.entry_stride, *gains,
                             0.5 * SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
                             control, self.moves,
                         )  # fmt: skip
-            taken = int(control[TAKEN])
+            taken = int(control[kernels.TAKEN])
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
@@ -285,7 +271,7 @@ class PreparedSwarm:
         builds = self.memory.ints(structures)
         while True:
             with backend.fast_arithmetic():
-                relax_structures(
+                kernels.relax_structures(
                     neighbors.docks, neighbors.own_bits, neighbors.cutoff, neighbors.capacity,
                     *gains, start, ramps, neighbors.table, *neighbors.cells,
                     *neighbors.connections, *neighbors.rows, *self.robots, builds,
@@ -300,7 +286,7 @@ class PreparedSwarm:
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals:
     """Copy an array of this shape; a length that is a letter may be any."""
-    expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+    expected = str(shape).replace("'", "")
     try:
         array = np.array(values, np.float64)
     except (TypeError, ValueError) as error:
@@ -309,11 +295,8 @@ def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals
         ) from error
     if array.size == 0:
         array = array.reshape(0, *(int(length) for length in shape[1:]))
-    fits = array.ndim == len(shape) and all(
-        isinstance(wanted, str) or length == wanted
-        for length, wanted in zip(array.shape, shape, strict=True)
-    )
-    if not fits:
+    wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else ()
+    if array.shape != wanted:
         raise InputError(f"{name} has shape {array.shape}; expected {expected}")
     return array
 
@@ -345,8 +328,7 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
 
 def _check_memory(running: Backend, robots: int, docks: int) -> None:
     """Refuse a swarm that does not fit into the machine's memory, before any of it is reserved."""
-    numbers = 3 * 3 + docks * (3 + 2 * 4 + 4)
-    integers = docks * (1 + 16 + 16) + 12
+    numbers, integers = 3 * 3 + docks * (3 + 2 * 4 + 4), docks * (1 + 16 + 16) + 12
     needed = robots * (numbers * np.dtype(running.dtype).itemsize + 4 * integers)
     free = psutil.virtual_memory().available
     if running.arch == "cpu" and needed > free:
