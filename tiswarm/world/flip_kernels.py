@@ -26,12 +26,13 @@ from tiswarm.compute.lang import (  # fmt: skip
     Reals2,
     Reals3,
     Ref,
+    Static,
     Vec3,
     Vec4,
     kernel_struct,
     ti,
 )
-from tiswarm.compute.math_kernels import (
+from tiswarm.compute.math_kernels import (  # fmt: skip
     axis_rotation,
     quaternion_at,
     quaternion_product,
@@ -41,36 +42,22 @@ from tiswarm.compute.math_kernels import (
 )
 
 DOCKS = 3
-
-WALKING = 0
-ENDED = 1
-RECRUITED = 2
-OUT_OF_FLIPS = 3
-SCRATCH_FULL = 4
+WALKING, ENDED, RECRUITED, SCRATCH_FULL = range(4)
 """States of a walk."""
-
-FLAT = 1
-EDGE = 2
+FLAT, EDGE = 1, 2
 """Ground that a dock stands on; 0 for none."""
-
 SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""
-
 RESTING_ANGLE = 1e-7
 """A contact met this little before the start of a turn is the one the dock rests on [rad]."""
-
 RESTING_GAP = 1e-10
 """Squared distances to an edge this close to contact are contact [R^2]."""
-
 MET = 1e-13
 """Largest step that counts as arrival at the edge [rad]."""
-
 NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
-
 MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
-
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
 
@@ -169,9 +156,7 @@ class Flip:
 def ahead(angle, full_turn):
     """Wrap an angle to [0, a full turn); an angle just behind 0 is the contact it rests on."""
     wrapped = angle - full_turn * ti.floor(angle / full_turn)
-    if wrapped > full_turn - RESTING_ANGLE:
-        wrapped = 0.0
-    return wrapped
+    return ti.select(wrapped > full_turn - RESTING_ANGLE, 0.0, wrapped)
 
 
 @ti.func
@@ -192,15 +177,10 @@ def crossing_angles(a, b, level, full_turn):
 
 
 @ti.func
-def beyond_edge(x, edge, side):
-    """Compute how far `x` is beyond the edge of a slab that ends at `side` (1 right, -1 left)."""
-    return ti.max(side * (x - edge), 0.0)
-
-
-@ti.func
 def edge_angle(middle, across, onward, edge, side, limits):
     """Find the turn after which a dock first meets a slab with a rounded edge, or a full turn.
 
+    The slab ends at `edge`, on its right for a `side` of 1, else -1 on its left.
     The dock is at middle + across cos t + onward sin t. Its squared distance to the slab's
     spine less D^2, g(t), is smooth with |g''| <= m, so up to the root of
     g + g' h - m h^2 / 2 nothing can be met.
@@ -220,7 +200,7 @@ def edge_angle(middle, across, onward, edge, side, limits):
         steps += 1
         c = ti.cos(t)
         s = ti.sin(t)
-        out = beyond_edge(middle[0] + across[0] * c + onward[0] * s, edge, side)
+        out = ti.max(side * (middle[0] + across[0] * c + onward[0] * s - edge), 0.0)
         up = height + across[2] * c + onward[2] * s
         gap = out * out + up * up - limits.spacing * limits.spacing
         slope = 2.0 * side * out * (onward[0] * c - across[0] * s)
@@ -264,7 +244,7 @@ def ground_kind(point, limits):
     for way in ti.static(range(2)):
         side = 1.0 - 2.0 * way
         edge = limits.left_edge if way == 0 else limits.right_edge
-        out = beyond_edge(point[0], edge, side)
+        out = ti.max(side * (point[0] - edge), 0.0)
         limit = limits.spacing + limits.contact_gap
         if out * out + up * up < limit * limit:
             kind = ti.select(out == 0.0 and up > 0.0, FLAT, EDGE)
@@ -341,8 +321,9 @@ def revisits(limits: Ref, walks: Ref, mover, stance, point):
 
 
 @ti.func
-def nearest_flip(limits: Ref, structures: Ref, s, climbers: Ref, walks: Ref, mover, stance, k):
+def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover, stance, k):
     """Of all flips about dock `k`, find the one that ends nearest to the goal."""
+    s = climbers.structure[mover]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
     here = vector_in(walks.center, mover, stance)
     q = quaternion_at(walks.orientation, mover, stance)
@@ -351,10 +332,9 @@ def nearest_flip(limits: Ref, structures: Ref, s, climbers: Ref, walks: Ref, mov
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = here - to_center
-    count = gather_near(limits, structures, s, pivot, near, mover)
-    if count > near.shape[1]:
-        chosen.overflow = 1
-        count = near.shape[1]
+    found = gather_near(limits, structures, s, pivot, near, mover)
+    count = ti.min(found, near.shape[1])
+    chosen.overflow = ti.cast(found > count, ti.i32)
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
     side = normal.cross(to_center.normalized())
     for twist in range(limits.twists):
@@ -388,9 +368,55 @@ def move_to(walks: Ref, mover, stance, here, q):
         walks.orientation[mover, stance, c] = q[c]
 
 
+@ti.func
+def only_free_dock(walks: Ref, mover, stance):
+    """Find the only dock that touches nothing, or -1 where none or several do."""
+    free = -1
+    count = 0
+    for k in range(DOCKS):
+        if walks.touching[mover, stance, k, 0] < 0 and walks.on_ground[mover, stance, k] == 0:
+            free = k
+            count += 1
+    return ti.select(count == 1, free, -1)
+
+
+@ti.func
+def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
+    """Let a robot that touches with two docks turn about these until the third touches too.
+
+    It turns the way that takes the smaller angle. The stance it comes to is written behind the
+    last of the walk, with the pivot that leads to it.
+    """
+    s, best = climbers.structure[m], walks.best[m]
+    body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    free = only_free_dock(walks, m, best)
+    if free >= 0:
+        one = (free + 1) % DOCKS
+        q = quaternion_at(walks.orientation, m, best)
+        body_in = vector_at(body, one)
+        across = rotate(q, vector_at(body, (free + 2) % DOCKS) - body_in)
+        arm = rotate(q, vector_at(body, free) - body_in)
+        pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
+        axis = across.normalized()
+        count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
+        met = flip_contact(limits, arm, axis, pivot, near, m, count)
+        angle = ti.min(met[0], met[1])
+        if angle <= limits.max_flip:
+            flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
+            turned = quaternion_product(flip, q).normalized()
+            end = pivot - rotate(turned, body_in)
+            stay = walks.last[m] + 1
+            walks.stay[m] = stay
+            walks.pivot_dock[m, stay] = one
+            move_to(walks, m, stay, end, turned)
+            for k in range(DOCKS):
+                point = end + rotate(turned, vector_at(body, k))
+                sense_contacts(limits, structures, s, walks, m, stay, k, point)
+
+
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state: Ints1,
+    limits: ClimbLimits, settles: Static, movers: Ints1, state: Ints1,
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
@@ -407,6 +433,7 @@ def climb(
 
     Args:
         limits: Terrain, distances and limits.
+        settles: Whether robots that stay turn until all their docks touch.
         movers: Slots of the robots that move, shape (M,).
         state: Written: how each walk ended, shape (slots,).
     """
@@ -415,15 +442,15 @@ def climb(
     walks = ti.static(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
     )
-    for i in range(movers.shape[0] * GRAIN):
-        if i % GRAIN == 0:
-            m = movers[i // GRAIN]
+    for i, idle in ti.ndrange(movers.shape[0], GRAIN):
+        if idle == 0:
+            m = movers[i]
             s = structure[m]
             target = vector_at(goal, m)
             stance = first_stance[m]
             best_stance = 0
-            best_distance = (vector_in(center, m, 0) - target).norm()
-            for earlier in range(1, stance + 1):
+            best_distance = ti.math.inf
+            for earlier in range(stance + 1):
                 distance = (vector_in(center, m, earlier) - target).norm()
                 if distance < best_distance:
                     best_distance = distance
@@ -446,18 +473,14 @@ def climb(
                 elif stance - best_stance < limits.patience:
                     for k in range(DOCKS):
                         if attached[k] > 0:
-                            other = nearest_flip(
-                                limits, structures, s, climbers, walks, m, stance, k
-                            )
+                            other = nearest_flip(limits, structures, climbers, walks, m, stance, k)
                             if other.overflow:
                                 state[m] = SCRATCH_FULL
                             if other.distance < flip.distance:
                                 flip = other
                 if state[m] == WALKING:
-                    if flip.pivot < 0:
+                    if flip.pivot < 0 or stance + 2 >= center.shape[1]:  # one is kept for settling
                         state[m] = ENDED
-                    elif stance + 2 >= center.shape[1]:  # the last is kept for settling
-                        state[m] = OUT_OF_FLIPS
                     else:
                         pivot_dock[m, stance] = flip.pivot
                         stance += 1
@@ -468,66 +491,5 @@ def climb(
             last[m] = stance
             best[m] = best_stance
             stay[m] = best_stance
-
-
-@ti.func
-def only_free_dock(walks: Ref, mover, stance):
-    """Find the only dock that touches nothing, or -1 where none or several do."""
-    free = -1
-    count = 0
-    for k in range(DOCKS):
-        if walks.touching[mover, stance, k, 0] < 0 and walks.on_ground[mover, stance, k] == 0:
-            free = k
-            count += 1
-    return ti.select(count == 1, free, -1)
-
-
-@ti.kernel
-def settle(
-    limits: ClimbLimits, movers: Ints1,
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays
-    # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
-    # WalkArrays, of which the stance behind the last and `stay` are written
-    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
-    last: Ints1, best: Ints1, stay: Ints1,
-):  # fmt: skip
-    """Let robots that touch with two docks turn about these until the third touches too.
-
-    They turn the way that takes the smaller angle. The stance they come to is written behind
-    the last of the walk, with the pivot that leads to it. Arguments as for `climb`.
-    """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay))
-    climbers = ti.static(Climbers(structure, first_stance, goal, dock_offset_body, near))
-    walks = ti.static(
-        WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
-    )
-    for i in range(movers.shape[0] * GRAIN):
-        if i % GRAIN == 0:
-            m = movers[i // GRAIN]
-            s = climbers.structure[m]
-            body = ti.static(climbers.dock_offset_body)
-            free = only_free_dock(walks, m, best[m])
-            if free >= 0:
-                one = (free + 1) % DOCKS
-                here = vector_in(center, m, best[m])
-                q = quaternion_at(orientation, m, best[m])
-                body_in = vector_at(body, one)
-                across = rotate(q, vector_at(body, (free + 2) % DOCKS) - body_in)
-                arm = rotate(q, vector_at(body, free) - body_in)
-                pivot = here + rotate(q, body_in)
-                axis = across.normalized()
-                count = gather_near(limits, structures, s, pivot, climbers.near, m)
-                count = ti.min(count, climbers.near.shape[1])
-                met = flip_contact(limits, arm, axis, pivot, climbers.near, m, count)
-                angle = ti.min(met[0], met[1])
-                if angle <= limits.max_flip:
-                    flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
-                    turned = quaternion_product(flip, q).normalized()
-                    end = pivot - rotate(turned, body_in)
-                    stay[m] = last[m] + 1
-                    pivot_dock[m, stay[m]] = one
-                    move_to(walks, m, stay[m], end, turned)
-                    for k in range(DOCKS):
-                        point = end + rotate(turned, vector_at(body, k))
-                        sense_contacts(limits, structures, s, walks, m, stay[m], k, point)
+            if ti.static(settles):
+                settle(limits, structures, climbers, walks, m)

@@ -25,11 +25,9 @@ from tiswarm.compute import backend
 from tiswarm.compute.math import uniform
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world.history import History, LoadSummary, Walk
-from tiswarm.world.mechanics import Frame, Loads, StructureFailure
+from tiswarm.world.mechanics import Frame, StructureFailure
 from tiswarm.world.params import KINDS, RecruitParams, StructureParams
 from tiswarm.world.walks import Structures, Walks, climb_limits
-
-Array = Reals
 
 MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -59,10 +57,10 @@ def grow(
     running = backend.current()
     # A flip that stops within 1e-9 R of the true contact needs float64 on any device.
     backend.start(running.arch, threads=running.threads, precision="f64")
+    batch = GrowthBatch(params, robots, seeds, robot)
     with ThreadPoolExecutor(running.threads) as threads:
-        batch = GrowthBatch(params, robots, seeds, robot, threads)
         while batch.spawn():
-            on_progress(batch.round())
+            on_progress(batch.round(threads))
     return [structure.history() for structure in batch.structures]
 
 
@@ -70,15 +68,9 @@ class GrowthBatch:
     """Structures that grow together and the robots that climb them, `movers` slots each."""
 
     def __init__(
-        self,
-        params: StructureParams,
-        robots: int,
-        seeds: Sequence[int],
-        robot: RobotGeometry,
-        threads: ThreadPoolExecutor,
+        self, params: StructureParams, robots: int, seeds: Sequence[int], robot: RobotGeometry
     ) -> None:
         """Prepare empty ground for each seed."""
-        self.threads = threads
         self.robots = robots
         self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
         self.docks = Structures(len(seeds), robots)
@@ -89,7 +81,8 @@ class GrowthBatch:
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
-        for slot, structure in self._slots():
+        for slot in range(len(self.structure_of)):
+            structure = self._climbed_by(slot)
             climbing = int(self.moving[self.structure_of == structure.number].sum())
             is_complete = len(structure.walks) + climbing >= self.robots
             # Founders come one by one, since they found what the others climb.
@@ -101,26 +94,32 @@ class GrowthBatch:
                     self.moving[slot] = True
         return bool(self.moving.any())
 
-    def round(self) -> int:
+    def round(self, threads: ThreadPoolExecutor) -> int:
         """Let all movers climb, and those that can join; return how many did."""
-        movers = np.flatnonzero(self.moving).astype(np.int32)
-        self.walks.climb(self.docks, movers)
+        walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
+        walks.climb(self.docks, movers)
         wants = np.zeros(len(self.structure_of), np.int32)
         for slot in movers:
-            structure = self.structures[self.structure_of[slot]]
-            wants[slot] = self.walks.touches(slot) or structure.founding
-        self.walks.join(self.docks, movers, wants)
+            wants[slot] = walks.touches(slot) or self._climbed_by(slot).founding
+        walks.join(self.docks, movers, wants)
         for slot in movers:
-            self._take_outcome(slot, wants=bool(wants[slot]))
-        joined = self.walks.joined[movers] >= 0
+            structure = self._climbed_by(slot)
+            self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
+            if walks.joined[slot] >= 0:
+                structure.join(walks.walk(slot))
+            elif self.moving[slot]:
+                walks.climbers.first_stance[slot] = walks.disturbed[slot]
+            elif not wants[slot]:
+                structure.turn_away()
+        joined = walks.joined[movers] >= 0
         grown = set(self.structure_of[movers[joined]].tolist())
-        list(self.threads.map(self._recruit, sorted(grown)))
-        for slot, structure in self._slots():
-            self.moving[slot] &= not structure.ended
+        list(threads.map(self._recruit, sorted(grown)))
+        for slot in movers:
+            self.moving[slot] &= not self._climbed_by(slot).ended
         return int(joined.sum())
 
-    def _slots(self) -> list[tuple[int, "GrowingStructure"]]:
-        return [(slot, self.structures[s]) for slot, s in enumerate(self.structure_of)]
+    def _climbed_by(self, slot: int) -> "GrowingStructure":
+        return self.structures[int(self.structure_of[slot])]
 
     def _recruit(self, number: int) -> None:
         """Let the robots of a structure call; factoring its matrix frees other threads."""
@@ -128,19 +127,6 @@ class GrowthBatch:
         is_last = len(structure.walks) == self.robots or bool(structure.ended)
         relayed = structure.recruit(is_last=is_last)
         self.docks.arrays.relay[number, : len(relayed)] = relayed
-
-    def _take_outcome(self, slot: int, *, wants: bool) -> None:
-        """Update a structure whose mover joined, goes on or is gone."""
-        structure = self.structures[self.structure_of[slot]]
-        disturbed = self.walks.disturbed[slot]
-        if self.walks.joined[slot] >= 0:
-            structure.join(self.walks.walk(slot))
-        elif disturbed > 0:
-            self.walks.climbers.first_stance[slot] = disturbed
-            return
-        elif not wants:
-            structure.turn_away()
-        self.moving[slot] = False
 
 
 class GrowingStructure:
@@ -150,23 +136,20 @@ class GrowingStructure:
         self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
     ) -> None:
         """Prepare empty ground."""
-        self.number = number
-        self.seed = seed
-        self.params = params
-        self.robot = robot
+        self.number, self.seed, self.params, self.robot = number, seed, params, robot
         self.kind = KINDS[params.kind]
         self.terrain = self.kind.terrain(params)
         self.frame = Frame(params.mechanics, robot.dock_offset_body)
+        # A robot's center that is farther than this from a dock does not touch it.
+        self.clearance = robot.rho + robot.spacing
         self.rim = [0.0] * self.kind.sides
-        self.low_docks: Array = np.empty((0, 3))
+        self.low_docks: Reals = np.empty((0, 3))
         self.surveyed = 0
         self.walks: list[Walk] = []
         self.loads: list[LoadSummary] = []
         self.sides: list[int] = []
-        self.sensed: Array = np.empty(0)
-        self.unsolved = 0
-        self.spawned = 0
-        self.rejected = 0
+        self.sensed: Reals = np.empty(0)
+        self.unsolved = self.spawned = self.rejected = 0
         self.crossed = False
         self.ended = ""
 
@@ -175,7 +158,7 @@ class GrowingStructure:
         """Whether the next robot may stay without touching another."""
         return len(self.walks) < self.kind.sides
 
-    def spawn(self, docks: Array) -> tuple[Array, Array, Array] | None:
+    def spawn(self, docks: Reals) -> tuple[Reals, Reals, Reals] | None:
         """Lay the next robot flat on the ground, turned at random.
 
         Draws depend on the seed and the number of robots spawned before alone.
@@ -194,31 +177,22 @@ class GrowingStructure:
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
             center = np.array([x, y, self.terrain.ground_z + self.robot.dock_radius])
-            if self._is_free(center):
+            distance = np.linalg.norm(self.low_docks - center, axis=1)
+            if distance.min(initial=np.inf) > self.clearance:
                 half = np.pi * draw[2]
                 orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
                 return center, orientation, self.kind.goal(self.params, side)
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
 
-    def _survey(self, docks: Array) -> None:
+    def _survey(self, docks: Reals) -> None:
         """Account for the docks that joined since the last spawn in the next robots' places."""
         new = docks[self.surveyed :]
         self.surveyed = len(docks)
         for side, rim in enumerate(self.rim):
             self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
         above = new[:, 2] - (self.terrain.ground_z + self.robot.dock_radius)
-        self.low_docks = np.concatenate([self.low_docks, new[np.abs(above) <= self._clearance]])
-
-    @property
-    def _clearance(self) -> float:
-        """Distance from a robot's center beyond which it touches no dock, in any orientation."""
-        return self.robot.rho + self.robot.spacing
-
-    def _is_free(self, center: Array) -> bool:
-        """Whether a robot at `center`, on the ground, overlaps nothing in any orientation."""
-        distance = np.linalg.norm(self.low_docks - center, axis=1)
-        return bool(distance.min(initial=np.inf) > self._clearance)
+        self.low_docks = np.concatenate([self.low_docks, new[np.abs(above) <= self.clearance]])
 
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth after too many in a row."""
@@ -244,19 +218,14 @@ class GrowingStructure:
         footing = np.column_stack([DOCK_COUNT * j + standing, self.terrain.foot(docks[standing])])
         self.frame.join(walk.center[-1], turn, contacts, footing)
         self.unsolved += 1
-        self._mark_side(j, other, docks[standing, 0])
         self.loads.append(LoadSummary())
-
-    def _mark_side(self, j: int, others: NDArray[np.int32], standing_x: Array) -> None:
-        """End growth when robots from both sides of a gap are connected."""
-        if self.kind.sides == 1:
-            return
-        touched = {self.sides[i] for i in others}
-        touched |= {int(x > 0.5 * self.terrain.right_edge) for x in standing_x}
-        self.sides.append(min(touched))
-        if len(touched) > 1:
-            self.crossed = True
-            self.ended = f"the gap is bridged by {j + 1} robots"
+        if self.kind.sides > 1:
+            touched = {self.sides[i] for i in other}
+            touched |= {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
+            self.sides.append(min(touched))
+            if len(touched) > 1:
+                self.crossed = True
+                self.ended = f"the gap is bridged by {j + 1} robots"
 
     def recruit(self, *, is_last: bool) -> NDArray[np.int32]:
         """Solve the mechanics if it is due, and spread every call for help anew.
@@ -266,24 +235,22 @@ class GrowingStructure:
         """
         if self.unsolved >= self.params.solve_every or (is_last and self.unsolved):
             try:
-                self._take(self.frame.solve())
+                loads = self.frame.solve()
             except StructureFailure as failure:
                 self.ended = str(failure)
                 return np.empty(0, np.int32)
+            self.unsolved = 0
+            self.sensed = loads.sensed
+            self.loads[-1] = LoadSummary(
+                peak=loads.peak,
+                sensed_max=float(loads.sensed.max()),
+                calling=int((recruit(loads.sensed, self.params) > 0).sum()),
+                least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
+                imbalance=loads.imbalance,
+            )
         call = np.zeros(len(self.walks), np.int32)
         call[: len(self.sensed)] = recruit(self.sensed, self.params)
         return relay(call, self.frame.joints)
-
-    def _take(self, loads: Loads) -> None:
-        self.unsolved = 0
-        self.sensed = loads.sensed
-        self.loads[-1] = LoadSummary(
-            peak=loads.peak,
-            sensed_max=float(loads.sensed.max()),
-            calling=int((recruit(loads.sensed, self.params) > 0).sum()),
-            least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
-            imbalance=loads.imbalance,
-        )
 
     def history(self) -> History:
         """Return the history of the structure."""
@@ -304,10 +271,8 @@ def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
     """Compute each robot's own call from its sensed load, shape (N,)."""
     ratio = sensed / params.force_threshold
     # Cap the power where the call exceeds J, to avoid overflow.
-    power = np.minimum(
-        ratio - 1.0, np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
-    )
-    call = np.floor(params.recruit_base**power)
+    most = np.log(params.recruit_limit + 2.0) / np.log(params.recruit_base)
+    call = np.floor(params.recruit_base ** np.minimum(ratio - 1.0, most))
     return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
 
 

@@ -3,8 +3,7 @@
 import json
 import math
 import zipfile
-from collections.abc import Callable
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +55,7 @@ class Walk:
         return rows[rows[:, 0] == self.stance_count - 1, 1:]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LoadSummary:
     """Loads in a structure under its weight; NaN where it was not solved after that join."""
 
@@ -124,37 +123,28 @@ class History:
     @property
     def contacts(self) -> NDArray[np.int32]:
         """Docked pairs in the joiner's order, rows of (i, dock of i, j, dock of j), i < j."""
-        rows = [_contacts_at_rest(j, walk) for j, walk in enumerate(self.walks)]
-        return np.concatenate(rows) if rows else np.empty((0, 4), np.int32)
+        return self._at_rest("contacts", 4)[:, [2, 3, 0, 1]]
 
     @property
     def ground_docks(self) -> NDArray[np.int32]:
         """Docks on flat ground in the end, rows of (robot, dock)."""
-        return self._numbered(lambda walk: walk.ground_docks)
+        return self._at_rest("ground_docks", 2)
 
     @property
     def edge_docks(self) -> NDArray[np.int32]:
         """Docks on an edge or underside in the end, rows of (robot, dock)."""
-        return self._numbered(lambda walk: walk.edge_docks)
+        return self._at_rest("edge_docks", 2)
 
-    def _numbered(self, rows_of: Callable[[Walk], NDArray[np.int32]]) -> NDArray[np.int32]:
-        rows = [
-            np.column_stack([np.full(len(docks), j, np.int32), docks])
-            for j, walk in enumerate(self.walks)
-            for docks in [walk.at_rest(rows_of(walk))]
-        ]
-        return np.concatenate(rows).astype(np.int32) if rows else np.empty((0, 2), np.int32)
-
-
-def _contacts_at_rest(j: int, walk: Walk) -> NDArray[np.int32]:
-    """Contacts of the last stance of robot `j`, earlier robot first."""
-    own, other, dock = walk.at_rest(walk.contacts).T
-    return np.column_stack([other, dock, np.full(len(own), j, np.int32), own])
+    def _at_rest(self, name: str, columns: int) -> NDArray[np.int32]:
+        """Gather a table's rows of the last stance of every walk, robot first."""
+        rows: list[NDArray[np.int32]] = [np.empty((0, columns), np.int32)]
+        for j, walk in enumerate(self.walks):
+            own = walk.at_rest(getattr(walk, name))
+            rows.append(np.column_stack([np.full(len(own), j, np.int32), own]))
+        return np.concatenate(rows)
 
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name != "recruited")
-_LOADS = tuple(field.name for field in fields(LoadSummary))
-_CALLING = _LOADS.index("calling")
 _FACTS = ("seed", "spawns", "crossed", "ended")
 
 
@@ -182,26 +172,19 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
     try:
         with path.open("rb") as file, np.load(file) as tables:
             arrays: dict[str, NDArray[Any]] = dict(tables)
-        return _history(arrays, params, robot)
-    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile):
-        return None
-
-
-def _history(
-    arrays: dict[str, NDArray[Any]], params: StructureParams, robot: RobotGeometry
-) -> History:
-    parts = {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
-    return History(
-        **json.loads(str(arrays["facts"])),
-        robot=robot,
-        terrain=KINDS[params.kind].terrain(params),
-        walks=tuple(
+        parts = {name: np.split(arrays[name], arrays[f"{name}_end"][:-1]) for name in _TABLES}
+        walks = [
             Walk(recruited=recruited, **{name: parts[name][j] for name in _TABLES})
             for j, recruited in enumerate(arrays["recruited"].tolist())
-        ),
-        loads=tuple(
-            LoadSummary(**dict(zip(_LOADS, row, strict=True)) | {"calling": int(row[_CALLING])})
-            for row in arrays["strain"].tolist()
-        ),
-        sensed=arrays["sensed"],
-    )
+        ]
+        loads = [LoadSummary(*row) for row in arrays["strain"].tolist()]
+        return History(
+            **json.loads(str(arrays["facts"])),
+            robot=robot,
+            terrain=KINDS[params.kind].terrain(params),
+            walks=tuple(walks),
+            loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
+            sensed=arrays["sensed"],
+        )
+    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile):
+        return None

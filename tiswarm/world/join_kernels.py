@@ -69,9 +69,8 @@ def join_undisturbed(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
     )
     body = ti.static(dock_offset_body)
-    for i in range(robot_count.shape[0] * GRAIN):
-        if i % GRAIN == 0:
-            s = i // GRAIN
+    for s, idle in ti.ndrange(robot_count.shape[0], GRAIN):
+        if idle == 0:
             newest = DOCKS * robot_count[s]
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]

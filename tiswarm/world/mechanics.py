@@ -21,7 +21,7 @@ with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural An
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,21 +33,14 @@ from scipy.sparse.linalg import splu
 from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
-Array = Reals
-
 GROUND = -1
 """Second dock of a beam that ends in the ground."""
-
 MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
-
 UNHELD = "a part of the structure is held by nothing"
-
 SIDE = 6
 """Unknowns of a node."""
-
 ROW_BITS = 32
-COLUMN_MASK = (1 << ROW_BITS) - 1
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
@@ -78,16 +71,16 @@ class MechanicsParams:
 class Loads:
     """Loads at rest in a structure of N robots, C contacts and G ground contacts."""
 
-    sensed: Array
+    sensed: Reals
     """Mean over a robot's links of |axial force| + |bending moment|, shape (N,)."""
 
-    contact_stress: Array
+    contact_stress: Reals
     """Largest von Mises stress in each contact, shape (C,)."""
 
-    ground_stress: Array
+    ground_stress: Reals
     """Largest von Mises stress in each contact with the ground, shape (G,)."""
 
-    ground_force: Array
+    ground_force: Reals
     """Force of the ground on each dock that stands on it, shape (G, 3)."""
 
     imbalance: float
@@ -104,10 +97,10 @@ class BlockMatrix:
 
     def __init__(self) -> None:
         self.place: Ints = np.empty(0, np.int64)
-        self.block: Array = np.empty((0, SIDE, SIDE))
-        self.waiting: list[tuple[Ints, Array]] = []
+        self.block: Reals = np.empty((0, SIDE, SIDE))
+        self.waiting: list[tuple[Ints, Reals]] = []
 
-    def add(self, nodes: NDArray[np.intp], square: Array) -> None:
+    def add(self, nodes: NDArray[np.intp], square: Reals) -> None:
         """Add square matrices that couple nodes.
 
         Args:
@@ -130,7 +123,7 @@ class BlockMatrix:
         first = np.flatnonzero(np.r_[True, place[1:] != place[:-1]])
         self.place, self.block = place[first], np.add.reduceat(block, first)
         self.waiting = []
-        row, column = self.place >> ROW_BITS, self.place & COLUMN_MASK
+        row, column = self.place >> ROW_BITS, self.place & ((1 << ROW_BITS) - 1)
         start = np.searchsorted(row, np.arange(nodes + 1))
         matrix = bsr_matrix((self.block, column, start), shape=(SIDE * nodes, SIDE * nodes))
         by_row = matrix.tocsr()
@@ -138,33 +131,24 @@ class BlockMatrix:
         return csc_matrix((by_row.data, by_row.indices, by_row.indptr), shape=by_row.shape)
 
 
-class _Arrival(NamedTuple):
-    """A robot that has joined and whose beams are not built yet; see `Frame.join`."""
-
-    center: Array
-    turn: Array
-    contacts: NDArray[np.int32]
-    footing: Array
-
-
 class Frame:
     """The beams of one structure; grows by a robot at a time."""
 
-    def __init__(self, params: MechanicsParams, dock_offset_body: Array) -> None:
+    def __init__(self, params: MechanicsParams, dock_offset_body: Reals) -> None:
         """Prepare an empty frame for robots of one shape."""
         self.params = params
         self.body = dock_offset_body
         self.robot = _condensed_robot(dock_offset_body, params)
         self.rigid = params.model == "rigid"
-        self.dock: Array = np.empty((0, 3))
-        self.arm: Array = np.empty((0, 3))
+        self.dock: Reals = np.empty((0, 3))
+        self.arm: Reals = np.empty((0, 3))
         self.ends: NDArray[np.intp] = np.empty((0, 2), np.intp)
-        self.span: Array = np.empty((0, 3))
-        self.beams: list[Array] = []
+        self.span: Reals = np.empty((0, 3))
+        self.beams: list[Reals] = []
         self.blocks = BlockMatrix()
-        self.waiting: list[_Arrival] = []
+        self.waiting: list[tuple[Reals, Reals, NDArray[np.int32], Reals]] = []
 
-    def join(self, center: Array, turn: Array, contacts: NDArray[np.int32], footing: Array) -> None:
+    def join(self, center: Reals, turn: Reals, contacts: NDArray[np.int32], footing: Reals) -> None:
         """Add a robot.
 
         Args:
@@ -175,7 +159,7 @@ class Frame:
             footing: Docks on the ground, rows of (own dock, x, y, z): where it touches [R],
                 shape (g, 4).
         """
-        self.waiting.append(_Arrival(center, turn, contacts, footing))
+        self.waiting.append((center, turn, contacts, footing))
 
     @property
     def joints(self) -> NDArray[np.intp]:
@@ -203,11 +187,7 @@ class Frame:
         foot = np.column_stack([feet[:, 0], np.full(len(feet), GROUND)])
         ends = np.concatenate([joints, foot]).astype(np.intp)
         target = np.concatenate([self.dock[joints[:, 1]], feet[:, 1:]])
-        self._connect(ends, target - self.dock[ends[:, 0]])
-
-    def _connect(self, ends: NDArray[np.intp], span: Array) -> None:
-        """Add beams from docks to docks or to the ground."""
-        params = self.params
+        span, params = target - self.dock[ends[:, 0]], self.params
         beams = stiffness(span, params.contact_axial, params.beam_radius, params.poisson)
         self.ends = np.concatenate([self.ends, ends])
         self.span = np.concatenate([self.span, span])
@@ -224,7 +204,7 @@ class Frame:
         """Node that a dock moves with."""
         return dock // len(self.body) if self.rigid else dock
 
-    def _follow(self, ends: NDArray[np.intp]) -> Array:
+    def _follow(self, ends: NDArray[np.intp]) -> Reals:
         """Motion of beam ends from that of the rigid robots they are on, shape (n, 12, 12)."""
         follow = np.zeros((len(ends), 12, 12))
         follow[:, :6, :6] = rigid_link(self.arm[ends[:, 0]])
@@ -240,68 +220,58 @@ class Frame:
         self._admit()
         weight = np.zeros((len(self.dock), 6))
         weight[:, 2] = -1.0
-        both: Array = self._motion(weight)[self._node(self.ends)].reshape(-1, 12, 1)
+        both: Reals = self._motion(weight)[self._node(self.ends)].reshape(-1, 12, 1)
+        standing = self.ends[:, 1] == GROUND
         if self.rigid:
             both = self._follow(self.ends) @ both
-        both[self.ends[:, 1] == GROUND, 6:] = 0.0
+        both[standing, 6:] = 0.0
         self.beams = [np.concatenate(self.beams)]
         force = (self.beams[0] @ both).reshape(-1, 2, 6)
         acting = weight.copy()
-        for side in range(2):
-            here = self.ends[:, side] != GROUND
-            np.add.at(acting, self.ends[here, side], -force[here, side])
-        loads = self._loads(force, acting)
-        # Rounding hides that a matrix is singular, but not that nothing bears the weight.
-        if not loads.imbalance <= MAX_UNBORNE:
-            raise StructureFailure(UNHELD)
-        return loads
-
-    def _motion(self, weight: Array) -> Array:
-        """Displacement and rotation of every node, shape (nodes, 6)."""
-        if self.rigid:
-            pushed = rigid_link(self.arm).swapaxes(1, 2) @ weight[:, :, None]
-            weight = pushed.reshape(-1, len(self.body), 6).sum(axis=1)
-        if not (self.ends[:, 1] == GROUND).any():
-            raise StructureFailure(UNHELD)
-        matrix = self.blocks.assemble(len(weight))
-        try:
-            factor = splu(
-                matrix,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise StructureFailure(UNHELD) from error
-        return factor.solve(weight.ravel()).reshape(-1, 6)
-
-    def _loads(self, force: Array, acting: Array) -> Loads:
-        """Turn end forces of beams, (n, 2, 6), and what acts on docks, (d, 6), into loads."""
-        standing = self.ends[:, 1] == GROUND
+        np.add.at(acting, self.ends[:, 0], -force[:, 0])
+        np.add.at(acting, self.ends[~standing, 1], -force[~standing, 1])
         section = np.where(standing, 1.0, 0.5)[:, None] * self.span
         stress = beam_stress(force[:, 0], self.span, section, self.params.beam_radius)
         ground_force = force[standing, 1, :3]
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, len(self.dock)]
+        imbalance = float(np.abs(surplus).max() / len(self.dock))
+        # Rounding hides that a matrix is singular, but not that nothing bears the weight.
+        if not imbalance <= MAX_UNBORNE:
+            raise StructureFailure(UNHELD)
         return Loads(
             sensed=self._sensed(acting),
             contact_stress=stress[~standing],
             ground_stress=stress[standing],
             ground_force=ground_force,
-            imbalance=float(np.abs(surplus).max() / len(self.dock)),
+            imbalance=imbalance,
         )
 
-    def _sensed(self, acting: Array) -> Array:
+    def _motion(self, weight: Reals) -> Reals:
+        """Solve for the displacement and rotation of every node, shape (nodes, 6)."""
+        if self.rigid:
+            pushed = rigid_link(self.arm).swapaxes(1, 2) @ weight[:, :, None]
+            weight = pushed.reshape(-1, len(self.body), 6).sum(axis=1)
+        if not (self.ends[:, 1] == GROUND).any():
+            raise StructureFailure(UNHELD)
+        matrix, options = self.blocks.assemble(len(weight)), {"SymmetricMode": True}
+        try:
+            factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        except RuntimeError as error:
+            raise StructureFailure(UNHELD) from error
+        return factor.solve(weight.ravel()).reshape(-1, 6)
+
+    def _sensed(self, acting: Reals) -> Reals:
         """Compute the load that each robot senses from the forces on its docks, shape (N,)."""
         link = self.arm / np.linalg.norm(self.arm, axis=1, keepdims=True)
         axial = np.abs(np.sum(acting[:, :3] * link, axis=1))
         moment = acting[:, 3:]
         bending = moment - np.sum(moment * link, axis=1, keepdims=True) * link
         load = axial + np.linalg.norm(bending, axis=1)
-        mean: Array = load.reshape(-1, len(self.body)).mean(axis=1)
+        mean: Reals = load.reshape(-1, len(self.body)).mean(axis=1)
         return mean
 
 
-def _cross_matrix(vector: Array) -> Array:
+def _cross_matrix(vector: Reals) -> Reals:
     """Build the matrices of v x, shape (n, 3, 3), for vectors v, shape (n, 3)."""
     matrix = np.zeros((len(vector), 3, 3))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -310,7 +280,7 @@ def _cross_matrix(vector: Array) -> Array:
     return matrix
 
 
-def stiffness(span: Array, axial: float, radius: float, poisson: float) -> Array:
+def stiffness(span: Reals, axial: float, radius: float, poisson: float) -> Reals:
     """Compute the stiffness of beams, nodes in the order first end, second end.
 
     Args:
@@ -346,21 +316,17 @@ def stiffness(span: Array, axial: float, radius: float, poisson: float) -> Array
     return matrix
 
 
-def rigid_link(arm: Array) -> Array:
-    """Build the matrix from a rigid body's node to a point at `arm`: their motions.
+def rigid_link(arm: Reals) -> Reals:
+    """Build the matrix from the motion of a rigid body's node to that of a point, (n, 6, 6).
 
-    Args:
-        arm: Node to point [R], shape (n, 3).
-
-    Returns:
-        Shape (n, 6, 6).
+    `arm` is from the node to the point [R], shape (n, 3).
     """
     link = np.tile(np.eye(6), (len(arm), 1, 1))
     link[:, :3, 3:] = -_cross_matrix(arm)
     return link
 
 
-def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array:
+def beam_stress(end: Reals, span: Reals, section: Reals, radius: float) -> Reals:
     """Compute the largest von Mises stress in a cross-section of round beams.
 
     Args:
@@ -377,29 +343,28 @@ def beam_stress(end: Array, span: Array, section: Array, radius: float) -> Array
     modulus = 0.25 * np.pi * radius**3
     axis = span / np.linalg.norm(span, axis=1, keepdims=True)
     force, moment = end[:, :3], end[:, 3:] - np.cross(section, end[:, :3])
-    pull, shear = _split(force, axis)
-    torque, bend = _split(moment, axis)
+    (pull, shear), (torque, bend) = _split(force, axis), _split(moment, axis)
     sigma = pull / area + bend / modulus
     tau = 4.0 / 3.0 * shear / area + torque / (2.0 * modulus)
     return np.sqrt(sigma**2 + 3.0 * tau**2)
 
 
-def _split(vector: Array, axis: Array) -> tuple[Array, Array]:
+def _split(vector: Reals, axis: Reals) -> tuple[Reals, Reals]:
     """Sizes of the parts along and across an axis."""
     along = np.sum(vector * axis, axis=1)
     across = np.linalg.norm(vector - along[:, None] * axis, axis=1)
     return np.abs(along), across
 
 
-def _turned(square: Array, turn: Array) -> Array:
+def _turned(square: Reals, turn: Reals) -> Reals:
     """Turn a stiffness over some nodes with each of n rotations, shape (n, side, side)."""
     thirds = len(square) // 3
     blocks = square.reshape(thirds, 3, thirds, 3)
-    turned: Array = np.einsum("nij,ajbk,nlk->naibl", turn, blocks, turn, optimize=True)
+    turned: Reals = np.einsum("nij,ajbk,nlk->naibl", turn, blocks, turn, optimize=True)
     return turned.reshape(len(turn), len(square), len(square))
 
 
-def _condensed_robot(dock_offset_body: Array, params: MechanicsParams) -> Array:
+def _condensed_robot(dock_offset_body: Reals, params: MechanicsParams) -> Reals:
     """Condense a robot's stiffness, body frame, to its docks, shape (6 docks, 6 docks)."""
     count = len(dock_offset_body)
     links = stiffness(dock_offset_body, params.link_axial, params.beam_radius, params.poisson)

@@ -13,8 +13,6 @@ from tiswarm.params import STRICT
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.terrain import EDGE_RADIUS, Terrain
 
-Array = Reals
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class ClimbParams:
@@ -175,13 +173,13 @@ class Kind(NamedTuple):
     """Terrain, spawns and goals of a kind of structure; functions take the kind's own settings."""
 
     terrain: Callable[[Any], Terrain]
-    goal: Callable[[Any, int], Array]
+    goal: Callable[[Any, int], Reals]
     """Goal of robots that come from a side [R], shape (3,)."""
 
-    rim: Callable[[Any, int, Array], float]
+    rim: Callable[[Any, int, Reals], float]
     """Extent of docks, shape (n, 3), toward the spawns of a side [R], at least 0."""
 
-    start: Callable[[Any, int, float, Array], Array]
+    start: Callable[[Any, int, float, Reals], Reals]
     """Spawn of a robot from a side, on the ground [R], shape (2,), given the extent of the whole
     structure there and two random numbers in [0, 1)."""
 
@@ -189,43 +187,32 @@ class Kind(NamedTuple):
     """Sides that robots come from, in turn; the first robot of each founds the structure there."""
 
 
-def _radius(_params: TowerParams, _side: int, docks: Array) -> float:
+def _radius(_params: TowerParams, _side: int, docks: Reals) -> float:
     """Radius of the disc about the z axis that holds all docks."""
     return _greatest(np.hypot(docks[:, 0], docks[:, 1]))
 
 
-def _around(params: TowerParams, _side: int, rim: float, draw: Array) -> Array:
+def _around(params: TowerParams, _side: int, rim: float, draw: Reals) -> Reals:
     """Anywhere around the disc that holds the whole structure."""
     angle = 2.0 * np.pi * draw[0]
     distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
-    place: Array = distance * np.array([np.cos(angle), np.sin(angle)])
+    place: Reals = distance * np.array([np.cos(angle), np.sin(angle)])
     return place
 
 
-def _back(_params: EdgeParams, _side: int, docks: Array) -> float:
-    """Distance from the edge at x = 0 to the farthest dock."""
-    return _greatest(-docks[:, 0])
+def _back(params: BridgeParams, side: int, docks: Reals) -> float:
+    """Distance from the edge to the farthest dock; only a bridge has a side 1 beyond its gap."""
+    return _greatest(docks[:, 0] - params.gap if side else -docks[:, 0])
 
 
-def _behind(params: EdgeParams, _side: int, rim: float, draw: Array) -> Array:
-    """Behind the dock that is farthest from the edge at x = 0."""
+def _behind(params: BridgeParams, side: int, rim: float, draw: Reals) -> Reals:
+    """Behind the dock that is farthest from the edge; side 1 of a bridge mirrors side 0."""
     y = params.spawn_width * (2.0 * draw[0] - 1.0)
     back = rim + (params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min))
-    return np.array([-back, y])
+    return np.array([params.gap + back if side else -back, y])
 
 
-def _back_on_either(params: BridgeParams, side: int, docks: Array) -> float:
-    """Distance from the edge on one side of the gap to the farthest dock there."""
-    return _back(params, side, docks) if side == 0 else _greatest(docks[:, 0] - params.gap)
-
-
-def _behind_either(params: BridgeParams, side: int, rim: float, draw: Array) -> Array:
-    """Behind the farthest dock on one side of the gap, which is mirrored for the other."""
-    x, y = _behind(params, side, rim, draw)
-    return np.array([x if side == 0 else params.gap - x, y])
-
-
-def _greatest(distance: Array) -> float:
+def _greatest(distance: Reals) -> float:
     """Greatest distance to the rim of a dock [R], at least 0."""
     return float(distance.max(initial=-1.0)) + 1.0
 
@@ -246,14 +233,10 @@ KINDS = {
     "bridge": Kind(
         terrain=lambda params: Terrain(left_edge=0.0, right_edge=params.gap),
         goal=lambda params, side: np.array(
-            [
-                params.gap + params.goal_beyond if side == 0 else -params.goal_beyond,
-                0.0,
-                EDGE_RADIUS,
-            ]
+            [-params.goal_beyond if side else params.gap + params.goal_beyond, 0.0, EDGE_RADIUS]
         ),
-        rim=_back_on_either,
-        start=_behind_either,
+        rim=_back,
+        start=_behind,
         sides=2,
     ),
     "chain": Kind(

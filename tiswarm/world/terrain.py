@@ -11,8 +11,6 @@ import numpy as np
 
 from tiswarm.aliases import Reals
 
-Array = Reals
-
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""
 
@@ -38,43 +36,36 @@ class Terrain:
         """Whether there is no edge to be reached."""
         return self.left_edge >= FAR
 
-    def foot(self, point: Array) -> Array:
-        """Nearest place on the ground's surface to each point.
-
-        Args:
-            point: Places outside the ground [R], shape (n, 3).
-
-        Returns:
-            Shape (n, 3).
-        """
+    def foot(self, point: Reals) -> Reals:
+        """Find the nearest place on the ground's surface to each point outside [R], (n, 3)."""
         feet = [self._foot(point, x) for x in self._spine_x(point)]
         distance = [np.linalg.norm(point - foot, axis=1) for foot in feet]
         return np.where((distance[0] <= distance[-1])[:, None], feet[0], feet[-1])
 
-    def depth(self, point: Array, radius: float) -> Array:
-        """How deep spheres around points reach into the ground, negative for a gap [R]."""
+    def depth(self, point: Reals, radius: float) -> Reals:
+        """Compute how deep spheres around points reach into the ground, negative for a gap [R]."""
         if self.is_plane:
             return self.ground_z + radius - point[:, 2]
         depths = [
             EDGE_RADIUS + radius - np.hypot(point[:, 0] - x, point[:, 2] - self._spine_z)
             for x in self._spine_x(point)
         ]
-        depth: Array = np.max(depths, axis=0)
+        depth: Reals = np.max(depths, axis=0)
         return depth
 
     @property
     def _spine_z(self) -> float:
         return self.ground_z - EDGE_RADIUS
 
-    def _spine_x(self, point: Array) -> list[Array]:
+    def _spine_x(self, point: Reals) -> list[Reals]:
         """Nearest x on the spine of each slab."""
         slabs = [np.minimum(point[:, 0], self.left_edge)]
         if self.right_edge < FAR:
             slabs.append(np.maximum(point[:, 0], self.right_edge))
         return slabs
 
-    def _foot(self, point: Array, spine_x: Array) -> Array:
+    def _foot(self, point: Reals, spine_x: Reals) -> Reals:
         spine = np.column_stack([spine_x, point[:, 1], np.full(len(point), self._spine_z)])
         out = point - spine
-        nearest: Array = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
+        nearest: Reals = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
         return nearest

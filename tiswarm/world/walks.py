@@ -31,7 +31,8 @@ Slots = NDArray[np.int32]
 
 def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> ClimbLimits:
     """Gather the numbers that do not change during a climb."""
-    reach = _flip_reach(robot)
+    # No flip meets a dock whose center is farther than this from the pivot.
+    reach = math.sqrt(3.0) * robot.rho + robot.spacing
     return ClimbLimits(
         spacing=robot.spacing,
         contact_gap=climb.contact_gap,
@@ -47,11 +48,6 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
         twists=climb.twists,
         patience=climb.patience,
     )
-
-
-def _flip_reach(robot: RobotGeometry) -> float:
-    """Greatest distance from a pivot to the center of a dock that a flip can meet [R]."""
-    return math.sqrt(3.0) * robot.rho + robot.spacing
 
 
 class Structures:
@@ -85,7 +81,7 @@ class Walks:
         """
         slots, stances = len(structure_of), climb.max_flips + 2
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
-        near = math.ceil((_flip_reach(robot) + robot.dock_radius) ** 3)
+        near = math.ceil((limits.reach + robot.dock_radius) ** 3)
         self.limits, self.settles = limits, climb.settle
         self.climbers = Climbers(
             structure=structure_of,
@@ -95,18 +91,14 @@ class Walks:
             near=np.empty((slots, near, 3)),
         )
         self.stances = WalkArrays(
-            center=np.empty((slots, stances, 3)),
-            orientation=np.empty((slots, stances, 4)),
-            pivot_dock=np.empty((slots, stances), np.int32),
-            touching=np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32),
-            on_ground=np.empty((slots, stances, DOCK_COUNT), np.int32),
-            last=np.zeros(slots, np.int32),
-            best=np.zeros(slots, np.int32),
-            stay=np.zeros(slots, np.int32),
+            np.empty((slots, stances, 3)),
+            np.empty((slots, stances, 4)),
+            np.empty((slots, stances), np.int32),
+            np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32),
+            np.empty((slots, stances, DOCK_COUNT), np.int32),
+            *np.zeros((3, slots), np.int32),
         )
-        self.state = np.zeros(slots, np.int32)
-        self.disturbed = np.zeros(slots, np.int32)
-        self.joined = np.zeros(slots, np.int32)
+        self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
 
     def start(self, slot: int, center: Reals, orientation_wxyz: Reals, goal: Reals) -> None:
         """Put a new robot in a slot, with its center [R], orientation and goal [R]."""
@@ -119,13 +111,11 @@ class Walks:
         """Let the robots in the slots `movers` walk on from their first stance."""
         cells, *docks = structures.arrays
         arrays = (*cells, *docks, *self.climbers, *self.stances)
-        flip_kernels.climb(self.limits, movers, self.state, *arrays)
+        flip_kernels.climb(self.limits, self.settles, movers, self.state, *arrays)
         if (self.state[movers] == SCRATCH_FULL).any():
             raise TiswarmError(
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
-        if self.settles:
-            flip_kernels.settle(self.limits, movers, *arrays)
 
     def join(self, structures: Structures, movers: Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
