@@ -10,7 +10,7 @@ from tests import oracle
 from tests.localization.test_problem import true_yaw
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
-from tiswarm.evaluation.outliers import outlier_scores
+from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.joint import annealing, force_kernels, initialization, kernels
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import SCHEDULE

@@ -4,6 +4,8 @@ The absolute position error (the translation part of the absolute pose error, AP
 robot in the world frame. The relative position error (RPE) is that of one robot as seen from
 another. The alignments accept any number of robots in any arrangement: if points on a line or in
 one place do not determine a rotation, they choose one of the best.
+
+`estimate` and `truth` are the estimated and true centers of N robots [R], shape (N, 3).
 """
 
 import math
@@ -15,34 +17,22 @@ from scipy.special import stdtrit
 
 from tiswarm.aliases import AnyInts, Reals
 
-CONFIDENCE = 0.95
-"""Share of the intervals that contain the true mean."""
-
-FEWEST_FOR_STD = 2
-FEWEST_FOR_EXPONENT = 3
-"""Fewest different places for an exponent: a power law fits any two points."""
-
 
 def robot_errors(estimate: Reals, truth: Reals) -> Reals:
     """Return the absolute position error of each robot [R], shape (N,).
 
-    Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
-
     >>> robot_errors(np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3)))
     array([5.])
     """
-    distance: Reals = np.linalg.norm(estimate - truth, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(estimate - truth, axis=1))
 
 
 def relative_errors(estimate: Reals, truth: Reals, pairs: AnyInts) -> Reals:
     """Return the relative position error of each pair of robots [R], shape (P,).
 
     Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
+        estimate: Estimated centers.
+        truth: True centers.
         pairs: Indices of two robots each, shape (P, 2).
 
     >>> shift = np.array([[2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
@@ -50,8 +40,7 @@ def relative_errors(estimate: Reals, truth: Reals, pairs: AnyInts) -> Reals:
     array([0.])
     """
     off = estimate - truth
-    distance: Reals = np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(off[pairs[:, 1]] - off[pairs[:, 0]], axis=1))
 
 
 def sse(estimate: Reals, truth: Reals) -> float:
@@ -87,13 +76,6 @@ def yaw_aligned(estimate: Reals, truth: Reals) -> Reals:
     Robots that sense gravity do not know their common yaw and position; this alignment removes
     errors of these four degrees of freedom only.
 
-    Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
-
-    Returns:
-        The aligned estimate [R], shape (N, 3).
-
     >>> truth = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 1.0]])
     >>> turned = np.array([[5.0, 0.0, 0.0], [5.0, 2.0, 1.0]])
     >>> bool(np.allclose(yaw_aligned(turned, truth), truth))
@@ -103,21 +85,13 @@ def yaw_aligned(estimate: Reals, truth: Reals) -> Reals:
     (e_x, e_y, _), (t_x, t_y, _) = (estimate - mean).T, (truth - truth.mean(axis=0)).T
     yaw = math.atan2(float(e_x @ t_y - e_y @ t_x), float(e_x @ t_x + e_y @ t_y))
     turn = Rotation.from_euler("z", yaw)
-    aligned: Reals = turn.apply(estimate - mean) + truth.mean(axis=0)
-    return aligned
+    return np.asarray(turn.apply(estimate - mean) + truth.mean(axis=0))
 
 
 def rigidly_aligned(estimate: Reals, truth: Reals) -> Reals:
     """Align the estimate with the truth by rotation and translation, Eq. (6).
 
     This is the Kabsch algorithm: Procrustes analysis without scaling and reflection.
-
-    Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
-
-    Returns:
-        The aligned estimate [R], shape (N, 3).
 
     >>> truth = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     >>> lying = np.array([[5.0, 0.0, 0.0], [7.0, 0.0, 0.0]])
@@ -130,8 +104,7 @@ def rigidly_aligned(estimate: Reals, truth: Reals) -> Reals:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         rotation, _ = Rotation.align_vectors(truth - truth.mean(axis=0), estimate - mean)
-    aligned: Reals = rotation.apply(estimate - mean) + truth.mean(axis=0)
-    return aligned
+    return np.asarray(rotation.apply(estimate - mean) + truth.mean(axis=0))
 
 
 def procrustes_disparity(estimate: Reals, truth: Reals) -> float:
@@ -141,10 +114,6 @@ def procrustes_disparity(estimate: Reals, truth: Reals) -> float:
     `scipy.spatial.procrustes`, the alignment neither rescales nor reflects. So the disparity is
     not bounded by 1, contrary to the paper: an estimate of twice the true size scores 1, of
     three times 4. It is NaN if all true centers coincide.
-
-    Args:
-        estimate: Estimated centers [R], shape (N, 3).
-        truth: True centers [R], shape (N, 3).
 
     >>> tower = np.array([[0, 0, 0], [0, 0, 2], [0, 1, 4], [1, 0, 6]], dtype=float)
     >>> procrustes_disparity(tower + 5.0, tower) < 1e-12
@@ -172,10 +141,8 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
     known = values[np.isfinite(values)]
     count = len(known)
     mean = float(known.mean()) if count else math.nan
-    if count < FEWEST_FOR_STD:
-        return {"mean": mean, "std": math.nan, "ci95": math.nan}
-    std = float(known.std(ddof=1))
-    width = float(stdtrit(count - 1, 0.5 + CONFIDENCE / 2.0)) * std / math.sqrt(count)
+    std = float(known.std(ddof=1)) if count > 1 else math.nan
+    width = float(stdtrit(count - 1, 0.975)) * std / math.sqrt(count) if count > 1 else math.nan
     return {"mean": mean, "std": std, "ci95": width}
 
 
@@ -225,6 +192,6 @@ def power_law_exponent(x: Reals, y: Reals) -> float:
     >>> round(power_law_exponent(x, 7.0 * x**1.5), 9)
     1.5
     """
-    if len(np.unique(x)) < FEWEST_FOR_EXPONENT or min(x.min(), y.min()) <= 0.0:
+    if len(np.unique(x)) < 3 or min(x.min(), y.min()) <= 0.0:  # noqa: PLR2004 - two fit exactly
         return math.nan
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])

@@ -5,11 +5,10 @@ not define its length unit, the "robot radius". It may be the radius R of a dock
 distance rho of a dock from the center, 1.506 R. The disparity has no unit.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, kw_only=True)
-class Published:
+class Published(NamedTuple):
     """The two numbers of one kind of structure and setting."""
 
     rmse_radii: float
@@ -23,12 +22,12 @@ PAPER_ROBOTS = 100
 """Robots in each structure of the paper."""
 
 PAPER = {
-    ("tower", True, True): Published(rmse_radii=1.64, disparity=0.045),
-    ("tower", False, True): Published(rmse_radii=1.84, disparity=0.051),
-    ("tower", False, False): Published(rmse_radii=2.36, disparity=0.066),
-    ("cantilever", True, True): Published(rmse_radii=3.91, disparity=0.166),
-    ("cantilever", False, True): Published(rmse_radii=5.26, disparity=0.219),
-    ("cantilever", False, False): Published(rmse_radii=5.12, disparity=0.251),
+    ("tower", True, True): Published(1.64, 0.045),
+    ("tower", False, True): Published(1.84, 0.051),
+    ("tower", False, False): Published(2.36, 0.066),
+    ("cantilever", True, True): Published(3.91, 0.166),
+    ("cantilever", False, True): Published(5.26, 0.219),
+    ("cantilever", False, False): Published(5.12, 0.251),
 }
 """Cells by kind of structure, `z_correction` and `undocked_repulsion`.
 

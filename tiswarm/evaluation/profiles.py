@@ -10,16 +10,12 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 
-WHOLE = ("join", "hops_from_anchor", "contacts")
-"""Variables that are counts."""
-
-HEIGHT = "height_R"
 BINS = 10
 """Largest number of ranges of a variable."""
 
-HOPS_APART = (1, 2, 4, 8, 16, 32, 64)
-MOST_PAIRS = 2_000_000
-"""Pairs that a profile uses at most, to bound time and memory; larger swarms are subsampled."""
+_COUNTS = ("join", "hops_from_anchor", "contacts")  # variables that are whole numbers
+_HOPS_APART = (1, 2, 4, 8, 16, 32, 64)
+_MOST_PAIRS = 2_000_000  # to bound time and memory; larger swarms are subsampled
 
 
 def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataFrame:
@@ -30,10 +26,10 @@ def by_hops_apart(truth: Truth, log: SensingLog, estimate: Estimate) -> pd.DataF
     Returns:
         Columns hops_apart, pairs, mean_error_R, rmse_R.
     """
-    start = np.arange(0, log.robot_count, max(1, log.robot_count**2 // MOST_PAIRS))
+    start = np.arange(0, log.robot_count, max(1, log.robot_count**2 // _MOST_PAIRS))
     apart = hops(log, start)
     rows = []
-    for count in HOPS_APART:
+    for count in _HOPS_APART:
         pairs = np.argwhere(apart == count)
         pairs[:, 0] = start[pairs[:, 0]]
         if len(pairs):
@@ -56,33 +52,25 @@ def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
     >>> profile.loc[profile["by"] == "join", "rmse_R"].tolist()
     [0.0, 2.0]
     """
-    robots = robots.assign(**{HEIGHT: robots["z_R"]})
-    parts = [_ranges(robots, name) for name in (*WHOLE, HEIGHT)]
+    robots = robots.assign(height_R=robots["z_R"])
+    parts = [_ranges(robots, name) for name in (*_COUNTS, "height_R")]
     return pd.concat(parts, ignore_index=True)
 
 
 def relative_profile(relative: pd.DataFrame) -> pd.DataFrame:
-    """Combine the relative position errors of structures, weighted by their pairs.
-
-    Args:
-        relative: Rows of `relative.csv` of any number of structures.
+    """Combine rows of `relative.csv` of any number of structures, weighted by their pairs.
 
     Returns:
         Columns by, low, high, count (of pairs), mean_error_R, rmse_R.
     """
     rows = []
-    for count, part in relative.groupby("hops_apart"):
-        weight = part["pairs"] / part["pairs"].sum()
-        rows.append(
-            {
-                "by": "hops_apart",
-                "low": count,
-                "high": count,
-                "count": part["pairs"].sum(),
-                "mean_error_R": (weight * part["mean_error_R"]).sum(),
-                "rmse_R": np.sqrt((weight * part["rmse_R"] ** 2).sum()),
-            }
-        )
+    for apart, part in relative.groupby("hops_apart"):
+        pairs = part["pairs"].sum()
+        weight = part["pairs"] / pairs
+        mean = (weight * part["mean_error_R"]).sum()
+        rmse = np.sqrt((weight * part["rmse_R"] ** 2).sum())
+        row = {"by": "hops_apart", "low": apart, "high": apart, "count": pairs}
+        rows.append(row | {"mean_error_R": mean, "rmse_R": rmse})
     return pd.DataFrame(rows)
 
 
@@ -91,7 +79,7 @@ def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
     known = robots[[name, "error_R"]].dropna()
     value = known[name].to_numpy(np.float64)
     least, most = value.min(), value.max()
-    if name in WHOLE:
+    if name in _COUNTS:
         width = -(-(most - least + 1.0) // BINS)
         last = width - 1.0
     else:

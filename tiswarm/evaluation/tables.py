@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import AnyInts, Ints, Reals
 from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
-from tiswarm.measurements.contacts import contact_count, earlier_contact_count, hops
+from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
@@ -45,7 +45,7 @@ def score(
     )
     return {
         "robots": log.robot_count,
-        "contacts_per_robot": _mean(earlier_contact_count(log)[1:]),
+        "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
         "disconnected": int(estimate.disconnected.sum()),
@@ -56,8 +56,46 @@ def score(
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
-        **_coverage(truth, estimate),
-        **_convergence(estimate),
+        **_calibration(truth, estimate),
+    }
+
+
+def outlier_scores(
+    history: History, log: SensingLog, estimate: Estimate, *, cues: Collection[str]
+) -> dict[str, float | int]:
+    """Return precision and recall of the detected outliers, and the counts behind them.
+
+    A contact is wrong if the robots did not touch with these docks in that stance.
+
+    Args:
+        history: True contacts of every stance.
+        log: Sensed contacts.
+        estimate: Detected outliers.
+        cues: Cues of the log that the localizer used.
+
+    Returns:
+        Scores by name; NaN where no contact is wrong or detected; empty where the method detects
+        no outliers.
+    """
+    if estimate.outlier_contacts is None:
+        return {}
+    sensed = contacts.sensed_contacts(log, cues)
+    true = np.concatenate(
+        [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
+    )
+    size = tuple(np.concatenate([true, sensed]).max(axis=0, initial=0) + 1)
+
+    def key(rows: AnyInts) -> Ints:  # each row as one number
+        return np.asarray(np.ravel_multi_index(tuple(rows.astype(np.int64).T), size))
+
+    outliers = key(estimate.outlier_contacts)
+    wrong = np.setdiff1d(key(sensed), key(true))
+    hits = np.isin(outliers, wrong).sum()
+    return {
+        "wrong_contacts": len(wrong),
+        "outliers": len(outliers),
+        "outlier_precision": hits / len(outliers) if len(outliers) else np.nan,
+        "outlier_recall": hits / len(wrong) if len(wrong) else np.nan,
     }
 
 
@@ -72,42 +110,41 @@ def by_robot(
         estimate: Estimated positions.
         sensed_force: Load that each robot senses in its links [weight of a dock], shape (N,).
     """
-    columns: dict[str, object] = {"robot": truth.robot_id}
-    columns |= dict(zip(("x_R", "y_R", "z_R"), truth.position.T, strict=True))
-    columns |= dict(zip(("qw", "qx", "qy", "qz"), truth.orientation_wxyz.T, strict=True))
-    columns |= dict(zip(("x_est_R", "y_est_R", "z_est_R"), estimate.position.T, strict=True))
-    sensed = ("qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed")
-    columns |= dict(zip(sensed, log.orientation_wxyz.T, strict=True))
-    for name, aligned in (
-        ("error_R", estimate.position),
-        ("error_yaw_aligned_R", metrics.yaw_aligned(estimate.position, truth.position)),
-        ("error_rigid_aligned_R", metrics.rigidly_aligned(estimate.position, truth.position)),
-    ):
-        columns[name] = metrics.robot_errors(aligned, truth.position)
-    columns["contacts"] = contact_count(log)
-    columns["hops_from_anchor"] = _whole(hops(log, np.zeros(1, np.int64))[0])
-    columns["ground_docks"] = np.bincount(log.ground_docks[:, 0], minlength=log.robot_count)
-    columns["flip_height_R"] = log.flip_height
-    columns["disconnected"] = estimate.disconnected
-    columns["sensed_force"] = sensed_force
-    return pd.DataFrame(columns)
+    true, estimated = truth.position, estimate.position
+    table = pd.DataFrame({"robot": truth.robot_id})
+    table[["x_R", "y_R", "z_R"]] = true
+    table[["qw", "qx", "qy", "qz"]] = truth.orientation_wxyz
+    table[["x_est_R", "y_est_R", "z_est_R"]] = estimated
+    table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = log.orientation_wxyz
+    yaw_aligned = metrics.yaw_aligned(estimated, true)
+    rigidly_aligned = metrics.rigidly_aligned(estimated, true)
+    apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])
+    return table.assign(
+        error_R=metrics.robot_errors(estimated, true),
+        error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),
+        error_rigid_aligned_R=metrics.robot_errors(rigidly_aligned, true),
+        contacts=contacts.contact_count(log),
+        hops_from_anchor=apart.replace(np.inf, np.nan).astype("Int64"),
+        ground_docks=np.bincount(log.ground_docks[:, 0], minlength=log.robot_count),
+        flip_height_R=log.flip_height,
+        disconnected=estimate.disconnected,
+        sensed_force=sensed_force,
+    )
 
 
 def by_iteration(truth: Truth, estimate: Estimate) -> pd.DataFrame:
     """Tabulate each recorded iteration: errors, and the residual of the localizer."""
+    true = truth.position
     return pd.DataFrame(
-        [
-            {
-                "iteration": iteration,
-                "sse_R2": metrics.sse(frame, truth.position),
-                "rmse_R": metrics.rmse(frame, truth.position),
-                "procrustes_disparity": metrics.procrustes_disparity(frame, truth.position),
-                "residual_R": residual,
-            }
-            for iteration, frame, residual in zip(
-                estimate.iteration, estimate.trace, estimate.residual, strict=True
-            )
-        ]
+        {
+            "iteration": estimate.iteration,
+            "sse_R2": [metrics.sse(frame, true) for frame in estimate.trace],
+            "rmse_R": [metrics.rmse(frame, true) for frame in estimate.trace],
+            "procrustes_disparity": [
+                metrics.procrustes_disparity(frame, true) for frame in estimate.trace
+            ],
+            "residual_R": estimate.residual,
+        }
     )
 
 
@@ -116,15 +153,14 @@ def by_join(history: History) -> pd.DataFrame:
 
     Mechanics are missing where the structure was not solved after the join.
     """
-    position, walks, loads = history.position, history.walks, history.loads
-    joined = np.arange(1, len(walks) + 1)
-    center_of_mass = np.cumsum(position[:, 0]) / joined
+    walks, loads, terrain = history.walks, history.loads, history.terrain
+    (x, _, z), joined = history.position.T, np.arange(1, len(walks) + 1)
     return pd.DataFrame(
         {
             "robots": joined,
-            "height_R": np.maximum.accumulate(position[:, 2]) - history.ground_z,
-            "depth_R": history.ground_z - np.minimum.accumulate(position[:, 2]),
-            "reach_R": np.maximum.accumulate(position[:, 0]),
+            "height_R": np.maximum.accumulate(z) - history.ground_z,
+            "depth_R": history.ground_z - np.minimum.accumulate(z),
+            "reach_R": np.maximum.accumulate(x),
             "peak_stress": [s.peak for s in loads],
             "sensed_max": [s.sensed_max for s in loads],
             "calling": [s.calling for s in loads],
@@ -136,21 +172,18 @@ def by_join(history: History) -> pd.DataFrame:
                 for walk in walks
             ],
             "least_support": [s.least_support for s in loads],
-            "overhang_R": center_of_mass - history.terrain.left_edge
-            if not history.terrain.is_plane
-            else np.nan,
+            "overhang_R": np.nan if terrain.is_plane else np.cumsum(x) / joined - terrain.left_edge,
         }
     )
 
 
 def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
-    last = history.loads[-1]
-    position = history.position
+    last, (x, _, z) = history.loads[-1], history.position.T
     return {
-        "height_R": float(position[:, 2].max() - history.ground_z),
-        "reach_R": float(position[:, 0].max()),
-        "depth_R": float(history.ground_z - position[:, 2].min()),
+        "height_R": float(z.max() - history.ground_z),
+        "reach_R": float(x.max()),
+        "depth_R": float(history.ground_z - z.min()),
         "peak_stress": last.peak,
         "sensed_max": last.sensed_max,
         "recruited": sum(walk.recruited for walk in history.walks),
@@ -190,35 +223,19 @@ def score_files(truth: Path, estimate: Path) -> tuple[str, dict[str, float]]:
     }
 
 
-def _coverage(truth: Truth, estimate: Estimate) -> dict[str, float]:
-    """Return the shares of robots within their 50 and 90 % intervals, without the anchor."""
-    if estimate.sd is None:
-        return {}
-    error, sd = metrics.robot_errors(estimate.position, truth.position)[1:], estimate.sd[1:]
-    return {
-        "coverage_50": _mean(error <= HALF_WITHIN * sd),
-        "coverage_90": _mean(error <= MOST_WITHIN * sd),
-    }
-
-
-def _convergence(estimate: Estimate) -> dict[str, float | int]:
-    """Return the convergence diagnostics; nothing if the method has none."""
-    found = estimate.convergence
-    if found is None:
-        return {}
-    return {
-        "converged": found.converged,
-        "misfit_sd": found.misfit_sd,
-        "chains": found.chains,
-        "restarted_chains": found.restarted,
-    }
+def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:
+    """Return the shares of robots in their intervals, without the anchor, and the convergence."""
+    scores: dict[str, float | int] = {}
+    if estimate.sd is not None:
+        error, sd = metrics.robot_errors(estimate.position, truth.position)[1:], estimate.sd[1:]
+        scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
+        scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
+    if (found := estimate.convergence) is not None:
+        scores |= {"converged": found.converged, "misfit_sd": found.misfit_sd}
+        scores |= {"chains": found.chains, "restarted_chains": found.restarted}
+    return scores
 
 
 def _mean(values: NDArray[np.generic]) -> float:
     """Return the mean; NaN without values."""
     return float(values.mean()) if values.size else float("nan")
-
-
-def _whole(values: Reals) -> pd.Series:
-    """Convert to integers; infinite ones become missing."""
-    return pd.Series(values).replace(np.inf, np.nan).astype("Int64")

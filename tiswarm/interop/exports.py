@@ -7,7 +7,6 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from tiswarm.aliases import Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
@@ -19,14 +18,11 @@ from tiswarm.report.render.scene import Robots, build_scene
 from tiswarm.report.run_data import load_run
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
-SIDES = 10
-"""Sides of a dock sphere's equator: a compromise of roundness and file size."""
 
-EDGE_GRAY = (51, 51, 51, 255)
-"""Color of contacts: red, green, blue, opacity."""
-
-MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.7}}
-Z_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+_SIDES = 10  # of a dock sphere's equator: a compromise of roundness and file size
+_EDGE_GRAY = (51, 51, 51, 255)  # color of contacts: red, green, blue, opacity
+_MATTE = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.7}}
+_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns our z axis into the y axis, which is up in glTF."""
 
 
@@ -40,40 +36,36 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, progress: 
     view = read_case_view(load_run(run).choose(case))
     files: dict[str, bytes] = {}
     if form == "gltf":
-        files["case.glb"] = _gltf(shapes_of(view, gamma=2.2))
+        files["case.glb"] = _gltf(_shapes(view, gamma=2.2))
     elif form == "ply":
-        for name, shape in shapes_of(view).items():
+        for name, shape in _shapes(view).items():
             normals = {"vertex_normal": True} if name != "contacts" else {}
             files[f"{name}.ply"] = shape.export(file_type="ply", **normals)
     else:
-        files = {f"{name}.{form}": _encoded(t, form) for name, t in tables_of(view).items()}
+        files = {f"{name}.{form}": _encoded(t, form) for name, t in _tables(view).items()}
     make_folder(out)
     for file, data in files.items():
         write_bytes(out / file, data)
         progress.info(str(out / file))
 
 
-def shapes_of(view: CaseView, *, gamma: float = 1.0) -> dict[str, Any]:
+def _shapes(view: CaseView, *, gamma: float = 1.0) -> dict[str, Any]:
     """Build trimesh solids of structure and estimate, and a path of the contacts.
 
     Robots of the structure are colored by join, robots of the estimate by error; contacts connect
-    the true centers of robots.
-
-    Args:
-        view: The case.
-        gamma: Exponent of colors; 2.2 turns sRGB into linear colors, which glTF requires.
+    the true centers of robots. The exponent `gamma` = 2.2 turns sRGB into linear colors for glTF.
     """
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
     worst = max(np.nanmax(view.error, initial=0.0), 1e-9)
     by_error = colors_along(np.nan_to_num(view.error) / worst, ERROR_COLORS)
     line: Any = entities.Line
-    pairs = view.log.contacts[:, [0, 2]]
-    gray = np.tile(np.array(EDGE_GRAY, np.uint8), (len(pairs), 1))
+    lines = [line(pair) for pair in view.log.contacts[:, [0, 2]]]
+    gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
     return {
         "structure": _solid(view.robots(view.pose, view.color_by_join, TRUE_SIZE), gamma),
         "estimate": _solid(view.robots(view.estimated_pose, by_error, TRUE_SIZE), gamma),
-        "contacts": Path3D([line(p) for p in pairs], view.pose[:, :3], colors=gray, process=False),
+        "contacts": Path3D(lines, view.pose[:, :3], colors=gray, process=False),
     }
 
 
@@ -82,7 +74,7 @@ def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, impo
     from trimesh import Trimesh  # noqa: PLC0415 - slow to import
 
     scene = build_scene([robots], None)
-    mesh = mesh_capsules(scene, sides=SIDES)
+    mesh = mesh_capsules(scene, sides=_SIDES)
     start, end = scene.start[mesh.point_capsule], scene.end[mesh.point_capsule]
     span = end - start
     length = np.maximum(np.sum(span**2, axis=1), 1e-12)
@@ -103,11 +95,10 @@ def _gltf(shapes: dict[str, Any]) -> bytes:
 
     scene = Scene(metadata={"length_unit": "R"})
     for name, shape in shapes.items():
-        scene.add_geometry(shape, node_name=name, geom_name=name, transform=Z_UP)
+        scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
 
     def add_matte(tree: dict[str, Any]) -> None:
-        """Give all meshes one material: the default of glTF is metal."""
-        tree["materials"] = [MATTE]
+        tree["materials"] = [_MATTE]  # the default of glTF is metal
         for mesh in tree["meshes"]:
             mesh["primitives"][0]["material"] = 0
 
@@ -116,28 +107,20 @@ def _gltf(shapes: dict[str, Any]) -> bytes:
     return data
 
 
-def tables_of(view: CaseView) -> dict[str, pd.DataFrame]:
+def _tables(view: CaseView) -> dict[str, pd.DataFrame]:
     """Tabulate poses in the format of `tiswarm import`, and contacts with their positions."""
-    log = view.log
-    i, a, j, b = log.contacts.T
+    i, a, j, b = view.log.contacts.T
     offsets = dock_offsets(view.pose[:, 3:], view.dock_offset_body)
     dock = view.pose[:, None, :3] + offsets
     contacts = pd.DataFrame(
         {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
     contacts[POSE[:3]] = (dock[i, a] + dock[j, b]) / 2.0
-    return {
-        "structure": _poses(view, view.pose),
-        "estimate": _poses(view, view.estimated_pose).assign(error_R=view.error),
-        "contacts": contacts,
-    }
-
-
-def _poses(view: CaseView, pose: Reals) -> pd.DataFrame:
-    """Tabulate id, join index and pose of each robot."""
-    table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(pose))})
-    table[POSE] = pose
-    return table
+    names = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
+    structure, estimate = names.copy(), names.copy()
+    structure[POSE], estimate[POSE] = view.pose, view.estimated_pose
+    estimate["error_R"] = view.error
+    return {"structure": structure, "estimate": estimate, "contacts": contacts}
 
 
 def _encoded(table: pd.DataFrame, form: Format) -> bytes:
@@ -146,8 +129,8 @@ def _encoded(table: pd.DataFrame, form: Format) -> bytes:
     try:
         from pyarrow import Table, parquet  # noqa: PLC0415 - an extra
     except ImportError as error:
-        msg = "parquet needs the library pyarrow; pip install 'tiswarm[parquet]'"
-        raise EnvironmentTroubleError(msg) from error
+        problem = "parquet needs the library pyarrow; pip install 'tiswarm[parquet]'"
+        raise EnvironmentTroubleError(problem) from error
     stream = io.BytesIO()
     parquet.write_table(Table.from_pandas(table, preserve_index=False), stream)
     return stream.getvalue()

@@ -2,8 +2,9 @@
 
 import re
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,10 +22,8 @@ from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import FAR_FROM_UNIT, write_sensing_log
 from tiswarm.records.sensing_log import SensingLog, canonical_contacts
 
-QUATERNION = ["qw", "qx", "qy", "qz"]
-WHOLE = ["robot", "sphere", "join"]
-FEWEST_SPHERES = 3
-"""Spheres that determine the orientation of a robot."""
+_QUATERNION = ["qw", "qx", "qy", "qz"]
+_WHOLE = ["robot", "sphere", "join"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,40 +44,29 @@ class Assumptions:
     """Unit of lengths where the columns do not name it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Poses:
-    """N robots with D docks each, in the order of their file."""
+class _Poses(NamedTuple):
+    """N robots with D docks each, in the order of their file, in its unit of length."""
 
-    robot_id: Ints
-    """Id of each robot, shape (N,)."""
-
-    position: Reals
-    """Centers, in the file's unit, shape (N, 3)."""
-
-    orientation_wxyz: Reals
-    """Body to world, unit quaternion, shape (N, 4)."""
-
-    dock_offset_body: Reals
-    """Vectors from center to dock, body frame, shape (D, 3)."""
-
-    join: Ints | None
-    """Rank of each robot in join order; None where the file has none, shape (N,)."""
-
-    length_unit: str
-    """Unit of all lengths as the columns name it; empty where they do not."""
+    robot_id: Ints  # (N,)
+    position: Reals  # centers, (N, 3)
+    orientation_wxyz: Reals  # body to world, (N, 4)
+    dock_offset_body: Reals  # (D, 3)
+    join: Ints | None  # rank of each robot in join order, (N,); None where the file has none
+    length_unit: str  # as the columns name it; empty where they do not
 
 
 def import_poses(
-    path: Path,
-    out: Path,
-    dock_offset_body: Reals,
-    assumed: Assumptions,
-    progress: Progress,
+    path: Path, out: Path, dock_offset_body: Reals, assumed: Assumptions, progress: Progress
 ) -> None:
     """Turn a table of poses into `sensing.jsonl` and `truth.csv`.
 
+    The table has the columns `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order,
+    among others. Lengths may name their unit, as in `x_mm`. A column `join` states the join order
+    of the robots. A robot of spheres has its center at their mean; the first robot defines the
+    body frame.
+
     Args:
-        path: The table, see `read_poses`.
+        path: The table.
         out: Folder for the two files; made if need be.
         dock_offset_body: Vectors from center to dock, body frame, shape (D, 3); ignored for
             spheres.
@@ -89,12 +77,13 @@ def import_poses(
         InputError: the table is malformed or does not contain the anchor.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
-    poses = read_poses(path, dock_offset_body, assumed.tolerance)
+    poses = _read_poses(path, dock_offset_body, assumed.tolerance)
     unit = poses.length_unit or assumed.length_unit
+    assumed = replace(assumed, length_unit=unit)
     docks = poses.position[:, None] + dock_offsets(poses.orientation_wxyz, poses.dock_offset_body)
     contacts, too_close = _contacts(docks, assumed)
     order = _join_order(poses, contacts, assumed.anchor, path, progress)
-    log = _log(poses, contacts, docks, order, assumed, unit)
+    log = _log(poses, contacts, docks, order, assumed)
     make_folder(out)
     write_sensing_log(log, out / "sensing.jsonl")
     write_positions(out / "truth.csv", log.robot_id, poses.position[order], length_unit=unit)
@@ -105,39 +94,23 @@ def import_poses(
         progress.info(f"{counted(too_close, 'overlap')} of two docks {by}")
 
 
-def read_poses(path: Path, dock_offset_body: Reals, tolerance: float) -> Poses:
-    """Read `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order, among other columns.
-
-    Lengths may name their unit, as in `x_mm`. A column `join` states the join order of the robots.
-    A robot of spheres has its center at their mean; the first robot defines the body frame.
-
-    Args:
-        path: The table.
-        dock_offset_body: Vectors from center to dock, body frame, shape (D, 3); ignored for
-            spheres.
-        tolerance: Largest distance of a sphere from its place in the first robot's shape.
-
-    Raises:
-        InputError: the table cannot be read or a row is malformed; names file and line.
-    """
+def _read_poses(path: Path, dock_offset_body: Reals, tolerance: float) -> _Poses:
     text = Table(path)
     columns, unit = _columns(text.columns, path)
     numbers = {
-        name: text.integers(column) if name in WHOLE else text.numbers(column)
+        name: text.integers(column) if name in _WHOLE else text.numbers(column)
         for name, column in columns.items()
     }
     table = _by_robot(pd.DataFrame(numbers | {"line": list(text.rows)}), path)
     first = table.drop_duplicates("robot")
-    count = len(first)
-    place = table[[*"xyz"]].to_numpy(float).reshape(count, -1, 3)
+    place = table[[*"xyz"]].to_numpy(float).reshape(len(first), -1, 3)
+    position = place.mean(axis=1)
     if "sphere" in table:
-        position = place.mean(axis=1)
         dock_offset_body = place[0] - position[0]
         orientation = _align(place - position[:, None], first, path, tolerance)
     else:
-        position = place[:, 0]
         orientation = _unit_quaternions(first, path)
-    return Poses(
+    return _Poses(
         robot_id=first["robot"].to_numpy(np.int64),
         position=position,
         orientation_wxyz=orientation,
@@ -152,7 +125,7 @@ def _columns(header: list[str], path: Path) -> tuple[dict[str, str], str]:
     units = [name[2:] for name in header if re.fullmatch(r"x_[A-Za-z]+", name)]
     for unit in ["", *units]:
         lengths = {axis: f"{axis}_{unit}" if unit else axis for axis in "xyz"}
-        rest = ["robot", *(["sphere"] if "sphere" in header else QUATERNION)]
+        rest = ["robot", *(["sphere"] if "sphere" in header else _QUATERNION)]
         if {*lengths.values(), *rest} <= {*header}:
             rest += [name for name in ("join",) if name in header]
             return {**{name: name for name in rest}, **lengths}, unit
@@ -165,10 +138,9 @@ def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     spheres = "sphere" in table
     repeated = table[table.duplicated(["robot", "sphere"] if spheres else ["robot"])]
     if len(repeated):
-        robot, line = repeated["robot"].iloc[0], int(repeated["line"].iloc[0])
         what = f"sphere {repeated['sphere'].iloc[0]} of robot" if spheres else "robot"
-        problem = f"{what} {robot} has a row already; keep one"
-        raise InputError(problem, path=path, line=line)
+        problem = f"{what} {repeated['robot'].iloc[0]} has a row already; keep one"
+        raise InputError(problem, path=path, line=int(repeated["line"].iloc[0]))
     if not spheres:
         return table
     robot, _ = pd.factorize(table["robot"])
@@ -176,26 +148,25 @@ def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     wanted: list[int] = []
     for name, rows in table.groupby("robot", sort=False):
         found = rows["sphere"].tolist()
-        line = int(rows["line"].min())
         wanted = wanted or found
+        problem = ""
         if found != wanted:
             problem = f"robot {name} has spheres {found}, the first robot {wanted}; complete it"
-            raise InputError(problem, path=path, line=line, key="sphere")
-        if len(found) < FEWEST_SPHERES:
+        elif len(found) < 3:  # noqa: PLR2004 - three determine an orientation
             problem = f"{len(found)} spheres leave the orientation open; give three or more"
-            raise InputError(problem, path=path, line=line, key="sphere")
+        if problem:
+            raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
     return table
 
 
 def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     """Scale quaternions to length 1; refuse those whose length is far from it."""
-    quaternion = table[QUATERNION].to_numpy()
+    quaternion = table[_QUATERNION].to_numpy()
     length = np.linalg.norm(quaternion, axis=1)
     far = np.flatnonzero(np.abs(length - 1.0) > FAR_FROM_UNIT)
     if len(far):
-        line = int(table["line"].iloc[far[0]])
         problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
-        raise InputError(problem, path=path, line=line, key="qw")
+        raise InputError(problem, path=path, line=int(table["line"].iloc[far[0]]), key="qw")
     unit: Reals = quaternion / length[:, None]
     return unit
 
@@ -232,23 +203,26 @@ def _contacts(docks: Reals, assumed: Assumptions) -> tuple[NDArray[np.int32], in
     pairs = pairs[pairs[:, 0] // count != pairs[:, 1] // count]
     apart = np.linalg.norm(tree.data[pairs[:, 0]] - tree.data[pairs[:, 1]], axis=1)
     touching = pairs[apart >= spacing - assumed.tolerance]
-    rows = np.column_stack([touching[:, :1] // count, touching[:, :1] % count,
-                            touching[:, 1:] // count, touching[:, 1:] % count])  # fmt: skip
+    rows = np.stack(np.divmod(touching, count), axis=-1).reshape(-1, 4)
     return rows.astype(np.int32), len(pairs) - len(touching)
 
 
 def _join_order(
-    poses: Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, progress: Progress
+    poses: _Poses, contacts: NDArray[np.int32], anchor: int | None, path: Path, progress: Progress
 ) -> Ints:
     """Sort robots by their join index; without it, by hops from the anchor."""
+    name = poses.robot_id
     if poses.join is not None:
         order: Ints = np.argsort(poses.join, kind="stable")
-        if anchor is None or poses.robot_id[order[0]] == anchor:
+        if anchor is None or name[order[0]] == anchor:
             return order
-        problem = f"robot {poses.robot_id[order[0]]} joined first, not {anchor}; leave --anchor out"
+        problem = f"robot {name[order[0]]} joined first, not {anchor}; leave --anchor out"
         raise InputError(problem, path=path, key="join")
-    first = 0 if anchor is None else _row_of(anchor, poses, path)
-    neighbors: list[list[int]] = [[] for _ in poses.robot_id]
+    if anchor is not None and anchor not in name:
+        problem = f"there is no robot {anchor}; name one of the file"
+        raise InputError(problem, path=path, key="--anchor")
+    first = 0 if anchor is None else int(np.flatnonzero(name == anchor)[0])
+    neighbors: list[list[int]] = [[] for _ in name]
     for i, _, j, _ in contacts.tolist():
         neighbors[i].append(j)
         neighbors[j].append(i)
@@ -257,43 +231,25 @@ def _join_order(
         new = sorted(set(neighbors[waiting.popleft()]) - found.keys())
         found |= dict.fromkeys(new)
         waiting.extend(new)
-    progress.info(
-        f"no column join: robots join outward from robot {poses.robot_id[first]}, by contacts"
-    )
-    lost = len(neighbors) - len(found)
-    if lost:
+    progress.info(f"no column join: robots join outward from robot {name[first]}, by contacts")
+    if lost := len(name) - len(found):
         progress.info(f"{counted(lost, 'disconnected robot')} placed last in join order")
-    return np.array(list(found | dict.fromkeys(range(len(neighbors)))), np.int64)
-
-
-def _row_of(robot: int, poses: Poses, path: Path) -> int:
-    found = np.flatnonzero(poses.robot_id == robot)
-    if not len(found):
-        problem = f"there is no robot {robot}; name one of the file"
-        raise InputError(problem, path=path, key="--anchor")
-    return int(found[0])
+    return np.array(list(found | dict.fromkeys(range(len(name)))), np.int64)
 
 
 def _log(
-    poses: Poses,
-    contacts: NDArray[np.int32],
-    docks: Reals,
-    order: Ints,
-    assumed: Assumptions,
-    unit: str,
+    poses: _Poses, contacts: NDArray[np.int32], docks: Reals, order: Ints, assumed: Assumptions
 ) -> SensingLog:
     """Derive what the robots would have sensed at rest."""
-    place = np.empty(len(order), np.int32)
-    place[order] = np.arange(len(order))
+    count = len(order)
     renamed = contacts.copy()
-    renamed[:, [0, 2]] = place[contacts[:, [0, 2]]]
+    renamed[:, [0, 2]] = np.argsort(order)[contacts[:, [0, 2]]]
     swapped = renamed[:, 0] > renamed[:, 2]
     renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
     standing: NDArray[np.int32] = np.empty((0, 2), np.int32)
     if assumed.ground_z is not None:
         height = docks[order, :, 2] - assumed.dock_radius - assumed.ground_z
         standing = np.argwhere(np.abs(height) <= assumed.tolerance).astype(np.int32)
-    count = len(order)
     return SensingLog(
         robot_id=poses.robot_id[order],
         dock_radius=assumed.dock_radius,
@@ -305,5 +261,5 @@ def _log(
         ground_docks=standing,
         flip_height=np.full(count, np.nan),
         spawn_position=np.full((count, 3), np.nan),
-        length_unit=unit,
+        length_unit=assumed.length_unit,
     )

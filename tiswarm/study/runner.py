@@ -10,7 +10,6 @@ import numpy as np
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
-from tiswarm.evaluation.outliers import outlier_scores
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.params import Arch, Precision
@@ -213,7 +212,7 @@ class CaseRunner:
         )
         cues = case.settings.localization.cues
         scored = scores.score(truth, log, estimate, history.robot, cues=cues)
-        scored |= outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
+        scored |= scores.outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
         return self.job.folder.store(
             _record(case, DONE, history.ended, scored),
             truth=truth,
