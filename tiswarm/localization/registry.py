@@ -1,7 +1,8 @@
 """Every localization method, by name."""
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 
@@ -13,27 +14,13 @@ from tiswarm.measurements.observability import observability
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-
-@dataclass(frozen=True, kw_only=True)
-class Method:
-    """How to call a method."""
-
-    localize_batch: Callable[..., list[Estimate]]
-    """Localizes logs side by side, given settings for each."""
-
-    batch_key: Callable[..., Hashable]
-    """Logs (each with its settings) of equal key may share a batch."""
-
-
-METHODS = {
-    "joint": Method(localize_batch=joint.localize_batch, batch_key=joint.batch_key),
-    "virtual-force": Method(
-        localize_batch=virtual_force.localize_batch, batch_key=virtual_force.batch_key
-    ),
-    "least-squares": Method(
-        localize_batch=least_squares.localize_batch, batch_key=least_squares.batch_key
-    ),
+METHODS: dict[str, ModuleType] = {
+    "joint": joint,
+    "virtual-force": virtual_force,
+    "least-squares": least_squares,
 }
+"""Modules with the functions `localize_batch`, which localizes logs side by side given settings for
+each, and `batch_key`: logs that with their settings have equal keys may share a batch."""
 
 
 def localize(log: SensingLog, params: LocalizationParams) -> Estimate:

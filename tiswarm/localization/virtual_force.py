@@ -20,22 +20,14 @@ from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
+from tiswarm.localization import virtual_force_kernels as kernels
 from tiswarm.localization.params import (
     BackPropagation,
     LocalizationParams,
     VirtualForceParams,
     VirtualTorque,
 )
-from tiswarm.localization.virtual_force_kernels import (
-    ALL_DOCKS,
-    DOCKS_OF_NEIGHBORS,
-    NO_DOCKS,
-    Gains,
-    LogArrays,
-    Robots,
-    Trace,
-    localize_in_join_order,
-)
+from tiswarm.localization.virtual_force_kernels import Gains, LogArrays, Robots, Trace
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
@@ -44,7 +36,7 @@ from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
-WORLD_UP = np.array([0.0, 0.0, 1.0])
+WORLD_UP = np.array([[0.0, 0.0, 1.0]])
 NO_SWEEPS = BackPropagation(sweeps=0)
 NO_TORQUE = VirtualTorque(gain=0.0)
 
@@ -74,42 +66,29 @@ def localize_batch(
     dtype = backend.current().dtype
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or NO_SWEEPS
-    frames = np.r_[
-        0:iterations:every, iterations, iterations + np.r_[every : rounds.sweeps : every]
-    ]
-    if rounds.sweeps:
-        frames = np.r_[frames, iterations + rounds.sweeps]
+    swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
+    frames = np.array([*range(0, iterations, every), iterations, *(iterations + k for k in swept)])
     start = np.cumsum([0, *(log.robot_count for log in logs)]).astype(np.int32)
-    robots = start[-1]
     both = list(zip(logs, params, strict=True))
-    directions = [_directions(log.orientation_wxyz, p) for log, p in both]
-    heights = [log.flip_height / log.dock_radius for log in logs]
-    measured = LogArrays(
-        *_contacts_by_robot(logs),
-        initial_direction=np.concatenate(directions).astype(dtype),
-        flip_height=np.concatenate(heights).astype(dtype),
-    )
+    direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
+    height = np.concatenate([log.flip_height / log.dock_radius for log in logs])
+    measured = LogArrays(*_contacts_by_robot(logs), direction.astype(dtype), height.astype(dtype))
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
-    placed = Robots(
-        dock_offset=np.concatenate(offsets).astype(dtype),
-        yaw=np.zeros(robots, dtype),
-        position=np.full((robots, 3), np.nan, dtype),
-    )
+    placed = _robots(np.concatenate(offsets).astype(dtype))
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
-    trace = Trace(
-        position=np.empty((len(frames), robots, 3), dtype),
-        step_length=np.empty((len(frames), robots), dtype),
-    )
+    shape = (len(frames), len(placed.yaw))
+    trace = Trace(np.empty((*shape, 3), dtype), np.empty(shape, dtype))
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
-    localize_in_join_order(
+    kernels.localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, every,
         np.array([_gains(p, log.noise) for log, p in both], dtype), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
         *trace,
     )  # fmt: skip
-    _check_placed(placed.position)
+    if np.isnan(placed.position).any():
+        raise backend.faulty_driver()
     estimates = []
     for (log, p), a, b in zip(both, start[:-1], start[1:], strict=True):
         scaled = trace.position[:, a:b].astype(np.float64) * log.dock_radius
@@ -186,17 +165,13 @@ class Localizer:
         self._contact_start = np.zeros(capacity + 1, np.int32)
         self._direction = np.zeros((capacity, 3), dtype)
         self._height = np.full(capacity, np.nan, dtype)
-        self._robots = Robots(
-            dock_offset=np.zeros((capacity, docks, 3), dtype),
-            yaw=np.zeros(capacity, dtype),
-            position=np.full((capacity, 3), np.nan, dtype),
-        )
+        self._robots = _robots(np.zeros((capacity, docks, 3), dtype))
         self._anchor = np.array(head.anchor_position)
         self._robots.position[0] = 0.0  # far from the origin, numbers lose digits
 
     @property
     def log(self) -> SensingLog:
-        """LogArrays of the robots so far."""
+        """The sensing log of the robots so far."""
         return self._builder.log()
 
     @property
@@ -231,31 +206,29 @@ class Localizer:
         self._height[n] = height / self._unit
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
-        position: NDArray[np.floating] = self._robots.position[n]
-        moved: Reals = position.astype(np.float64) * self._unit + self._anchor
-        return moved
+        placed: Reals = self.positions[n]
+        return placed
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
         dtype, count, every = self._height.dtype, self._count, self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(self._contact_start, contact, self._direction, self._height)
-        trace = Trace(
-            position=np.empty((2, *self._robots.position.shape), dtype),
-            step_length=np.empty((2, len(self._height)), dtype),
-        )
-        localize_in_join_order(
+        capacity = len(self._height)
+        trace = Trace(np.empty((2, capacity, 3), dtype), np.empty((2, capacity), dtype))
+        kernels.localize_in_join_order(
             every, 1, 0, every, np.array([_gains(self._params, self._noise)], dtype),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
         )  # fmt: skip
-        _check_placed(self._robots.position[: count + 1])
+        if np.isnan(self._robots.position[: count + 1]).any():
+            raise backend.faulty_driver()
 
 
-def _check_placed(position: NDArray[np.floating]) -> None:
-    """Refuse positions that a kernel has not written."""
-    if np.isnan(position).any():
-        raise backend.faulty_driver()
+def _robots(dock_offset: NDArray[np.floating]) -> Robots:
+    """Reserve robots that have not been placed."""
+    (robots, _, axes), dtype = dock_offset.shape, dock_offset.dtype
+    return Robots(dock_offset, np.zeros(robots, dtype), np.full((robots, axes), np.nan, dtype))
 
 
 def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
@@ -267,7 +240,7 @@ def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTo
 def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
     rounds, torque = params.back_propagation or NO_SWEEPS, _torque(params, noise)
     yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
-    undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
+    undocked = kernels.DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else kernels.NO_DOCKS
     return Gains(
         attraction_gain=params.attraction_gain,
         repulsion_gain=params.repulsion_gain,
@@ -277,7 +250,7 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
         sweep_gain=rounds.gain,
         sweep_repulsion=rounds.repulsion_share,
         spacing=2.0,
-        undocked=float(ALL_DOCKS if params.undocked_repulsion else undocked),
+        undocked=float(kernels.ALL_DOCKS if params.undocked_repulsion else undocked),
         torque_gain=torque.gain,
         hold=params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
         max_turn=float(np.radians(torque.max_turn_deg)),
@@ -288,7 +261,7 @@ def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:
     """Direction of each robot's initial offset, shape (N, 3)."""
     if params.initial_offset_axis == "world":
         return np.tile(WORLD_UP, (len(orientation_wxyz), 1))
-    return dock_offsets(orientation_wxyz, WORLD_UP[None, :])[:, 0]
+    return dock_offsets(orientation_wxyz, WORLD_UP)[:, 0]
 
 
 def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -296,10 +269,8 @@ def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], N
     seen = [np.concatenate([log.contacts[:, [2, 3, 0, 1]], log.contacts]) for log in logs]
     # Earlier robots come first, in the order in which the joiner sensed them.
     seen = [rows[np.argsort(rows[:, 0], kind="stable")] for rows in seen]
-    count = [
-        np.bincount(rows[:, 0], minlength=log.robot_count)
-        for log, rows in zip(logs, seen, strict=True)
-    ]
+    both = zip(logs, seen, strict=True)
+    count = [np.bincount(rows[:, 0], minlength=log.robot_count) for log, rows in both]
     start = np.cumsum(np.concatenate([[0], *count])).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
 

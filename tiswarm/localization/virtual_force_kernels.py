@@ -11,9 +11,7 @@ from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals
 from tiswarm.compute.math_kernels import vector_at, vector_in
 from tiswarm.engine.kernels import capped, dock_pair_force, parting
 
-NO_DOCKS = 0
-DOCKS_OF_NEIGHBORS = 1
-ALL_DOCKS = 2
+NO_DOCKS, DOCKS_OF_NEIGHBORS, ALL_DOCKS = 0, 1, 2
 """Docks that repel each other where they overlap without being connected."""
 
 
@@ -99,20 +97,7 @@ class Trace(NamedTuple):
 @ti.func
 def gains_of(gains: Ref, structure):
     """Read the gains of a structure, columns in the order of `Gains`."""
-    return ti.Struct(
-        attraction_gain=gains[structure, 0],
-        repulsion_gain=gains[structure, 1],
-        height_gain=gains[structure, 2],
-        initial_offset=gains[structure, 3],
-        max_step=gains[structure, 4],
-        sweep_gain=gains[structure, 5],
-        sweep_repulsion=gains[structure, 6],
-        spacing=gains[structure, 7],
-        undocked=ti.cast(gains[structure, 8], ti.i32),
-        torque_gain=gains[structure, 9],
-        hold=gains[structure, 10],
-        max_turn=gains[structure, 11],
-    )
+    return ti.Struct({name: gains[structure, c] for c, name in ti.static(enumerate(Gains._fields))})
 
 
 @ti.func
@@ -129,26 +114,6 @@ def turn_dock(turn, robot, k, dock_offset: Ref):
         x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
         dock_offset[robot, k, 0] = c * x - s * y
         dock_offset[robot, k, 1] = s * x + c * y
-
-
-@ti.func
-def is_connected(contact: Ref, first, last, own, robot, k):
-    """Whether the contact rows `first` to `last` hold (own dock, robot, dock `k`)."""
-    found = False
-    for row in range(first, last):
-        found = found or (
-            contact[row, 0] == own and contact[row, 1] == robot and contact[row, 2] == k
-        )
-    return found
-
-
-@ti.func
-def touches(contact: Ref, first, last, robot):
-    """Whether the contact rows `first` to `last` hold any dock of a robot."""
-    found = False
-    for row in range(first, last):
-        found = found or contact[row, 1] == robot
-    return found
 
 
 @ti.func
@@ -203,9 +168,14 @@ def undocked_force(
                 other = item // docks
                 offset = dock_at(robots, base + other, item % docks) - own
                 if offset.norm_sqr() < gains.spacing * gains.spacing and other != robot - base:
-                    if (
-                        gains.undocked == ALL_DOCKS or touches(measured.contact, first, last, other)
-                    ) and not is_connected(measured.contact, first, last, k, other, item % docks):
+                    repels = gains.undocked == ALL_DOCKS
+                    connected = False
+                    for row in range(first, last):
+                        if measured.contact[row, 1] == other:
+                            repels = True
+                            pair = measured.contact[row, 0] == k
+                            connected |= pair and measured.contact[row, 2] == item % docks
+                    if repels and not connected:
                         push = dock_pair_force(
                             offset, 0.0, gains.repulsion_gain, gains.spacing, ramp
                         )
@@ -329,9 +299,8 @@ def localize_in_join_order(
     cells = ti.static(CellList(head, following))
     robots = ti.static(Robots(dock_offset, yaw, position))
     trace = ti.static(Trace(trace_position, step_length))
-    for i in range((start.shape[0] - 1) * GRAIN):
-        if i % GRAIN == 0:
-            s = i // GRAIN
+    for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
+        if idle == 0:
             gains = gains_of(gains_table, s)
             base = start[s]
             for robot in range(base + placed_before[s], start[s + 1]):
