@@ -29,7 +29,7 @@ from tiswarm.params import Arch, Precision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.scenario import localization_params
+from tiswarm.scenario.validation import localization_params
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -174,7 +174,7 @@ def run(
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.drawing import draw_all  # noqa: PLC0415 - slow to import
-    from tiswarm.scenario import load_scenario  # noqa: PLC0415 - slow to import
+    from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
     texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
     plan, progress = load_scenario(Path(scenario), texts), ConsoleProgress(quiet=quiet)

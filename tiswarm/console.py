@@ -10,7 +10,7 @@ from rich.console import Console
 
 from tiswarm.progress import Progress
 
-LINE_EVERY_S = 30.0
+_LINE_EVERY_S = 30.0
 """Least time between two progress lines where there is no terminal to draw a bar on."""
 
 
@@ -48,7 +48,7 @@ class ConsoleProgress(Progress):
             nonlocal done, printed
             done += steps
             now = time.perf_counter()
-            if now - printed >= LINE_EVERY_S and done < total:
+            if now - printed >= _LINE_EVERY_S and done < total:
                 left = (now - begun) * (total - done) / done
                 self.info(f"{name}: {done} of {total}, about {left:.0f} s left")
                 printed = now

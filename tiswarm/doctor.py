@@ -5,19 +5,20 @@ import importlib.util
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.params import ARCHS
+from tiswarm.compute import backend
+from tiswarm.params import ARCHS, Arch
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
 from tiswarm.report.render.scene import Look, Robots, build_scene
 from tiswarm.robot import RobotGeometry
 from tiswarm.study.provenance import machine
 
-PROBE_SECONDS = 60
-OPEN3D_LIBRARIES = {
+_PROBE_SECONDS = 60
+_OPEN3D_LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -28,26 +29,17 @@ OPEN3D_LIBRARIES = {
 }
 """Shared libraries that `import open3d` loads, and the Debian packages that contain them."""
 
-PRELUDE = "import sys; sys.path = [place for place in sys.path if place]\n"
-"""Keeps a child process from importing modules of the working folder."""
-
-BACKEND = """
-from tiswarm.compute import backend
+_PROBE = """
+import sys
+sys.path = [place for place in sys.path if place]  # no modules of the working folder
+from tiswarm import doctor
 from tiswarm.errors import TiswarmError
 try:
-    b = backend.start(sys.argv[1])
-    print(f'{b.library}, {b.threads} threads')
-except TiswarmError as e:
-    sys.exit(str(e))
+    print(getattr(doctor, sys.argv[1])(sys.argv[2]))
+except TiswarmError as error:
+    sys.exit(str(error))
 """
-RENDERER = f"""
-from tiswarm.errors import TiswarmError
-from {__name__} import draw_test_picture
-try:
-    print(f'drew a test picture in {{draw_test_picture(sys.argv[1]):.1f}} s')
-except TiswarmError as e:
-    sys.exit(str(e))
-"""
+"""Calls a function of this module."""
 
 
 class Finding(NamedTuple):
@@ -64,29 +56,39 @@ def examine() -> Iterator[Finding]:
         unit = " MB" if name.endswith("_MB") else ""
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
     for arch in ARCHS:
-        yield Finding(f"backend {arch}", *_in_child(BACKEND, arch))
+        yield Finding(f"backend {arch}", *_in_child(start_backend, arch))
     for renderer in TRACERS:
-        yield Finding(f"renderer {renderer}", *_in_child(RENDERER, renderer))
+        yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
         detail = f"for open3d: apt-get install {' '.join(packages)}"
         yield Finding("system packages", works=False, detail=detail)
 
 
-def _in_child(code: str, name: str) -> tuple[bool, str]:
-    """Run code in a process of its own, because a bad driver or library may crash it."""
+def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
+    """Run a probe in a process of its own, because a bad driver or library may crash it."""
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and code
-            [sys.executable, "-c", PRELUDE + code, name],
-            capture_output=True, text=True, timeout=PROBE_SECONDS, check=False,
+            [sys.executable, "-c", _PROBE, probe.__name__, name],
+            capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return False, f"no answer in {PROBE_SECONDS} s"
+        return False, f"no answer in {_PROBE_SECONDS} s"
     said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
     return done.returncode == 0, said[-1] if said else f"died with status {done.returncode}"
 
 
-def draw_test_picture(renderer: str) -> float:
-    """Draw one robot in a small picture; returns the time it took [s].
+def start_backend(arch: Arch) -> str:
+    """Start a backend; return its library and number of threads.
+
+    Raises:
+        EnvironmentTroubleError: the backend does not work on this machine.
+    """
+    found = backend.start(arch)
+    return f"{found.library}, {found.threads} threads"
+
+
+def draw_test_picture(renderer: str) -> str:
+    """Draw one robot in a small picture; return the time it took in words.
 
     Raises:
         EnvironmentTroubleError: the renderer does not work on this machine.
@@ -96,7 +98,7 @@ def draw_test_picture(renderer: str) -> float:
     dock = center + RobotGeometry().dock_offset_body[None]
     robots = Robots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
     draw_scenes([build_scene([robots], 0.0).shrunk(10)], renderer)
-    return time.perf_counter() - begin
+    return f"drew a test picture in {time.perf_counter() - begin:.1f} s"
 
 
 def missing_packages() -> list[str]:
@@ -106,7 +108,7 @@ def missing_packages() -> list[str]:
     try:
         import_open3d()
     except (ImportError, OSError):
-        return [package for library, package in OPEN3D_LIBRARIES.items() if not _loads(library)]
+        return [package for library, package in _OPEN3D_LIBRARIES.items() if not _loads(library)]
     return []
 
 

@@ -1,13 +1,13 @@
 """Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tiswarm.aliases import AnyInts
 from tiswarm.errors import InputError
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
@@ -21,15 +21,11 @@ from tiswarm.records.sensing_log import SensingLog
 MOST_SHOWN = 10
 
 
-@dataclass(frozen=True, kw_only=True)
-class Inspection:
-    """Result for one file."""
+class Inspection(NamedTuple):
+    """All mistakes of a scenario, or the first of a log; the summary of a file without mistakes."""
 
-    mistakes: tuple[InputError, ...] = ()
-    """All mistakes of a scenario, or the first of a log."""
-
+    mistakes: Sequence[InputError] = ()
     summary: str = ""
-    """Description of a file without mistakes."""
 
 
 def inspect(path: Path) -> Inspection:
@@ -61,10 +57,7 @@ def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterat
 def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
     """Describe in lines what a log leaves unknown, and contacts that contradict each other.
 
-    Args:
-        log: What was sensed.
-        path: File that it was read from.
-        found: What cues determine, all that are in use last.
+    `found` is what cues determine, all that are in use last.
     """
     found = list(found)
     if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
@@ -95,11 +88,12 @@ def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
         (robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]")
         for robot, stance, own, other, dock in contacts.tolist()
     ]
-    for robot, stance, dock in places.tolist():
-        if dock == CENTER:
-            rows.append((robot, flips[robot], "flip_height", "height or spawn position"))
-        else:
-            rows.append((robot, stance, "ground_docks", f"ground contact of dock {dock}"))
+    rows += [
+        (robot, flips[robot], "flip_height", "height or spawn position")
+        if dock == CENTER
+        else (robot, stance, "ground_docks", f"ground contact of dock {dock}")
+        for robot, stance, dock in places.tolist()
+    ]
     for robot, stance, key, what in rows:
         of_stance = "" if stance == flips[robot] else f"stances[{stance}]."
         place = f"{path}:{HEADER_LINES + 1 + robot}: {of_stance}{key}"
@@ -130,14 +124,12 @@ def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
 def describe_residual(log: SensingLog, estimate: Estimate) -> str:
     """Describe an estimate in one line: its residual, and that of its best chain if it has one."""
     unit, residual = log.length_unit, estimate.residual[-1]
-    parts = [counted(estimate.robot_count, "robot"), f"residual {residual:.2g} {unit} rms"]
+    text = f"{counted(estimate.robot_count, 'robot')}, residual {residual:.2g} {unit} rms"
     if estimate.residual_sd is not None:
-        parts[-1] += f" ({estimate.residual_sd:.2g} sd)"
-    parts += [
-        f"of the best chain {each.residual:.2g} {unit} ({each.residual_sd:.2g} sd)"
-        for each in estimate.solutions[:1]
-    ]
-    return ", ".join(parts)
+        text += f" ({estimate.residual_sd:.2g} sd)"
+    for best in estimate.solutions[:1]:
+        text += f", of the best chain {best.residual:.2g} {unit} ({best.residual_sd:.2g} sd)"
+    return text
 
 
 def _left_open(known: Observability) -> str:
@@ -150,7 +142,7 @@ def _left_open(known: Observability) -> str:
     return text if floppy is None else f"{text}, {counted(floppy.sum(), 'floppy robot')}"
 
 
-def _robots(log: SensingLog, rows: NDArray[np.intp]) -> str:
+def _robots(log: SensingLog, rows: AnyInts) -> str:
     """Count robots, and list the first."""
     names = ", ".join(map(str, log.robot_id[rows[:MOST_SHOWN]].tolist()))
     more = ", ..." if len(rows) > MOST_SHOWN else ""
@@ -161,7 +153,7 @@ def _inspect_log(path: Path) -> Inspection:
     try:
         log = read_sensing_log(path)
     except InputError as mistake:
-        return Inspection(mistakes=(mistake,))
+        return Inspection([mistake])
     stances = 0 if log.stances is None else len(log.stances.pivot_dock)
     sizes = {"robot": log.robot_count, "contact": len(log.contacts), "stance": stances}
     summary = ", ".join(counted(number, noun) for noun, number in sizes.items())
@@ -170,10 +162,9 @@ def _inspect_log(path: Path) -> Inspection:
 
 def _inspect_scenario(path: Path) -> Inspection:
     # slow to import
-    from tiswarm.scenario import find_mistakes, load_scenario  # noqa: PLC0415
+    from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
     from tiswarm.study import forecast, plan  # noqa: PLC0415
 
-    mistakes = tuple(find_mistakes(path))
-    if mistakes:
-        return Inspection(mistakes=mistakes)
+    if mistakes := find_mistakes(path):
+        return Inspection(mistakes)
     return Inspection(summary=str(forecast(plan(load_scenario(path)))))

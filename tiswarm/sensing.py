@@ -58,13 +58,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     """Sense the whole walk of every robot in a structure.
 
     A random draw depends on the seed of the history, the robot, and the stance or contact only.
-
-    Args:
-        history: True stances and contacts of the robots.
-        params: Noise of the senses.
-
-    Returns:
-        The log. Its only positions are the anchor's and, with `spawn_noise`, the spawns'.
+    The only positions of the log are the anchor's and, with `spawn_noise`, the spawns'.
 
     >>> from tiswarm.robot import RobotGeometry
     >>> from tiswarm.world.growth import grow
@@ -107,11 +101,8 @@ def _sensed_orientation(history: History, length: Ints, params: SensingParams) -
     turn = sd * normal(history.seed, "orientation", robot[:, None], draw)
     bias = np.zeros_like(turn)
     bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(history.seed, "yaw bias", robot, 0)
-    sensed = (
-        Rotation.from_rotvec(bias)
-        * Rotation.from_rotvec(turn)
-        * Rotation.from_quat(true, scalar_first=True)
-    )
+    turned = Rotation.from_rotvec(bias) * Rotation.from_rotvec(turn)
+    sensed = turned * Rotation.from_quat(true, scalar_first=True)
     return sensed.as_quat(canonical=True, scalar_first=True)
 
 
@@ -139,7 +130,7 @@ def _sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int3
     is_wrong = draw("wrong dock", 0) < params.wrong_docks
     turned = 1 + (draw("wrong dock", 1) * (docks - 1)).astype(np.int32)
     sensed = true.copy()
-    sensed[:, 4] = np.where(is_wrong, (sensed[:, 4] + turned) % docks, sensed[:, 4])
+    sensed[is_wrong, 4] = (sensed[:, 4] + turned)[is_wrong] % docks
     sensed = sensed[draw("missed contact", 0) >= params.missed_contacts]
     rows: NDArray[np.int32] = np.unique(np.concatenate([sensed, false]), axis=0)
     return rows
@@ -171,20 +162,13 @@ def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
 
 
 def _stances(history: History, sensed: Reals, length: Ints, contacts: NDArray[np.int32]) -> Stances:
-    """Gather every stance except each robot's last.
-
-    Args:
-        history: True stances of the robots.
-        sensed: Orientation sensed at every stance, shape (all stances, 4).
-        length: Number of stances of each robot, shape (N,).
-        contacts: Rows of `_sensed_contacts` at these stances.
-    """
+    """Gather every stance except each robot's last; `contacts` are those of these stances."""
     start = np.concatenate([[0], np.cumsum(length - 1)])
     is_last = np.zeros(len(sensed), np.bool_)
     is_last[np.cumsum(length) - 1] = True
     ground = [
-        np.insert(walk.ground_docks[walk.ground_docks[:, 0] < count - 1], 0, j, axis=1)
-        for j, (walk, count) in enumerate(zip(history.walks, length, strict=True))
+        np.insert(walk.ground_docks[walk.ground_docks[:, 0] < walk.stance_count - 1], 0, j, axis=1)
+        for j, walk in enumerate(history.walks)
     ]
     return Stances(
         start=start,

@@ -12,7 +12,7 @@ import pandas as pd
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import plan
 
 F, B, J = "force_threshold", "recruit_base", "recruit_limit"

@@ -10,8 +10,9 @@ from pydantic.dataclasses import dataclass
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.params import STRICT
-from tiswarm.scenario import Scenario, find_mistakes, model, variants
-from tiswarm.scenario.expansion import MAX_LABEL
+from tiswarm.scenario import model
+from tiswarm.scenario.expansion import MAX_LABEL, find_mistakes, variants
+from tiswarm.scenario.model import Scenario
 from tiswarm.world.params import TowerParams
 
 

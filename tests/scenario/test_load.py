@@ -8,13 +8,9 @@ from hypothesis import strategies as st
 
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.scenario import (
-    find_mistakes,
-    load_scenario,
-    localization_params,
-    validation,
-    variants,
-)
+from tiswarm.scenario import validation
+from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
+from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams
 
 SMALL = "name: tower\nstructure: {kind: tower}\n"

@@ -9,14 +9,8 @@ from hypothesis import strategies as st
 
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.robot import RobotGeometry
-from tiswarm.scenario import (
-    Scenario,
-    dump_scenario,
-    load_scenario,
-    scenario_hash,
-    scenario_schema,
-    variants,
-)
+from tiswarm.scenario.expansion import load_scenario, variants
+from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import ClimbParams, TowerParams
 

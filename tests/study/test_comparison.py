@@ -6,7 +6,7 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import compare, run
 
 

@@ -11,7 +11,7 @@ import pytest
 from tests.runs import REPOSITORY, assert_same_results
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
 from tiswarm.progress import Progress
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import Execution, run, runner
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")

@@ -8,7 +8,7 @@ from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
 from tiswarm.localization import virtual_force
 from tiswarm.progress import Progress
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner
 from tiswarm.study.runner import SAMPLE_ROBOTS
 from tiswarm.world.growth import grow

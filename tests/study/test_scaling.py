@@ -11,7 +11,7 @@ from tiswarm import study
 from tiswarm.progress import Progress
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import SCALING_PANELS, draw_scaling
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 
 SIZES = (6, 9, 14)
 

@@ -10,7 +10,7 @@ from tests.recorder import Recorder
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
 from tiswarm.progress import Progress
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, store
 from tiswarm.study.cases import plan
 from tiswarm.study.store import RunFolder

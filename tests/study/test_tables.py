@@ -7,7 +7,7 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import tables
 from tiswarm.study.runner import failure
 

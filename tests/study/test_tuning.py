@@ -10,7 +10,7 @@ from tiswarm.errors import InputError
 from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.progress import Progress
-from tiswarm.scenario import load_scenario
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import tune
 from tiswarm.study.tuning import GAINS
 

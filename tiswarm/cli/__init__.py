@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from tiswarm.cli.app import app, main
 from tiswarm.console import fail
@@ -23,7 +24,7 @@ __all__ = ["main"]
 
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
+    files: Annotated[list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
 ) -> None:
     """Check scenarios and sensing logs for mistakes, without running anything."""
     from tiswarm.inspection import inspect
@@ -43,7 +44,7 @@ def check(
 @app.command(epilog="Example: tiswarm schema > scenario.schema.json")
 def schema() -> None:
     """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
-    from tiswarm.scenario import scenario_schema
+    from tiswarm.scenario.model import scenario_schema
 
     typer.echo(json.dumps(scenario_schema(), indent=2))
 
@@ -52,7 +53,7 @@ def schema() -> None:
 def doctor(
     *,
     only_packages: Annotated[
-        bool, typer.Option("--missing-packages", help="Print only the missing system packages.")
+        bool, Option("--missing-packages", help="Print only the missing system packages.")
     ] = False,
 ) -> None:
     """List which devices and renderers work on this machine, and what to install for others."""

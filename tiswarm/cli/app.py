@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 from typer.exceptions import TyperException
 
 import tiswarm
@@ -12,7 +13,7 @@ from tiswarm.console import fail
 from tiswarm.errors import InputError, TiswarmError
 from tiswarm.params import Arch
 
-INTERRUPTED = 130
+_INTERRUPTED = 130
 
 app = typer.Typer(
     add_completion=False,
@@ -23,26 +24,24 @@ app = typer.Typer(
 )
 
 Overrides = Annotated[
-    list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key (repeatable).")
+    list[str], Option("--set", metavar="KEY=VALUE", help="Override a key (repeatable).")
 ]
-OneArch = Annotated[Arch, typer.Option("--arch", help="Compute device; fails if unavailable.")]
+OneArch = Annotated[Arch, Option("--arch", help="Compute device; fails if unavailable.")]
 Threads = Annotated[
-    int | None, typer.Option(help="CPU threads (default: all cores).", show_default=False)
+    int | None, Option(help="CPU threads (default: all cores).", show_default=False)
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")]
-RunFolderPath = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
-Pdf = Annotated[bool, typer.Option("--pdf", help="Also write figures as vector PDF.")]
-Animate = Annotated[
-    bool, typer.Option("--animate", help="Animate the growth of the largest structure.")
-]
-Movie = Annotated[Literal["gif", "mp4"], typer.Option(help="File format of --animate.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
+RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
+Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
+Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]
+Movie = Annotated[Literal["gif", "mp4"], Option(help="File format of --animate.")]
 
 
 @app.callback(invoke_without_command=True)
 def _options(
     context: typer.Context,
     *,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    version: Annotated[bool, Option("--version", help="Print the version.")] = False,
 ) -> None:
     if version:
         typer.echo(f"tiswarm {tiswarm.__version__}")
@@ -67,7 +66,7 @@ def _status(arguments: list[str]) -> int:
         return InputError.exit_status
     except (KeyboardInterrupt, typer.Abort):
         fail("interrupted; finished results are kept, and the same command continues from there")
-        return INTERRUPTED
+        return _INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()
         return 1

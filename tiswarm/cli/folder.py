@@ -4,12 +4,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from tiswarm.cli.app import Animate, Movie, Pdf, Quiet, RunFolderPath, app
 from tiswarm.console import ConsoleProgress
 from tiswarm.progress import Progress
-
-ExportFormat = Literal["csv", "gltf", "parquet", "ply"]
 
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
@@ -33,9 +32,9 @@ def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> Non
 def render(
     run: RunFolderPath,
     renderer: Annotated[
-        str | None, typer.Option(help="open3d or taichi (default: the first that works).")
+        str | None, Option(help="open3d or taichi (default: the first that works).")
     ] = None,
-    case: Annotated[str | None, typer.Option(help="Case to draw (default: the largest).")] = None,
+    case: Annotated[str | None, Option(help="Case to draw (default: the largest).")] = None,
     *,
     animate: Animate = False,
     movie: Movie = "gif",
@@ -57,8 +56,8 @@ def render(
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")
 def compare(
-    runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN ...", help="Run folders.")],
-    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("reports/comparison"),
+    runs: Annotated[list[Path], Argument(metavar="RUN RUN ...", help="Run folders.")],
+    out: Annotated[Path, Option(help="Folder to write to.")] = Path("reports/comparison"),
     *,
     quiet: Quiet = False,
 ) -> None:
@@ -75,11 +74,11 @@ def compare(
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
     run: RunFolderPath,
-    form: Annotated[ExportFormat, typer.Option("--format", help="File format.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder to write to (default: RUN/export).")
-    ] = None,
-    case: Annotated[str | None, typer.Option(help="Case to export (default: the largest).")] = None,
+    form: Annotated[
+        Literal["csv", "gltf", "parquet", "ply"], Option("--format", help="File format.")
+    ],
+    out: Annotated[Path | None, Option(help="Folder to write to (default: RUN/export).")] = None,
+    case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
     *,
     quiet: Quiet = False,
 ) -> None:

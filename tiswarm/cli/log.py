@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from tiswarm.cli.app import OneArch, Overrides, Quiet, Threads, app
 from tiswarm.console import ConsoleProgress
@@ -12,20 +13,19 @@ from tiswarm.params import Precision
 
 @app.command(epilog="Example: tiswarm localize sensing.jsonl --out estimate.csv")
 def localize(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Sensing log.")],
+    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     method: Annotated[
-        str,
-        typer.Option(help="joint (most accurate), virtual-force (the paper's) or least-squares."),
+        str, Option(help="joint (most accurate), virtual-force (the paper's) or least-squares.")
     ] = "joint",
     cues: Annotated[
-        str | None, typer.Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
+        str | None, Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of joint.")] = None,
+    seed: Annotated[int | None, Option(help="Seed of joint.")] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Table of positions to write.")] = Path("estimate.csv"),
+    out: Annotated[Path, Option(help="Table of positions to write.")] = Path("estimate.csv"),
     arch: OneArch = "cpu",
     threads: Threads = None,
-    precision: Annotated[Precision, typer.Option(help="Floating-point type.")] = "f64",
+    precision: Annotated[Precision, Option(help="Floating-point type.")] = "f64",
     *,
     quiet: Quiet = False,
 ) -> None:
@@ -39,7 +39,7 @@ def localize(
     from tiswarm.localization import registry
     from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
-    from tiswarm.scenario import localization_params
+    from tiswarm.scenario.validation import localization_params
 
     chosen = [] if seed is None else [f"seed={seed}"]
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
@@ -59,25 +59,20 @@ def localize(
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
 def import_(
-    poses: Annotated[
-        Path, typer.Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for sensing.jsonl and truth.csv.")],
-    dock_radius: Annotated[float, typer.Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
+    poses: Annotated[Path, Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")],
+    out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
+    dock_radius: Annotated[float, Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
         float | None,
-        typer.Option(help="Distance from robot center to docks; not for a table of spheres."),
+        Option(help="Distance from robot center to docks; not for a table of spheres."),
     ] = None,
     tolerance: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Largest gap or overlap of a contact (default: 2 %)."),
+        float | None, Option(min=0.0, help="Largest gap or overlap of a contact (default: 2 %).")
     ] = None,
-    anchor: Annotated[
-        int | None, typer.Option(help="Id of the anchor robot (default: first).")
-    ] = None,
-    ground_z: Annotated[float | None, typer.Option(help="Height of flat ground.")] = None,
+    anchor: Annotated[int | None, Option(help="Id of the anchor robot (default: first).")] = None,
+    ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     length_unit: Annotated[
-        str, typer.Option(help="Length unit, unless columns name it, such as x_mm.")
+        str, Option(help="Length unit, unless columns name it, such as x_mm.")
     ] = "unit",
     *,
     quiet: Quiet = False,
@@ -100,8 +95,8 @@ def import_(
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")
 def score(
-    truth: Annotated[Path, typer.Argument(help="Table of true positions.")],
-    estimate: Annotated[Path, typer.Argument(help="Table of estimated positions.")],
+    truth: Annotated[Path, Argument(help="Table of true positions.")],
+    estimate: Annotated[Path, Argument(help="Table of estimated positions.")],
 ) -> None:
     """Print the errors of an estimate, as it is and after alignment."""
     from tiswarm.evaluation.tables import score_files

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from tiswarm.cli.app import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
 from tiswarm.console import ConsoleProgress
@@ -14,28 +15,27 @@ from tiswarm.records.messages import counted
 
 @app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
 def run(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    scenario: Annotated[Path, Argument(help="Scenario file.")],
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Parent of the run folder.")] = Path("reports"),
+    out: Annotated[Path, Option(help="Parent of the run folder.")] = Path("reports"),
     arch: OneArch = "cpu",
     threads: Threads = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Number of worker processes.")] = None,
+    workers: Annotated[int | None, Option(min=1, help="Number of worker processes.")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
+        str | None, Option(metavar="ADDRESS", help="Dask scheduler to compute on.")
     ] = None,
-    shard: Annotated[str, typer.Option(metavar="I/N", help="Compute part I of N only.")] = "1/1",
+    shard: Annotated[str, Option(metavar="I/N", help="Compute part I of N only.")] = "1/1",
     case_limit: Annotated[
-        float | None,
-        typer.Option(min=0.001, metavar="SECONDS", help="Abort a case after this time."),
+        float | None, Option(min=0.001, metavar="SECONDS", help="Abort a case after this time.")
     ] = None,
     *,
     only_plan: Annotated[
-        bool, typer.Option("--plan", help="Print an estimate of time and memory, and run nothing.")
+        bool, Option("--plan", help="Print an estimate of time and memory, and run nothing.")
     ] = False,
     fail_fast: Annotated[
-        bool, typer.Option("--fail-fast", help="Stop at the first failed case.")
+        bool, Option("--fail-fast", help="Stop at the first failed case.")
     ] = False,
-    pictures: Annotated[bool, typer.Option(help="Draw figures, renders and report.html.")] = True,
+    pictures: Annotated[bool, Option(help="Draw figures, renders and report.html.")] = True,
     pdf: Pdf = False,
     animate: Animate = False,
     movie: Movie = "gif",
@@ -46,7 +46,7 @@ def run(
     An interrupted run continues where it stopped.
     """
     from tiswarm import study
-    from tiswarm.scenario import load_scenario
+    from tiswarm.scenario.expansion import load_scenario
 
     progress = ConsoleProgress(quiet=quiet)
     plan = load_scenario(scenario, overrides)
@@ -56,24 +56,19 @@ def run(
     if workers is not None and scheduler is not None:
         raise InputError("choose only one of --workers, --scheduler")
     execution = study.Execution(
-        workers=workers,
-        scheduler=scheduler,
-        shard=_shard(shard),
-        case_limit_s=case_limit,
+        workers=workers, scheduler=scheduler, shard=_shard(shard), case_limit_s=case_limit,
         fail_fast=fail_fast,
-    )
+    )  # fmt: skip
     result = study.run(
         plan, out, progress=progress, arch=arch, threads=threads, execution=execution
     )
     if result.missing:
-        progress.info(
-            f"part {shard} is done; other parts still lack {counted(result.missing, 'case')}"
-        )
+        lacking = counted(result.missing, "case")
+        progress.info(f"part {shard} is done; other parts still lack {lacking}")
     else:
         from tiswarm.drawing import draw_all
 
-        shown = movie if animate else None
-        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=shown)
+        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie if animate else None)
         if not quiet:
             typer.echo(study.headline(result.folder))
     if result.failed:
@@ -90,20 +85,18 @@ def _shard(text: str) -> tuple[int, int]:
 
 @app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")
 def tune(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file.")],
+    scenario: Annotated[Path, Argument(help="Scenario file.")],
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     trials: Annotated[
-        int, typer.Option(min=1, help="Trials, including those already in the record.")
+        int, Option(min=1, help="Trials, including those already in the record.")
     ] = 200,
     training_seeds: Annotated[
-        int, typer.Option(min=1, help="Structures at each sweep point, from seed 1000 on.")
+        int, Option(min=1, help="Structures at each sweep point, from seed 1000 on.")
     ] = 25,
     condition: Annotated[
-        list[str], typer.Option(help="Condition to include (repeatable; default: all).")
+        list[str], Option(help="Condition to include (repeatable; default: all).")
     ] = [],  # noqa: B006 - typer never changes it
-    out: Annotated[Path, typer.Option(help="Record of the fit to write or continue.")] = Path(
-        "fit.json"
-    ),
+    out: Annotated[Path, Option(help="Record of the fit to write or continue.")] = Path("fit.json"),
     arch: OneArch = "cpu",
     threads: Threads = None,
     *,
@@ -114,7 +107,7 @@ def tune(
     An interrupted fit continues where it stopped.
     """
     from tiswarm import study
-    from tiswarm.scenario import load_scenario
+    from tiswarm.scenario.expansion import load_scenario
 
     record = study.tune(
         load_scenario(scenario, overrides), out,

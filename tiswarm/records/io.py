@@ -1,15 +1,16 @@
 """Reads text and tables with errors by line, and writes files that appear whole or not at all."""
 
 import csv
+import json
 import math
 import os
 import secrets
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -18,8 +19,6 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 
 MAX_LINE_BYTES = 64 * 2**20
 """Longest line that is read [byte]."""
-
-_ID_LIMIT = 2**63
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -112,15 +111,12 @@ class Table:
         Raises:
             InputError: a cell is not a whole number of 64 bits.
         """
-        wanted = "a whole number; write it like 7"
-        return np.array(self._values(column, _integer, wanted), np.int64)
+        return np.array(self._values(column, _integer, "a whole number; write it like 7"), np.int64)
 
     def numbers(self, column: str, *, empty: float | None = None) -> Reals:
         """Read a column of finite numbers, shape (rows,).
 
-        Args:
-            column: Name of the column.
-            empty: Value of an empty cell; None refuses empty cells.
+        `empty` is the value of an empty cell; None refuses empty cells.
 
         Raises:
             InputError: a cell is not a finite number.
@@ -150,9 +146,8 @@ class Table:
 
 
 def _integer(cell: str) -> int:
-    """Parse a whole number of 64 bits, strictly: Python alone reads 1_0 as 10."""
     number = int(cell)
-    if "_" in cell or not -_ID_LIMIT <= number < _ID_LIMIT:
+    if "_" in cell or not -(2**63) <= number < 2**63:  # Python alone reads 1_0 as 10
         raise ValueError
     return number
 
@@ -180,7 +175,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
-        _flush_folder(path.parent)
+        with suppress(OSError):  # so the name survives a power cut, where that is possible
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
     except OSError as error:
         reason = error.strerror or error
         problem = f"{path}: cannot be written: {reason}; check its folder and the free space"
@@ -201,6 +201,20 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a whole JSON file at once."""
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; empty where the file is missing or damaged."""
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder for results and its parents, unless they exist.
 
@@ -212,13 +226,3 @@ def make_folder(folder: Path) -> None:
     except OSError as error:
         problem = f"{folder}: cannot be made: {error.strerror}; choose another --out"
         raise EnvironmentTroubleError(problem) from error
-
-
-def _flush_folder(folder: Path) -> None:
-    """Make the new name survive a power cut, where the system can flush a folder."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

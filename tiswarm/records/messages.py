@@ -10,7 +10,7 @@ Part = str | int
 """One step of the path to a value: a key, or an index into a list."""
 
 UNKNOWN_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
-MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
+_MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
 
 
 def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
@@ -20,7 +20,7 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=1)
         keys = f"the keys here are {', '.join(allowed)}" if allowed else "leave it out"
         return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; {keys}"
-    if kind in MISSING_KEY:
+    if kind in _MISSING_KEY:
         return "is missing; add it"
     if kind == "value_error":
         return str(context["error"])

@@ -18,9 +18,6 @@ from tiswarm.errors import InputError
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import Table, write_text
 
-KNOWN = "known"
-YAW = "yaw_deg"
-
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
@@ -49,7 +46,7 @@ def write_positions(
     Args:
         path: File to write.
         robot_id: Name of each robot, shape (N,).
-        position: Centers, finite, shape (N, 3).
+        position: Centers, shape (N, 3).
         further: Further columns, by name.
         length_unit: Unit of all lengths; part of the column names.
 
@@ -74,9 +71,9 @@ def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") ->
         sds = estimate.sd.tolist()
         further[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
     if estimate.observability is not None:
-        further[KNOWN] = estimate.observability.known
+        further["known"] = estimate.observability.known
     if estimate.yaw is not None:
-        further[YAW] = np.degrees(estimate.yaw).tolist()
+        further["yaw_deg"] = np.degrees(estimate.yaw).tolist()
     write_positions(path, estimate.robot_id, estimate.position, further, length_unit=length_unit)
 
 
@@ -95,7 +92,7 @@ def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
     robot = table.integers("robot")
     position = np.column_stack([table.numbers(name) for name in required[1:]])
     for name in table.columns[4:]:
-        if name != KNOWN:
+        if name != "known":
             table.numbers(name, empty=math.nan)
     seen: set[int] = set()
     for row, name in enumerate(robot.tolist()):
@@ -120,4 +117,5 @@ def read_length_unit(path: Path) -> str:
 
 
 def _header(length_unit: str) -> list[str]:
-    return ["robot", *(f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")), KNOWN, YAW]
+    lengths = [f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")]
+    return ["robot", *lengths, "known", "yaw_deg"]

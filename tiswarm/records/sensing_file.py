@@ -8,7 +8,7 @@ memory for the log and one line.
 import json
 import math
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from itertools import chain
@@ -37,7 +37,7 @@ from tiswarm.records.sensing_log import SensingLog, Stances, canonical_contacts
 FAR_FROM_UNIT = 1e-3
 """Deviation of a quaternion's length from 1 above which the quaternion is refused."""
 
-CLOSE_TO_UNIT = 1e-9
+_CLOSE_TO_UNIT = 1e-9
 """Deviation below which a quaternion is not scaled to 1, so that our own quaternions keep their
 bits."""
 
@@ -133,11 +133,9 @@ class SensingLogBuilder:
         if line.robot in self._index_of:
             problem = f"robot {line.robot} has a line already; give every robot its own number"
             raise InputError(problem, key="robot")
-        stances = line.stances or []
-        final = self._checked(line, "", line.robot)
-        earlier = [
-            self._checked(entry, f"stances[{n}].", line.robot) for n, entry in enumerate(stances)
-        ]
+        robot, stances = line.robot, line.stances or []
+        final = self._checked(line, "", robot)
+        earlier = [self._checked(each, f"stances[{n}].", robot) for n, each in enumerate(stances)]
         self._index_of[line.robot] = len(self._index_of)
         self._final.append(final)
         for stance in earlier:
@@ -190,14 +188,15 @@ class SensingLogBuilder:
         }
         lists = {}
         for name, kinds in STANCE_LISTS.items():
-            key, items = f"{prefix}{name}", []
+            first: dict[tuple[int, ...], int] = {}
             for place, numbers in enumerate(getattr(entry, name) or []):
-                item = [numbers] if len(kinds) == 1 else numbers
-                here = f"{key}[{place}]"
-                pairs = zip(kinds, item, strict=True)
-                items.append(tuple(check[kind](number, here) for kind, number in pairs))
-            _refuse_repeated(items, key)
-            lists[name] = sorted(items)
+                here = f"{prefix}{name}[{place}]"
+                pairs = zip(kinds, [numbers] if len(kinds) == 1 else numbers, strict=True)
+                item = tuple(check[kind](number, here) for kind, number in pairs)
+                if first.setdefault(item, place) != place:
+                    problem = f"repeats {prefix}{name}[{first[item]}]; list it once"
+                    raise InputError(problem, key=here)
+            lists[name] = sorted(first)
         return SensedStance(orientation, lists)
 
     def _robot_index(self, myself: int, name: int, key: str) -> int:
@@ -243,16 +242,8 @@ def _unit(orientation_wxyz: list[float], key: str) -> list[float]:
     length = math.hypot(*orientation_wxyz)
     if abs(length - 1.0) > FAR_FROM_UNIT:
         raise InputError(f"the quaternion has length {length:.6g}; scale it to 1", key=key)
-    if abs(length - 1.0) <= CLOSE_TO_UNIT:
-        return orientation_wxyz
-    return [part / length for part in orientation_wxyz]
-
-
-def _refuse_repeated(items: Sequence[tuple[int, ...]], key: str) -> None:
-    first: dict[tuple[int, ...], int] = {}
-    for place, item in enumerate(items):
-        if first.setdefault(item, place) != place:
-            raise InputError(f"repeats {key}[{first[item]}]; list it once", key=f"{key}[{place}]")
+    scale = 1.0 if abs(length - 1.0) <= _CLOSE_TO_UNIT else length
+    return [part / scale for part in orientation_wxyz]
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:
@@ -277,16 +268,13 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
     arrays["contacts"] = canonical_contacts(log.contacts)[:, [2, 3, 0, 1]]
     if log.ground_z is None:
         del arrays["ground_docks"]
-    final = _Lists(arrays, log.robot_count, log.robot_id)
+    final = _lists(arrays, log.robot_count, log.robot_id)
     if stances is not None:
         arrays = {key: getattr(stances, key) for key in STANCE_LISTS}
-        earlier = _Lists(arrays, len(stances.pivot_dock), log.robot_id)
+        earlier = _lists(arrays, len(stances.pivot_dock), log.robot_id)
     for i, name in enumerate(log.robot_id.tolist()):
-        entries: dict[str, object] = {
-            "robot": name,
-            "orientation_wxyz": log.orientation_wxyz[i].tolist(),
-            **final[i],
-        }
+        orientation = log.orientation_wxyz[i].tolist()
+        entries: dict[str, object] = {"robot": name, "orientation_wxyz": orientation, **next(final)}
         for key in ROBOT_NUMBERS:
             number = getattr(log, key)[i]
             if not np.isnan(number).all():
@@ -296,30 +284,23 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
                 {
                     "orientation_wxyz": stances.orientation_wxyz[row].tolist(),
                     "pivot_dock": int(stances.pivot_dock[row]),
-                    **earlier[row],
+                    **next(earlier),
                 }
                 for row in range(stances.start[i], stances.start[i + 1])
             ]
         yield entries
 
 
-class _Lists:
-    """Lists of each stance, from arrays whose first column names the stance, in order."""
-
-    def __init__(self, arrays: dict[str, NDArray[np.int32]], count: int, names: Ints) -> None:
-        self._start, self._items = {}, {}
-        for key, rows in arrays.items():
-            kinds = STANCE_LISTS[key]
-            items = [
-                names[number] if kind == "robot" else number
-                for kind, number in zip(kinds, rows.T[1:], strict=True)
-            ]
-            self._start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))
-            self._items[key] = items[0] if len(kinds) == 1 else np.column_stack(items)
-
-    def __getitem__(self, stance: int) -> dict[str, list[object]]:
-        lists = {}
-        for key, items in self._items.items():
-            first, last = self._start[key][stance : stance + 2]
-            lists[key] = items[first:last].tolist()
-        return lists
+def _lists(
+    arrays: dict[str, NDArray[np.int32]], count: int, names: Ints
+) -> Iterator[dict[str, list[object]]]:
+    """Yield the lists of each stance, from arrays whose first column names the stance, in order."""
+    start, items = {}, {}
+    for key, rows in arrays.items():
+        pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
+        columns = [names[number] if kind == "robot" else number for kind, number in pairs]
+        items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
+        start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))
+    for stance in range(count):
+        places = {key: slice(*first[stance : stance + 2]) for key, first in start.items()}
+        yield {key: items[key][place].tolist() for key, place in places.items()}

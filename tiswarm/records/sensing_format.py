@@ -22,12 +22,11 @@ from tiswarm.records.sensing_log import SensingNoise
 FORMAT = "tiswarm-sensing"
 VERSION = 1
 
-RobotName = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
-Contacts = Annotated[list[Contact], Field(fail_fast=True)]
-Docks = Annotated[list[int], Field(fail_fast=True)]
+_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+_Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
+_Contacts = Annotated[list[_Contact], Field(fail_fast=True)]
+_Docks = Annotated[list[int], Field(fail_fast=True)]
 
 
 class HeaderLine(BaseModel):
@@ -38,8 +37,8 @@ class HeaderLine(BaseModel):
     format: Literal["tiswarm-sensing"]
     version: Literal[1]
     dock_radius: Annotated[float, Field(gt=0.0)]
-    dock_offsets: Annotated[list[Vector], Field(min_length=1, fail_fast=True)]
-    anchor_position: Vector
+    dock_offsets: Annotated[list[_Vector], Field(min_length=1, fail_fast=True)]
+    anchor_position: _Vector
     ground_z: float | None
     length_unit: Annotated[str, Field(min_length=1)]
     noise: SensingNoise | None = None
@@ -50,10 +49,10 @@ class StanceEntry(BaseModel):
 
     model_config = STRICT
 
-    orientation_wxyz: Quaternion
+    orientation_wxyz: _Quaternion
     pivot_dock: int
-    contacts: Contacts = []
-    ground_docks: Docks | None = None
+    contacts: _Contacts = []
+    ground_docks: _Docks | None = None
 
 
 class RobotLine(BaseModel):
@@ -61,19 +60,16 @@ class RobotLine(BaseModel):
 
     model_config = STRICT
 
-    robot: RobotName
-    orientation_wxyz: Quaternion
-    contacts: Contacts
-    ground_docks: Docks | None = None
+    robot: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
+    orientation_wxyz: _Quaternion
+    contacts: _Contacts
+    ground_docks: _Docks | None = None
     flip_height: float | None = None
-    spawn_position: Vector | None = None
+    spawn_position: _Vector | None = None
     stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
 
 
-STANCE_LISTS: dict[str, tuple[Literal["dock", "robot"], ...]] = {
-    "contacts": ("dock", "robot", "dock"),
-    "ground_docks": ("dock",),
-}
+STANCE_LISTS = {"contacts": ("dock", "robot", "dock"), "ground_docks": ("dock",)}
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance."""
@@ -120,12 +116,10 @@ def parse_robot(text: str) -> RobotLine:
 def _first_mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
     error = found.errors(include_url=False)[0]
     path = error["loc"]
-    nested = {
-        "stances": StanceEntry.model_fields,
-        "noise": [field.name for field in fields(SensingNoise)],
-    }
-    allowed = nested.get(str(path[0]), model.model_fields) if len(path) > 1 else model.model_fields
-    return InputError(explain(error, allowed), key=dotted(path))
+    noise = [field.name for field in fields(SensingNoise)]
+    nested = {"stances": list(StanceEntry.model_fields), "noise": noise}
+    allowed = nested.get(str(path[0])) if path[1:] else None
+    return InputError(explain(error, allowed or list(model.model_fields)), key=dotted(path))
 
 
 def _parse_json(text: str) -> dict[str, object]:

@@ -12,7 +12,7 @@ from pydantic import Field
 from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
-Spread = Annotated[float, Field(ge=0.0)]
+_Sd = Annotated[float, Field(ge=0.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -23,16 +23,16 @@ class SensingNoise:
     The orientation noise of each stance is drawn anew, except for the bias.
     """
 
-    tilt_deg: Spread
+    tilt_deg: _Sd
     """Standard deviation about a horizontal axis [deg]."""
 
-    yaw_deg: Spread
+    yaw_deg: _Sd
     """Standard deviation about the vertical [deg]."""
 
-    yaw_bias_deg: Spread | None = None
+    yaw_bias_deg: _Sd | None = None
     """Standard deviation about the vertical that a robot keeps at all its stances [deg]."""
 
-    spawn: Spread | None = None
+    spawn: _Sd | None = None
     """Standard deviation of each coordinate of a spawn position [log unit]."""
 
     missed_contacts: Fraction | None = None

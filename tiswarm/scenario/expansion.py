@@ -33,11 +33,10 @@ from tiswarm.scenario.validation import (
 )
 from tiswarm.scenario.yaml_source import YamlSource, read_yaml
 
-MAX_VARIANTS = 10_000
 MAX_LABEL = 150
+_MAX_VARIANTS = 10_000
 
-Conditions = Mapping[str, Mapping[str, Any]]
-Sweep = Mapping[str, Sequence[Any]]
+_Sweep = Mapping[str, Sequence[Any]]
 
 _MINIMAL: Plain = {"name": "minimal", "structure": {"kind": "tower"}}
 """A scenario of defaults only."""
@@ -95,25 +94,26 @@ def variants(scenario: Scenario) -> list[Variant]:
         InputError: a condition or a swept value is wrong; never for a loaded scenario, which
             has been checked already.
     """
-    found, mistakes = expand(to_plain(scenario), scenario.conditions, scenario.sweep)
+    found, mistakes = _expand(to_plain(scenario), scenario.conditions, scenario.sweep)
     if mistakes:
         raise InputError(mistakes[0].problem, key=dotted(mistakes[0].path))
     return found
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
-    source = read_yaml(path)
-    source = YamlSource(
-        data=renamed(source.data),
-        lines={renamed_path(at): line for at, line in source.lines.items()},
-    )
-    data = source.data
+    read = read_yaml(path)
+    data = renamed(read.data)
+    source = YamlSource(data, {renamed_path(at): line for at, line in read.lines.items()})
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
         raise InputError(problem, path=path, line=source.line_of(()))
     settings = [parse_setting(text) for text in overrides]
     for setting in settings:
-        _override(data, setting)
+        if problem := set_key(data, setting.path, setting.value):
+            raise setting.error(problem)
+        if isinstance(sweep := data.get("sweep"), dict):  # the option replaces it
+            for key in setting.values:
+                sweep.pop(key, None)
     for setting in settings:
         if problem := _overridden(data, setting) or _missing_keys(data, setting, settings, source):
             raise setting.error(problem)
@@ -121,15 +121,6 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, lis
     errors = [_placed(mistake, path, source, settings) for mistake in _mistakes(data)]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors
-
-
-def _override(data: Plain, setting: Setting) -> None:
-    """Apply an option to a scenario, in place of the sweep of its keys."""
-    if problem := set_key(data, setting.path, setting.value):
-        raise setting.error(problem)
-    if isinstance(sweep := data.get("sweep"), dict):
-        for key in setting.values:
-            sweep.pop(key, None)
 
 
 def _overridden(data: Plain, setting: Setting) -> str:
@@ -150,9 +141,9 @@ def _overridden(data: Plain, setting: Setting) -> str:
     for leaf, value in leaves.items():
         covering = [next((k for k in entries if _covers(k, leaf)), "") for entries in each]
         if covering and all(covering) and any(entries.get(leaf, ...) != value for entries in each):
-            problem = f"has no effect: every condition sets {covering[0]}; set it there"
+            option = _option(f"conditions.{next(iter(conditions))}.{leaf}", value)
             return (
-                f"{problem}, as in {_option(f'conditions.{next(iter(conditions))}.{leaf}', value)}"
+                f"has no effect: every condition sets {covering[0]}; set it there, as in {option}"
             )
     return ""
 
@@ -207,20 +198,15 @@ def _mistakes(data: Plain) -> list[Mistake]:
     outcome = from_plain(data)
     mistakes = [] if isinstance(outcome, Scenario) else outcome
     bad = {part for mistake in mistakes for part in mistake.path[:1]}
-    good = {key: value for key, value in data.items() if key not in bad}
-    scenario = from_plain({**_MINIMAL, **good})
+
+    def good(entries: Mapping[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in entries.items() if key.partition(".")[0] not in bad}
+
+    scenario = from_plain({**_MINIMAL, **good(data)})
     if not isinstance(scenario, Scenario):
         return mistakes
-
-    def is_good(key: str) -> bool:
-        return key.partition(".")[0] not in bad
-
-    conditions = {
-        name: {key: value for key, value in entries.items() if is_good(key)}
-        for name, entries in scenario.conditions.items()
-    }
-    sweep = {key: values for key, values in scenario.sweep.items() if is_good(key)}
-    return [*mistakes, *expand(to_plain(scenario), conditions, sweep)[1]]
+    conditions = {name: good(entries) for name, entries in scenario.conditions.items()}
+    return [*mistakes, *_expand(to_plain(scenario), conditions, good(scenario.sweep))[1]]
 
 
 def _placed(
@@ -249,41 +235,27 @@ class _Change(NamedTuple):
         return self.path[1:] == (DISCRIMINATORS.get(self.path[0]),)
 
 
-class _Combination(NamedTuple):
-    """A point of the sweep and a condition, not yet applied."""
-
-    condition: str
-    point: tuple[_Change, ...]
-    """Changes that name the point."""
-
-    overrides: tuple[_Change, ...]
-    """Changes that follow the point, then those of the condition."""
-
-    @property
-    def label(self) -> str:
-        names = [f"{change.key}={_label(change.value)}" for change in self.point]
-        label = ",".join([*names, self.condition])
-        if len(label) <= MAX_LABEL:
-            return label
-        return f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
-
-
-def expand(
-    base: Plain, conditions: Conditions, sweep: Sweep
+def _expand(
+    base: Plain, conditions: Mapping[str, Mapping[str, Any]], sweep: _Sweep
 ) -> tuple[list[Variant], list[Mistake]]:
     """Build the variants of a valid scenario, and list mistakes in its conditions and sweep."""
     count = math.prod(map(len, sweep.values())) * len(conditions)
-    if count > MAX_VARIANTS:
-        problem = f"makes {count} cases; {MAX_VARIANTS} is the most: give fewer values"
+    if count > _MAX_VARIANTS:
+        problem = f"makes {count} cases; {_MAX_VARIANTS} is the most: give fewer values"
         return [], [Mistake(("sweep",), problem)]
     if malformed := _malformed(sweep):
         return [], malformed
     base = {key: value for key, value in base.items() if key not in {"conditions", "sweep"}}
     found: dict[str, Variant] = {}
     mistakes: dict[Mistake, None] = {}
-    for combination in _combinations(conditions, sweep):
-        outcome = _apply(base, combination)
-        label = combination.label
+    points = itertools.product(*(list(_rows(entry, values)) for entry, values in sweep.items()))
+    for rows, (condition, entries) in itertools.product(points, conditions.items()):
+        point = {row[0].key: row[0].value for row in rows}
+        label = _label(point, condition)
+        changes = [row[0] for row in rows]
+        changes += [follower for row in rows for follower in row[1:]]
+        changes += [_Change(k, v, ("conditions", condition, k)) for k, v in entries.items()]
+        outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
         elif label.casefold() in found:
@@ -291,22 +263,9 @@ def expand(
             mistakes[Mistake(("sweep" if sweep else "conditions",), problem)] = None
         else:
             found[label.casefold()] = Variant(
-                label=label,
-                condition=combination.condition,
-                point={change.key: change.value for change in combination.point},
-                settings=outcome,
+                label=label, condition=condition, point=point, settings=outcome
             )
     return list(found.values()), list(mistakes)
-
-
-def _combinations(conditions: Conditions, sweep: Sweep) -> Iterator[_Combination]:
-    axes = [list(_rows(entry, values)) for entry, values in sweep.items()]
-    for rows in itertools.product(*axes):
-        followers = [change for row in rows for change in row[1:]]
-        for name, entries in conditions.items():
-            overrides = [_Change(k, v, ("conditions", name, k)) for k, v in entries.items()]
-            point = tuple(row[0] for row in rows)
-            yield _Combination(name, point, (*followers, *overrides))
 
 
 def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_Change]]:
@@ -320,7 +279,7 @@ def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_Change]]:
             yield [_Change(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
 
 
-def _malformed(sweep: Sweep) -> list[Mistake]:
+def _malformed(sweep: _Sweep) -> list[Mistake]:
     """Find rows that do not fit their keys, and keys in several entries."""
     mistakes = []
     seen: set[str] = set()
@@ -339,14 +298,10 @@ def _malformed(sweep: Sweep) -> list[Mistake]:
     return mistakes
 
 
-def _apply(base: Plain, combination: _Combination) -> Scenario | list[Mistake]:
+def _apply(base: Plain, changes: Sequence[_Change], label: str) -> Scenario | list[Mistake]:
     """Apply whole sections first, then keys that select settings, then the settings."""
-    data = deepcopy(base)
-    changes = sorted(
-        [*combination.point, *combination.overrides],
-        key=lambda change: (len(change.path) > 1, not change.selects),
-    )
-    lost = []
+    data, lost = deepcopy(base), []
+    changes = sorted(changes, key=lambda change: (len(change.path) > 1, not change.selects))
     for change in changes:
         if change.selects and (problem := _reset_section(data, change)):
             lost.append(Mistake(change.source, problem))
@@ -355,7 +310,7 @@ def _apply(base: Plain, combination: _Combination) -> Scenario | list[Mistake]:
     outcome = from_plain(data)
     if isinstance(outcome, Scenario):
         return lost or outcome
-    return [_attribute(mistake, changes, combination.label) for mistake in outcome]
+    return [_attribute(mistake, changes, label) for mistake in outcome]
 
 
 def _reset_section(data: Plain, change: _Change) -> str:
@@ -384,20 +339,23 @@ def _defaults(section: str, selected: str) -> Plain | None:
 
 def _attribute(mistake: Mistake, changes: Sequence[_Change], label: str) -> Mistake:
     """Move a mistake to the change that set the value at fault, or a part of it."""
-    for change in reversed(changes):
-        size = len(change.path)
-        if change.path == mistake.path[:size]:
-            of_key = mistake.about_key and size == len(mistake.path) and change.source[0] == "sweep"
-            source = change.source[:2] if of_key else change.source
-            return mistake._replace(path=(*source, *mistake.path[size:]))
-    for change in reversed(changes):
-        if mistake.path == change.path[: len(mistake.path)]:
-            return mistake._replace(path=change.source)
-    return mistake._replace(problem=f"{mistake.problem} (in case {label})")
+    change = find_culprit(mistake, changes)
+    if change is None:
+        return mistake._replace(problem=f"{mistake.problem} (in case {label})")
+    size, source = len(change.path), change.source
+    if mistake.about_key and size == len(mistake.path) and source[0] == "sweep":
+        source = source[:2]
+    return mistake._replace(path=(*source, *mistake.path[size:]))
 
 
-def _label(value: object) -> str:
-    """Write a swept value with characters that any file system accepts."""
-    text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
-    text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
-    return text.strip("-") if isinstance(value, (dict, list)) else text
+def _label(point: Mapping[str, object], condition: str) -> str:
+    """Name a case with characters that any file system accepts."""
+    names = []
+    for key, value in point.items():
+        text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+        text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
+        names.append(f"{key}={text.strip('-') if isinstance(value, (dict, list)) else text}")
+    label = ",".join([*names, condition])
+    if len(label) <= MAX_LABEL:
+        return label
+    return f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"

@@ -22,8 +22,7 @@ from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams
 
-SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
-
+_SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
 _Values = TypeVar("_Values", bound=tuple[Any, ...])
 
@@ -47,15 +46,14 @@ def swept_keys(entry: str) -> list[str]:
 
 
 def _sweep_key(entry: str) -> str:
-    if any(key.partition(".")[0] not in SWEEP_SECTIONS for key in swept_keys(entry)):
-        raise ValueError(f"cannot be swept; sweep {', '.join(SWEEP_SECTIONS)} or keys in them")
+    if any(key.partition(".")[0] not in _SWEEP_SECTIONS for key in swept_keys(entry)):
+        raise ValueError(f"cannot be swept; sweep {', '.join(_SWEEP_SECTIONS)} or keys in them")
     return entry
 
 
 def _distinct(values: _Values) -> _Values:
     seen = set()
-    for value in values:
-        text = json.dumps(value, sort_keys=True)
+    for text in [json.dumps(value, sort_keys=True) for value in values]:
         if text in seen:
             raise ValueError(f"{text} occurs twice; give each value once")
         seen.add(text)
@@ -66,23 +64,22 @@ def _count_or_list(seeds: object) -> str:
     return "list" if isinstance(seeds, (list, tuple)) else "count"
 
 
-Slug = Annotated[str, AfterValidator(_slug)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
-SeedCount = Annotated[int, Field(ge=1, le=1_000_000)]
-SeedList = Annotated[tuple[Seed, ...], Field(min_length=1), AfterValidator(_distinct)]
-Seeds = Annotated[
-    Annotated[SeedCount, Tag("count")] | Annotated[SeedList, Tag("list")],
-    Discriminator(_count_or_list),
+_Slug = Annotated[str, AfterValidator(_slug)]
+_Seed = Annotated[int, Field(ge=0, lt=2**63)]
+_SeedCount = Annotated[int, Field(ge=1, le=1_000_000), Tag("count")]
+_SeedList = Annotated[
+    tuple[_Seed, ...], Field(min_length=1), AfterValidator(_distinct), Tag("list")
 ]
-Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
-SweepValues = Annotated[tuple[JsonValue, ...], Field(min_length=1), AfterValidator(_distinct)]
+_Seeds = Annotated[_SeedCount | _SeedList, Discriminator(_count_or_list)]
+_Overrides = dict[Annotated[str, AfterValidator(_condition_key)], JsonValue]
+_SweepValues = Annotated[tuple[JsonValue, ...], Field(min_length=1), AfterValidator(_distinct)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Scenario:
     """A reproducible study: structures to grow, and ways to localize their robots."""
 
-    name: Slug
+    name: _Slug
     """Name of the study, with which its result folder starts."""
 
     description: str = ""
@@ -91,7 +88,7 @@ class Scenario:
     robots: Annotated[int, Field(ge=2, lt=2**31)] = 100
     """Robots in each structure."""
 
-    seeds: Seeds = 1
+    seeds: _Seeds = 1
     """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
 
     precision: Literal["f64", "f32"] = "f64"
@@ -109,13 +106,13 @@ class Scenario:
     localization: LocalizationParams = VirtualForceParams()
     """Localization method and its settings."""
 
-    conditions: Annotated[dict[Slug, Overrides], Field(min_length=1)] = field(
+    conditions: Annotated[dict[_Slug, _Overrides], Field(min_length=1)] = field(
         default_factory=lambda: {"baseline": {}}
     )
     """By name, settings of `localization.*` and `sensing.*` that differ from those above. All
     conditions run on the same structures."""
 
-    sweep: dict[Annotated[str, AfterValidator(_sweep_key)], SweepValues] = field(
+    sweep: dict[Annotated[str, AfterValidator(_sweep_key)], _SweepValues] = field(
         default_factory=dict
     )
     """By dotted key, values to run in all combinations. Keys that change together share an entry

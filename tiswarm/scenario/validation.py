@@ -1,11 +1,12 @@
 """Checks of plain data and of `--set` options; each mistake with its place."""
 
+import itertools
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -34,16 +35,10 @@ RENAMED = {
 """New names of dotted keys of earlier versions, which scenarios and options may still use."""
 
 _REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
-    ("scorecard",): (
-        "none",
-        "this key no longer exists; remove it and run python -m benchmarks.reactivebuild SCENARIO",
-    ),
-    ("localization", "optimizer"): (
-        "scipy",
-        "this key no longer exists; remove it and run python -m benchmarks.least_squares LOG",
-    ),
+    ("scorecard",): ("none", "benchmarks.reactivebuild SCENARIO"),
+    ("localization", "optimizer"): ("scipy", "benchmarks.least_squares LOG"),
 }
-"""Keys of earlier versions: their default, which run folders hold, and what to do instead."""
+"""Keys of earlier versions: their default, which run folders hold, and what to run instead."""
 
 _UNIONS = {*DISCRIMINATORS, "seeds"}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
@@ -69,14 +64,9 @@ class Setting(NamedTuple):
     value: object
 
     @property
-    def key(self) -> str:
-        """Dotted key."""
-        return ".".join(self.path)
-
-    @property
     def values(self) -> dict[str, object]:
         """Its value and, if that is a mapping, all values in it, by dotted key."""
-        return dict(_nested(self.key, self.value))
+        return dict(_nested(".".join(self.path), self.value))
 
     @property
     def selected(self) -> tuple[str, str]:
@@ -89,6 +79,14 @@ class Setting(NamedTuple):
     def error(self, problem: str) -> InputError:
         """Return an error that names the option."""
         return InputError(problem, key=f"--set {self.text}")
+
+
+class _Change(Protocol):
+    @property
+    def path(self) -> tuple[str, ...]: ...
+
+
+_AnyChange = TypeVar("_AnyChange", bound=_Change)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -170,15 +168,12 @@ def parse_setting(text: str, *section: str) -> Setting:
         raise InputError(error.problem, key=f"--set {text}") from error
 
 
-def find_culprit(mistake: Mistake, settings: Sequence[Setting]) -> Setting | None:
-    """Find the last option that set the value at fault or, failing that, a part of it."""
-    for setting in reversed(settings):
-        if setting.path == mistake.path[: len(setting.path)]:
-            return setting
-    for setting in reversed(settings):
-        if mistake.path == setting.path[: len(mistake.path)]:
-            return setting
-    return None
+def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange | None:
+    """Find the last change that set the value at fault or, failing that, a part of it."""
+    at, last_first = mistake.path, changes[::-1]
+    whole = (change for change in last_first if change.path == at[: len(change.path)])
+    part = (change for change in last_first if change.path[: len(at)] == at)
+    return next(itertools.chain(whole, part), None)
 
 
 def localization_params(
@@ -245,7 +240,8 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
     if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         path = (path[0], DISCRIMINATORS[str(path[0])])
     if path in _REMOVED:
-        return Mistake(path, _REMOVED[path][1], about_key=True)
+        problem = f"this key no longer exists; remove it and run python -m {_REMOVED[path][1]}"
+        return Mistake(path, problem, about_key=True)
     return Mistake(path, explain(error, _allowed(error["loc"], adapter)), about_key)
 
 

@@ -16,9 +16,9 @@ from tiswarm.errors import InputError
 from tiswarm.records.io import decode, unreadable
 from tiswarm.records.messages import Part, dotted
 
-MAX_BYTES = 256 * 2**10
-MAX_DEPTH = 32
-MAX_NODES = 20_000
+_MAX_BYTES = 256 * 2**10
+_MAX_DEPTH = 32
+_MAX_NODES = 20_000
 
 _CONSTRUCTORS: dict[str, Callable[[str], object]] = {
     r"~|null|Null|NULL|": lambda _text: None,
@@ -57,11 +57,11 @@ def read_yaml(path: Path) -> YamlSource:
     """
     try:
         with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
+            raw = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise unreadable(path, error) from error
-    if len(raw) > MAX_BYTES:
-        problem = f"the file is larger than {MAX_BYTES // 2**10} KiB; is this a scenario?"
+    if len(raw) > _MAX_BYTES:
+        problem = f"the file is larger than {_MAX_BYTES // 2**10} KiB; is this a scenario?"
         raise InputError(problem, path=path)
     return parse_yaml(decode(raw, path), path)
 
@@ -105,10 +105,10 @@ class _Loader(yaml.SafeLoader):
             problem = f"{name} are not used here; write the value out"
         elif getattr(event, "tag", None) is not None:
             problem = "tags such as !!str are not used here; leave it out"
-        elif self.depth > MAX_DEPTH and not isinstance(event, yaml.ScalarEvent):
-            problem = f"nested deeper than {MAX_DEPTH} levels; is this a scenario?"
-        elif self.nodes > MAX_NODES:
-            problem = f"more than {MAX_NODES} values; is this a scenario?"
+        elif self.depth > _MAX_DEPTH and not isinstance(event, yaml.ScalarEvent):
+            problem = f"nested deeper than {_MAX_DEPTH} levels; is this a scenario?"
+        elif self.nodes > _MAX_NODES:
+            problem = f"more than {_MAX_NODES} values; is this a scenario?"
         if problem:
             raise InputError(problem, line=event.start_mark.line + 1)
         node = super().compose_node(parent, index)

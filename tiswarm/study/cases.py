@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
-from tiswarm.scenario import Scenario, Variant, variants
+from tiswarm.scenario.expansion import Variant, variants
+from tiswarm.scenario.model import Scenario
 
 ROBOTS_AT_ONCE = 10_000
 """Cases are computed in batches of about this many robots, each stored before the next."""
@@ -14,13 +15,10 @@ ROBOTS_AT_ONCE = 10_000
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One structure, sensed and localized in one way."""
+    """One structure, sensed and localized in one way; its seed is also that of all noise."""
 
     seed: int
-    """Seed of the structure and of all noise."""
-
     variant: Variant
-    """Point of the sweep and condition."""
 
     @property
     def name(self) -> str:
@@ -35,11 +33,8 @@ class Case:
 
 def plan(scenario: Scenario) -> list[Case]:
     """List every case of a scenario in the order of its tables: by variant, then by seed."""
-    return [
-        Case(seed=seed, variant=variant)
-        for variant in variants(scenario)
-        for seed in scenario.seed_list
-    ]
+    points = variants(scenario)
+    return [Case(seed=seed, variant=point) for point in points for seed in scenario.seed_list]
 
 
 def point_text(point: Mapping[str, Any]) -> str:
@@ -55,8 +50,8 @@ def series_text(point: Mapping[str, Any], condition: str) -> str:
 
 def structure_key(case: Case) -> tuple[int, str, int]:
     """Return all that determines the structure of a case: size, settings and seed."""
-    settings = case.settings
     # Small structures sort first: they finish early, and need no memory that large ones took.
+    settings = case.settings
     return (settings.robots, repr((settings.structure, settings.robot)), case.seed)
 
 
@@ -95,12 +90,6 @@ def halves(batch: Sequence[Case]) -> list[list[Case]]:
 
 
 def shard(cases: Sequence[Case], number: int, count: int) -> list[Case]:
-    """Return the cases of one share of the structures, in their order.
-
-    Args:
-        cases: All cases.
-        number: Number of the share, from 1.
-        count: Count of shares.
-    """
+    """Return the cases of share `number`, counted from 1, of `count` shares of the structures."""
     mine = {c.name for group in structures(cases)[number - 1 :: count] for c in group}
     return [case for case in cases if case.name in mine]

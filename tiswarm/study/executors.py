@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, NamedTuple
 
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
@@ -30,7 +30,7 @@ CONNECT_S = 30
 START_S = 600.0
 """Time that a process has to start and to compile the kernels of a job [s]."""
 
-READY = "ready"
+_READY = "ready"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,22 +53,16 @@ class Execution:
     """Whether the first case that fails ends the run."""
 
 
-class JobError(Exception):
+class _JobError(Exception):
     """A job could not be done, for the reason in the text."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Executor:
-    """Computes jobs."""
+class Executor(NamedTuple):
+    """Starts jobs, `width` at the same time, each with so many CPU threads; all if None."""
 
     submit: Callable[[Job], "Future[Outcome]"]
-    """Starts a job."""
-
     width: int
-    """Jobs computed at the same time."""
-
     threads: int | None
-    """CPU threads for each job; all if None."""
 
 
 @contextmanager
@@ -77,10 +71,8 @@ def open_executor(
 ) -> Iterator[Executor]:
     """Open an executor; jobs that still run when the block ends are stopped.
 
-    Args:
-        execution: Where jobs are computed.
-        threads: CPU threads; if None, all of the machine, or one for each job on a cluster.
-        progress: Receives the progress of jobs that this process computes.
+    `threads` are CPU threads in all, or of each job on a cluster. `progress` receives the progress
+    of jobs that this process computes.
 
     Raises:
         EnvironmentTroubleError: Dask is not installed, or no scheduler answers.
@@ -89,25 +81,21 @@ def open_executor(
     if execution.scheduler is not None:
         with _connected(execution.scheduler) as client:
             remote = client.get_executor(pure=False)
+            width = max(1, sum(client.nthreads().values()))
             yield Executor(
-                submit=lambda job: remote.submit(_run_in_process, job, limit),
-                width=max(1, sum(client.nthreads().values())),
-                threads=threads or 1,
+                lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
             )
     elif execution.workers is not None or limit is not None:
         width = execution.workers or 1
         with ThreadPoolExecutor(width) as waiting:
             try:
-                yield Executor(
-                    submit=lambda job: waiting.submit(_run_in_process, job, limit),
-                    width=width,
-                    threads=max(1, (threads or available_threads()) // width),
-                )
+                each = max(1, (threads or available_threads()) // width)
+                yield Executor(lambda job: waiting.submit(_run_in_process, job, limit), width, each)
             finally:
                 waiting.shutdown(wait=False, cancel_futures=True)
                 _end_all()
     else:
-        yield Executor(submit=lambda job: _run_here(job, progress), width=1, threads=threads)
+        yield Executor(lambda job: _run_here(job, progress), 1, threads)
 
 
 @contextmanager
@@ -140,7 +128,7 @@ def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
 
 def reason(error: BaseException) -> str:
     """Write in one line why a job could not be done."""
-    kind = "" if isinstance(error, JobError) else type(error).__name__
+    kind = "" if isinstance(error, _JobError) else type(error).__name__
     return ": ".join(filter(None, (kind, " ".join(str(error).split()))))
 
 
@@ -151,11 +139,7 @@ _own = threading.local()
 
 
 def _run_in_process(job: Job, limit_s: float | None) -> Outcome:
-    """Run a job in the process of this thread, which is replaced after any failure.
-
-    Raises:
-        JobError: the job raised, took too long, or its process was killed.
-    """
+    """Run a job in the process of this thread, which is replaced after any failure."""
     process: _Process = getattr(_own, "process", None) or _Process()
     _own.process = None
     try:
@@ -189,13 +173,13 @@ class _Process:
         with suppress(OSError):  # the process has ended; receiving finds out why
             self.connection.send(job)
         found = self._receive(START_S, "its process did not start within {:g} s; run it again")
-        if found == READY:
+        if found == _READY:
             total_s = None if limit_s is None else limit_s * len(job.cases)
             found = self._receive(total_s, "took longer than {:g} s; raise --case-limit")
         if isinstance(found, TiswarmError):
             raise found
         if not isinstance(found, Outcome):
-            raise JobError(found)
+            raise _JobError(found)
         return found
 
     def end(self) -> None:
@@ -210,10 +194,10 @@ class _Process:
     def _receive(self, limit_s: float | None, problem: str) -> object:
         try:
             if not self.connection.poll(limit_s):
-                raise JobError(problem.format(limit_s))
+                raise _JobError(problem.format(limit_s))
             return self.connection.recv()
         except (EOFError, OSError) as error:
-            raise JobError(self._cause_of_death()) from error
+            raise _JobError(self._cause_of_death()) from error
 
     def _cause_of_death(self) -> str:
         status = self.process.wait()
@@ -240,7 +224,7 @@ def main(descriptor: int, parent: int) -> None:
             job = connection.recv()
             found: Outcome | TiswarmError | str
             try:
-                found = run_job(job, Progress(), on_ready=lambda: connection.send(READY))
+                found = run_job(job, Progress(), on_ready=lambda: connection.send(_READY))
             except TiswarmError as error:
                 found = error
             except Exception as error:  # noqa: BLE001 - the parent decides what to do

@@ -5,7 +5,6 @@ between repetitions; all other files of a run are the same to the byte.
 """
 
 import importlib.metadata
-import json
 import os
 import platform
 import resource
@@ -13,16 +12,17 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 
 from tiswarm.compute.backend import Backend
 from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.records.io import write_text
+from tiswarm.records.io import read_json, write_json
 from tiswarm.records.messages import counted
-from tiswarm.scenario import Scenario
+from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
 from tiswarm.version import __version__, code_digest
 
@@ -30,7 +30,7 @@ CODE = code_digest()
 """Digest of the code that computes in this process."""
 
 MANIFEST = "manifest.json"
-LIBRARIES = (
+_LIBRARIES = (
     "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
     "taichi",
 )  # fmt: skip
@@ -53,11 +53,9 @@ class Costs:
             Path("/proc/self/clear_refs").write_text("5")
         wall, cpu = time.perf_counter(), time.process_time()
         yield
-        share = {
-            "wall_s": (time.perf_counter() - wall) / max(len(cases), 1),
-            "cpu_s": (time.process_time() - cpu) / max(len(cases), 1),
-            "peak_memory_MB": peak_memory_mb(),
-        }
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        count = max(len(cases), 1)
+        share = {"wall_s": wall / count, "cpu_s": cpu / count, "peak_memory_MB": peak_memory_mb()}
         self.add(name, cases, share)
 
     def add(self, name: str, cases: Sequence[str], share: Cost) -> None:
@@ -82,11 +80,12 @@ def peak_memory_mb() -> int:
 def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str, object]:
     """Gather what a reader needs to judge or repeat a run; costs are by case and stage."""
     stages: dict[str, dict[str, float]] = {}
+    peak = 0
     for name, cost in (item for of_case in costs for item in of_case.items()):
+        peak = max(peak, int(cost["peak_memory_MB"]))
         total = stages.setdefault(name, {"wall_s": 0.0, "cpu_s": 0.0})
         for unit in total:
             total[unit] += cost[unit]
-    peaks = [int(cost["peak_memory_MB"]) for of_case in costs for cost in of_case.values()]
     installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
     return {
         "tiswarm": __version__,
@@ -94,12 +93,12 @@ def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str,
         "backend": {key: value for key, value in asdict(backend).items() if key != "cache"},
         "machine": machine(),
         "python": platform.python_version(),
-        "libraries": {name: installed[name] for name in LIBRARIES if name in installed},
+        "libraries": {name: installed[name] for name in _LIBRARIES if name in installed},
         "stages": {
             name: {unit: round(value, 3) for unit, value in total.items()}
             for name, total in stages.items()
         },
-        "peak_memory_MB": max(peaks, default=0),
+        "peak_memory_MB": peak,
     }
 
 
@@ -114,7 +113,6 @@ def machine() -> dict[str, object]:
 
 
 def _processor() -> str:
-    """Return the model name of the processor, or what the platform module knows of it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -125,64 +123,36 @@ def _processor() -> str:
 
 def write_manifest(folder: Path, content: dict[str, object]) -> None:
     """Write the manifest, keeping entries of an earlier one that `content` does not name."""
-    path = folder / MANIFEST
-    try:
-        kept = json.loads(path.read_text())
-    except (OSError, ValueError):
-        kept = {}
-    write_text(path, json.dumps(kept | content, indent=1) + "\n")
+    write_json(folder / MANIFEST, read_json(folder / MANIFEST) | content)
 
 
 # --- forecast --------------------------------------------------------------------------------
 # Processor time on one core of a server of 2023, measured on structures of 100 to 90,000 robots.
 
-START_S = 4.0
-"""Start of the program and its kernels [s]."""
-
-CLIMB_S = 1e-3
-"""Growth without mechanics [s per robot]."""
-
-SOLVE_S = {"flexible": (1e-3, 3e-5, 2.6e-8), "rigid": (1e-3, 2e-5, 9e-9)}
-"""A solve of the mechanics by model [s, s per robot, s per robot squared]."""
-
-VIRTUAL_FORCE_S = 1.3e-6
-"""Localization by `virtual-force` [s per robot and iteration]."""
-
-JOINT_S = 8e-7
-"""Localization by `joint` [s per robot, chain and step]."""
-
-LEAST_SQUARES_S = 0.01
-"""Localization by `least-squares` [s per robot]."""
-
-REST_S = 5e-4
-"""Sensing, evaluation and storage [s per robot]."""
-
-BASE_MB, ROBOT_MB, SOLVE_MB = 270.0, 0.02, 3e-7
-"""Memory of the program [MB], of each robot of a batch [MB per robot], and of the mechanics of the
-largest structure [MB per robot squared]."""
+_START_S = 4.0  # start of the program and its kernels
+_CLIMB_S = 1e-3  # growth of a robot without mechanics
+_SOLVE_S = {  # solve of the mechanics: at all, for each robot, for each pair of robots
+    "flexible": (1e-3, 3e-5, 2.6e-8),
+    "rigid": (1e-3, 2e-5, 9e-9),
+}
+_VIRTUAL_FORCE_S = 1.3e-6  # iteration of a robot
+_JOINT_S = 8e-7  # step of a robot in one chain
+_LEAST_SQUARES_S = 0.01  # localization of a robot
+_REST_S = 5e-4  # sensing, evaluation and storage of a robot
+_BASE_MB = 270.0  # memory of the program
+_ROBOT_MB = 0.02  # memory of each robot of a batch
+_SOLVE_MB = 3e-7  # memory of the mechanics of the largest structure, by the square of its robots
 
 
-@dataclass(frozen=True, kw_only=True)
-class Forecast:
-    """Size of a run and its estimated cost; times on one core."""
+class Forecast(NamedTuple):
+    """Size of a run, its estimated times on one core [s], and peak memory of a process [MB]."""
 
     cases: int
-    """Cases to compute."""
-
     robots: int
-    """Robots in all cases together."""
-
     grow_s: float
-    """Growth of every structure [s]."""
-
     localize_s: float
-    """Localization of every case [s]."""
-
     rest_s: float
-    """Everything else [s]."""
-
     memory_mb: float
-    """Peak memory of a process [MB]."""
 
     def __str__(self) -> str:
         """Write the estimate in one line."""
@@ -203,17 +173,17 @@ def forecast(cases: Sequence[Case]) -> Forecast:
         robots=sum(robots),
         grow_s=sum(_grow_s(group[0].settings) for group in structures(cases)),
         localize_s=sum(_localize_s(case.settings) for case in cases),
-        rest_s=START_S + REST_S * sum(robots),
-        memory_mb=BASE_MB + ROBOT_MB * at_once + SOLVE_MB * max(robots, default=0) ** 2,
+        rest_s=_START_S + _REST_S * sum(robots),
+        memory_mb=_BASE_MB + _ROBOT_MB * at_once + _SOLVE_MB * max(robots, default=0) ** 2,
     )
 
 
 def _grow_s(settings: Scenario) -> float:
     """Estimate the growth of a structure, whose mechanics are solved at every size [s]."""
     n, structure = settings.robots, settings.structure
-    once, each, squared = SOLVE_S[structure.mechanics.model]
+    once, each, squared = _SOLVE_S[structure.mechanics.model]
     solve = once + each * n / 2.0 + squared * n**2 / 3.0
-    return CLIMB_S * n + solve * n / structure.solve_every
+    return _CLIMB_S * n + solve * n / structure.solve_every
 
 
 def _localize_s(settings: Scenario) -> float:
@@ -223,14 +193,14 @@ def _localize_s(settings: Scenario) -> float:
         if rounds := params.back_propagation:
             # A robot moves in the rounds after its join: half of them on average, and the last.
             steps += rounds.sweeps * (1.0 + max(n / rounds.every, 1.0)) / 2.0
-        return VIRTUAL_FORCE_S * n * steps
+        return _VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
-        return JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
-    return LEAST_SQUARES_S * n
+        return _JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
+    return _LEAST_SQUARES_S * n
 
 
 def _time(seconds: float) -> str:
-    """Write a time to two digits, in the largest unit that fits twice."""
+    # To two digits, in the largest unit that fits twice.
     for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2.0 * length:
             return f"{float(f'{seconds / length:.2g}'):g} {unit}"

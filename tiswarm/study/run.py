@@ -11,7 +11,8 @@ from tiswarm.errors import CasesFailedError, EnvironmentTroubleError, InputError
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.messages import counted
-from tiswarm.scenario import Scenario, load_scenario
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.model import Scenario
 from tiswarm.study import tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, shard, structures
 from tiswarm.study.executors import Execution, Executor, open_executor, reason
@@ -19,12 +20,8 @@ from tiswarm.study.provenance import MANIFEST, manifest, write_manifest
 from tiswarm.study.runner import Job, Outcome, failure
 from tiswarm.study.store import CaseRecord, RunFolder, write_table
 
-HERE = Execution()
-
-WHOLE_RUN_FILES = (MANIFEST, "report.html")
-"""Files that describe a complete run; they are removed before cases are computed."""
-
-BATCHES_EACH = 4
+_HERE = Execution()
+_BATCHES_EACH = 4
 """Batches for each process of an executor, so that all end at about the same time."""
 
 
@@ -33,8 +30,6 @@ class RunResult:
     """Result of a run."""
 
     folder: Path
-    """Folder of the run."""
-
     computed: int
     """Cases that this run computed."""
 
@@ -61,7 +56,7 @@ def run(
     progress: Progress,
     arch: Arch = "cpu",
     threads: int | None = None,
-    execution: Execution = HERE,
+    execution: Execution = _HERE,
 ) -> RunResult:
     """Compute every case that is not yet stored, then write the tables.
 
@@ -83,13 +78,13 @@ def run(
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
     mine = shard(cases, *execution.shard)
-    part = "" if execution.shard == HERE.shard else "{}-of-{}".format(*execution.shard)
+    part = "" if execution.shard == _HERE.shard else "{}-of-{}".format(*execution.shard)
     with folder.locked(part):
-        stored = _read_cases(folder, mine)
+        stored = folder.read_cases(mine)
+        stored = {name: record for name, record in stored.items() if record.is_done}
         records = {name: record for name, record in stored.items() if record.is_current}
         missing = [case for case in mine if case.name not in records]
-        found = len(records)
-        if found:
+        if found := len(records):
             progress.info(f"{found} of {len(mine)} cases are already stored")
         if outdated := len(stored) - found:
             were, them = ("was", "it") if outdated == 1 else ("were", "them")
@@ -97,16 +92,15 @@ def run(
             progress.info(f"{many} {were} computed by other code; computing {them} again")
         used = None
         if missing:
-            for name in WHOLE_RUN_FILES:
+            for name in (MANIFEST, "report.html"):  # they describe a complete run
                 (folder.path / name).unlink(missing_ok=True)
             with open_executor(execution, threads, progress) as executor:
                 for outcome in _compute(missing, folder, executor, arch, execution, progress):
                     records |= {record.case: record for record in outcome.records}
                     used = outcome.backend or used
         failed = tuple(record for record in records.values() if not record.is_done)
-        others = [case for case in cases if case.name not in records]
-        read = {case.name: folder.read_case(case.name) for case in others}
-        records |= {name: record for name, record in read.items() if record and record.is_current}
+        others = folder.read_cases([case for case in cases if case.name not in records])
+        records |= {name: record for name, record in others.items() if record.is_current}
         result = RunResult(
             folder=folder.path,
             computed=len(missing),
@@ -119,20 +113,13 @@ def run(
                 costs = [folder.read_cost(case.name) for case in cases]
                 content = manifest(used or backend.current(), costs)
                 write_manifest(folder.path, content | {"cases": len(cases)})
-            write_tables(folder, cases, [records[case.name] for case in cases])
+            _write_tables(folder, cases, [records[case.name] for case in cases])
             if all(record.is_done for record in records.values()):
                 folder.remove_structures()
     return result
 
 
-def _read_cases(folder: RunFolder, cases: Sequence[Case]) -> dict[str, CaseRecord]:
-    """Read the cases that are done."""
-    found = {case.name: folder.read_case(case.name) for case in cases}
-    return {name: record for name, record in found.items() if record and record.is_done}
-
-
-def write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
-    """Write the tables of a run from the records of its cases."""
+def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
     settings = [case.settings for case in cases]
     costs = [folder.read_cost(case.name) for case in cases]
     written = {
@@ -157,10 +144,10 @@ def tabulate(path: Path) -> None:
     if not resolved.is_file():
         msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
         raise InputError(msg, path=path)
-    folder = RunFolder(path)
-    stored = [(case, folder.read_case(case.name)) for case in plan(load_scenario(resolved))]
-    kept = [(case, record) for case, record in stored if record is not None]
-    write_tables(folder, [case for case, _ in kept], [record for _, record in kept])
+    folder, cases = RunFolder(path), plan(load_scenario(resolved))
+    stored = folder.read_cases(cases)
+    kept = [case for case in cases if case.name in stored]
+    _write_tables(folder, kept, [stored[case.name] for case in kept])
 
 
 def _compute(
@@ -202,7 +189,7 @@ def _robots_at_once(missing: Sequence[Case], executor: Executor, execution: Exec
     if executor.width == 1:
         return ROBOTS_AT_ONCE
     robots = sum(group[0].settings.robots for group in structures(missing))
-    return min(ROBOTS_AT_ONCE, robots // (BATCHES_EACH * executor.width) + 1)
+    return min(ROBOTS_AT_ONCE, robots // (_BATCHES_EACH * executor.width) + 1)
 
 
 def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) -> Outcome | None:
@@ -225,11 +212,9 @@ def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) ->
 
 def _report(records: Sequence[CaseRecord], progress: Progress) -> None:
     """Report cases that failed and structures that ended early."""
-    ended = {}
     for record in records:
         if not record.is_done:
             progress.info(f"case {record.case} failed: {record.reason}")
-        elif record.reason:
-            ended[record.seed] = record.reason
+    ended = {record.seed: record.reason for record in records if record.is_done and record.reason}
     for seed, why in ended.items():
         progress.info(f"seed {seed}: growth ended: {why}")

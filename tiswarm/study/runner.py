@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
 from tiswarm.study.cases import Case
 from tiswarm.study.provenance import Costs
-from tiswarm.study.store import DONE, FAILED, CaseRecord, RunFolder
+from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.validity import find_fault
@@ -43,20 +45,16 @@ class Job:
     """CPU threads; all if None."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of a job."""
+class Outcome(NamedTuple):
+    """Record of each case of a job, as stored, and the backend that computed them, if one did."""
 
     records: Sequence[CaseRecord]
-    """Record of each case, as stored."""
-
     backend: Backend | None
-    """Backend that computed the cases, if one did."""
 
 
 def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda: None) -> Outcome:
     """Compute and store the cases of a job; call `on_ready` once its kernels are compiled."""
-    runner = CaseRunner(job, progress)
+    runner = _CaseRunner(job, progress)
     runner.warm_up()
     on_ready()
     return Outcome(records=runner.run(), backend=backend.current())
@@ -64,18 +62,17 @@ def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda:
 
 def failure(case: Case, reason: str) -> CaseRecord:
     """Return the record of a case that could not be computed."""
-    return _record(case, FAILED, reason)
+    return _record(case, "failed", reason)
 
 
 _compiled: dict[str, Backend] = {}
 """Backend that last compiled the kernels of a method, by the settings of the method."""
 
 
-class CaseRunner:
+class _CaseRunner:
     """Computes the cases of a job stage by stage, and measures the cost of each stage."""
 
     def __init__(self, job: Job, progress: Progress) -> None:
-        """Prepare a job, without starting it."""
         self.job = job
         self.progress = progress
         self.costs = Costs()
@@ -112,10 +109,9 @@ class CaseRunner:
     def _stage(
         self, name: str, cases: Sequence[Case], total: int | None = None
     ) -> Iterator[Callable[[int], None]]:
-        """Report and measure a stage, whose cost its cases share."""
-        steps = len(cases) if total is None else total
+        """Report and measure a stage of `total` steps, by default one for each case."""
         shared = self.costs.stage(name, [case.name for case in cases])
-        with shared, self.progress.task(name, steps) as advance:
+        with shared, self.progress.task(name, total or len(cases)) as advance:
             yield advance
 
     def _warm_up_growth(self) -> None:
@@ -144,9 +140,9 @@ class CaseRunner:
 
     def _grow(self) -> dict[int, History]:
         """Grow each structure once for all of its conditions; return them by seed."""
-        cases, settings = self.job.cases, self.job.cases[0].settings
+        settings = self.job.cases[0].settings
         histories = self._read_structures()
-        missing = [case for case in cases if case.seed not in histories]
+        missing = [case for case in self.job.cases if case.seed not in histories]
         first = {case.seed: case for case in reversed(missing)}
         seeds = sorted(first)
         if not seeds:
@@ -178,9 +174,13 @@ class CaseRunner:
 
     def _store_invalid(self, histories: dict[int, History]) -> tuple[list[Case], list[CaseRecord]]:
         """Store cases whose structure is invalid as failed; return the others, and the records."""
-        cases = self.job.cases
+        cases, faults = self.job.cases, {}
         gap = cases[0].settings.structure.climb.contact_gap
-        faults = {seed: _fault(history, gap) for seed, history in histories.items()}
+        for seed, history in histories.items():
+            if history.robot_count > 1:
+                faults[seed] = find_fault(history, contact_gap=gap)
+            else:
+                faults[seed] = history.ended or "only one robot joined"
         failures = [failure(case, faults[case.seed]) for case in cases if faults[case.seed]]
         for failed in failures:
             self.job.folder.store_failure(failed)
@@ -214,7 +214,7 @@ class CaseRunner:
         scored = scores.score(truth, log, estimate, history.robot, cues=cues)
         scored |= scores.outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
         return self.job.folder.store(
-            _record(case, DONE, history.ended, scored),
+            _record(case, "done", history.ended, scored),
             truth=truth,
             log=log,
             estimate=estimate,
@@ -245,17 +245,12 @@ def _by_method(
         yield [case for case, _ in alike], [log for _, log in alike]
 
 
-def _fault(history: History, contact_gap: float) -> str:
-    """Return the reason that a structure cannot be used, or nothing."""
-    if history.robot_count < 2:  # noqa: PLR2004 - a single robot has no contact
-        return history.ended or "only one robot joined"
-    return find_fault(history, contact_gap=contact_gap)
-
-
 def _record(
-    case: Case, status: str, reason: str, scored: Mapping[str, float | int] | None = None
+    case: Case,
+    status: Literal["done", "failed"],
+    reason: str,
+    scored: Mapping[str, float | int] = MappingProxyType({}),
 ) -> CaseRecord:
-    numbers = (scored or {}).items()
     return CaseRecord(
         case=case.name,
         seed=case.seed,
@@ -263,5 +258,5 @@ def _record(
         point=case.variant.point,
         status=status,
         reason=reason,
-        scores={name: None if np.isnan(value) else value for name, value in numbers},
+        scores={name: None if np.isnan(value) else value for name, value in scored.items()},
     )

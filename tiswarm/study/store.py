@@ -2,34 +2,31 @@
 
 import fcntl
 import hashlib
-import json
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pandas as pd
 
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import make_folder, write_text
+from tiswarm.records.io import make_folder, read_json, write_json, write_text
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.scenario import Scenario, dump_scenario, scenario_hash
+from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, series_text, structure_key
 from tiswarm.study.provenance import CODE, Cost
 from tiswarm.version import __version__
 from tiswarm.world.history import History, read_history, write_history
 
-DONE = "done"
-FAILED = "failed"
-COST = "cost.json"
-STRUCTURES = "structures"
-TABLES = ("robots", "convergence", "growth", "relative")
+_COST = "cost.json"
+_STRUCTURES = "structures"
+_TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case; a case without one of them was stored by an older version."""
 
 
@@ -38,20 +35,12 @@ class CaseRecord:
     """Content of `case.json`; nothing in it depends on the machine or the clock."""
 
     case: str
-    """Name of the case."""
-
     seed: int
-    """Seed of the structure and of all noise."""
-
     condition: str
-    """Name of the condition."""
-
     point: Mapping[str, Any]
     """Values of the swept keys."""
 
-    status: str
-    """"done" or "failed"."""
-
+    status: Literal["done", "failed"]
     reason: str = ""
     """Reason of the failure, or of the early end of growth."""
 
@@ -75,7 +64,7 @@ class CaseRecord:
     @property
     def is_done(self) -> bool:
         """Whether the case was computed."""
-        return self.status == DONE
+        return self.status == "done"
 
     @property
     def is_current(self) -> bool:
@@ -101,12 +90,9 @@ class RunFolder:
 
     @contextmanager
     def locked(self, shard: str = "") -> Iterator[None]:
-        """Keep other runs out of the folder, except those of other shards.
+        """Keep other runs out of the folder, except those of other shards, which have names.
 
         The system releases a lock when its process ends, in any way.
-
-        Args:
-            shard: Name of the part that is computed; empty for the whole run.
 
         Raises:
             EnvironmentTroubleError: another run computes here.
@@ -142,12 +128,17 @@ class RunFolder:
         folder = self.cases / name
         try:
             old = {"version": "", "code": ""}
-            record = CaseRecord(**old | json.loads((folder / "case.json").read_text()))
+            record = CaseRecord(**old | read_json(folder / "case.json"))
             intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
-        except (OSError, ValueError, TypeError):
+        except (OSError, TypeError):
             return None
-        complete = not record.is_done or {f"{name}.csv" for name in TABLES} <= set(record.files)
+        complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
         return record if intact and complete else None
+
+    def read_cases(self, cases: Sequence[Case]) -> dict[str, CaseRecord]:
+        """Read the cases that are stored, finished or failed, by name."""
+        found = {case.name: self.read_case(case.name) for case in cases}
+        return {name: record for name, record in found.items() if record is not None}
 
     def store_failure(self, record: CaseRecord) -> None:
         """Store a case that failed; the next run tries it again."""
@@ -168,10 +159,10 @@ class RunFolder:
         write_sensing_log(log, folder / "sensing.jsonl")
         write_positions(folder / "truth.csv", truth.robot_id, truth.position)
         write_estimate(folder / "estimate.csv", estimate)
-        for name in TABLES:
+        for name in _TABLES:
             write_table(tables[name], folder / f"{name}.csv")
         files = {path.name: _digest(path) for path in sorted(folder.iterdir())}
-        _write_json(folder / COST, cost)
+        write_json(folder / _COST, cost)
         complete = replace(record, files=files)
         self._publish(complete, folder)
         return complete
@@ -183,7 +174,7 @@ class RunFolder:
         return folder
 
     def _publish(self, record: CaseRecord, folder: Path) -> None:
-        _write_json(folder / "case.json", asdict(record))
+        write_json(folder / "case.json", asdict(record))
         target = self.cases / record.case
         shutil.rmtree(target, ignore_errors=True)
         try:
@@ -196,53 +187,38 @@ class RunFolder:
 
     def read_cost(self, name: str) -> Mapping[str, Cost]:
         """Read the cost of a case by stage; empty where it is unknown."""
-        return _read_json(self.cases / name / COST)
+        return read_json(self.cases / name / _COST)
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
-        _write_json(self.cases / name / COST, cost)
+        write_json(self.cases / name / _COST, cost)
 
     def read_structure(self, case: Case) -> tuple[History, Cost] | None:
         """Read the structure of a case, and the cost of growing it; None where it is not kept."""
         path = self._structure_path(case)
-        cost = _read_json(path.with_suffix(".json"))
-        settings = case.settings
-        history = read_history(path, settings.structure, settings.robot)
-        return None if history is None or not cost else (history, cost)
+        cost = read_json(path.with_suffix(".json"))
+        history = read_history(path, case.settings.structure, case.settings.robot)
+        return (history, cost) if history is not None and cost else None
 
     def keep_structure(self, case: Case, history: History, cost: Cost) -> None:
         """Keep a structure that took long to grow until all cases of the run are done."""
         path = self._structure_path(case)
         make_folder(path.parent)
-        _write_json(path.with_suffix(".json"), cost)
+        write_json(path.with_suffix(".json"), cost)
         write_history(history, path)
 
     def remove_structures(self) -> None:
         """Remove all structures that were kept."""
-        shutil.rmtree(self.path / STRUCTURES, ignore_errors=True)
+        shutil.rmtree(self.path / _STRUCTURES, ignore_errors=True)
 
     def _structure_path(self, case: Case) -> Path:
-        grown_by = repr((structure_key(case), CODE))
-        digest = hashlib.sha256(grown_by.encode()).hexdigest()[:12]
-        return self.path / STRUCTURES / f"seed{case.seed}-{digest}.npz"
+        digest = hashlib.sha256(repr((structure_key(case), CODE)).encode()).hexdigest()[:12]
+        return self.path / _STRUCTURES / f"seed{case.seed}-{digest}.npz"
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
     """Write a CSV whose numbers read back to the same bits."""
     write_text(path, table.to_csv(index=False, lineterminator="\n"))
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    write_text(path, json.dumps(content, indent=1) + "\n")
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; empty where the file is missing or damaged."""
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _digest(path: Path) -> str:

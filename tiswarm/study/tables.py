@@ -12,10 +12,10 @@
 
 import itertools
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,80 +28,57 @@ from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.io import make_folder
 from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
-from tiswarm.scenario import Scenario
+from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.cases import Case, point_text, series_text, structures
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord, RunFolder, write_table
 
-ACCURACY = (
-    "rmse_R",
-    "rmse_rho",
-    "rmse_yaw_aligned_R",
-    "rmse_rigid_aligned_R",
-    "rmse_per_contact_R",
+_ACCURACY = (
+    "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
     "procrustes_disparity",
-)
-AVERAGED = (
-    "contacts_per_robot",
-    "rms_radius_R",
-    "height_R",
-    "peak_stress",
-    "floppy_modes",
-    "coverage_50",
-    "coverage_90",
-    "outlier_precision",
-    "outlier_recall",
-    "converged",
-    *ACCURACY,
-)
-
-SCALED = ("rmse_R", "procrustes_disparity")
-"""Measures of accuracy in `scaling.csv`."""
-
-COMPARED = ["run", "series", "against_run", "against_series", "measure"]
-"""First columns of the paired differences between runs."""
-
-_Item = TypeVar("_Item")
+)  # fmt: skip
+_AVERAGED = (
+    "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
+    "coverage_90", "outlier_precision", "outlier_recall", "converged", *_ACCURACY,
+)  # fmt: skip
+_SCALED = ("rmse_R", "procrustes_disparity")
+_COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate every case, failed ones included."""
-    return pd.DataFrame(
-        [
-            {
-                "case": record.case,
-                "seed": record.seed,
-                "series": record.series,
-                "condition": record.condition,
-                "point": point_text(record.point),
-                "kind": setting.structure.kind,
-                **record.point,
-                "status": record.status,
-                "reason": record.reason,
-                **record.scores,
-            }
-            for record, setting in zip(records, settings, strict=True)
-        ]
-    )
+    rows = [
+        {
+            "case": record.case,
+            "seed": record.seed,
+            "series": record.series,
+            "condition": record.condition,
+            "point": point_text(record.point),
+            "kind": setting.structure.kind,
+            **record.point,
+            "status": record.status,
+            "reason": record.reason,
+            **record.scores,
+        }
+        for record, setting in zip(records, settings, strict=True)
+    ]
+    return pd.DataFrame(rows)
 
 
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers."""
-    pairs = list(zip(records, settings, strict=True))
+    setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
-    for group in _grouped(pairs, lambda pair: pair[0].series):
-        first, setting = group[0]
-        ours = _with_statistics([record for record, _ in group])
+    for group in _grouped(records, lambda record: record.series):
+        first, setting = group[0], setting_of[group[0].case]
+        ours = _with_statistics(group)
         rows.append({"condition": first.condition, **first.point, **ours, **_paper(setting, ours)})
     return pd.DataFrame(rows)
 
 
 def _published(setting: Scenario) -> Published | None:
-    """Return the paper's numbers for a setting of the paper.
-
-    The paper leaves open all gains, how flips end and how robots walk.
-    """
+    """Return the paper's numbers; it leaves open all gains, how flips end and how robots walk."""
     method, structure = setting.localization, setting.structure
     usual = type(structure)()
     if (
@@ -132,7 +109,7 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
     """Count cases, and return means over the finished ones with their uncertainty."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    for name in AVERAGED:
+    for name in _AVERAGED:
         column = scores[name] if name in scores else pd.Series(dtype=float)
         values = mean_std_ci95(column.to_numpy(np.float64))
         full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
@@ -157,7 +134,7 @@ def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
 def _accuracy(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
     """Tabulate the accuracy of finished cases by structure, under the keys of these."""
     done = {key: record.scores for key, record in records.items() if record.is_done}
-    return pd.DataFrame(list(done.values()), index=pd.Index(list(done)), columns=list(ACCURACY))
+    return pd.DataFrame(list(done.values()), index=pd.Index(list(done)), columns=list(_ACCURACY))
 
 
 def _differences(
@@ -165,14 +142,11 @@ def _differences(
 ) -> list[dict[str, Any]]:
     """Return a row for each measure: difference `after - before` over shared structures."""
     a, b = before.align(after, join="inner", axis=0)
-    return [
-        {
-            **first_columns,
-            "measure": name,
-            **paired_difference(a[name].to_numpy(float), b[name].to_numpy(float)),
-        }
-        for name in ACCURACY
-    ]
+    found = {
+        name: paired_difference(a[name].to_numpy(float), b[name].to_numpy(float))
+        for name in _ACCURACY
+    }
+    return [{**first_columns, "measure": name, **row} for name, row in found.items()]
 
 
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
@@ -184,9 +158,8 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         robots = [pd.read_csv(folder / "robots.csv") for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
         relative = [pd.read_csv(folder / "relative.csv") for folder in folders]
-        profile = pd.concat(
-            [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
-        )
+        errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
+        profile = pd.concat(errors)
         first = {"condition": of_row[0].condition, **of_row[0].point}
         for place, (name, value) in enumerate(first.items()):
             profile.insert(place, name, [value] * len(profile))
@@ -196,8 +169,8 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
 
 def headline(folder: Path) -> str:
     """Write the results of a run in a few lines, from its `table.csv`."""
-    lines = [_headline_row(row) for row in _read_table(folder).to_dict("records")]
-    return "\n".join([*lines, f"results in {folder}"])
+    rows = _read_table(folder).to_dict("records")
+    return "\n".join([*map(_headline_row, rows), f"results in {folder}"])
 
 
 def _headline_row(row: dict[Hashable, Any]) -> str:
@@ -227,12 +200,8 @@ def scaling(
 
     `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
     constant costs matter less. The growth of a structure counts once for any number of its
-    conditions. Memory is that of the whole batch that a structure was computed in.
-
-    Args:
-        cases: Every case.
-        records: Record of each case.
-        costs: Cost of each case by stage.
+    conditions. Memory is that of the whole batch that a structure was computed in. `records` and
+    `costs`, by stage, are those of each case.
     """
     record_of = {record.case: record for record in records}
     cost_of = {case.name: cost for case, cost in zip(cases, costs, strict=True)}
@@ -242,13 +211,11 @@ def scaling(
         grown = _together([cost_of[case.name].get("grow", {}) for case in done])
         for case in done:
             point = {key: value for key, value in case.variant.point.items() if key != "robots"}
-            measured = {name: record_of[case.name].scores[name] for name in SCALED}
+            measured = {name: record_of[case.name].scores[name] for name in _SCALED}
             for stage, cost in {**cost_of[case.name], "grow": grown}.items():
                 measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
-            row = {
-                "series": series_text(point, case.variant.condition),
-                "robots": case.settings.robots,
-            }
+            series = series_text(point, case.variant.condition)
+            row = {"series": series, "robots": case.settings.robots}
             rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
     table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
     alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
@@ -303,11 +270,11 @@ def compare(runs: Sequence[Path], out: Path) -> None:
     rows = []
     for (one, before), (other, after) in itertools.combinations(series.items(), 2):
         if one[0] != other[0] and not before.index.intersection(after.index).empty:
-            pair = dict(zip(COMPARED, (*other, *one), strict=False))
+            pair = dict(zip(_COMPARED, (*other, *one), strict=False))
             rows += _differences(pair, before, after)
     make_folder(out)
     write_table(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
-    write_table(pd.DataFrame(rows, columns=None if rows else COMPARED), out / "paired.csv")
+    write_table(pd.DataFrame(rows, columns=None if rows else _COMPARED), out / "paired.csv")
 
 
 def _read_table(run: Path) -> pd.DataFrame:
@@ -329,9 +296,11 @@ def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
     return {name: _accuracy(records) for name, records in series.items()}
 
 
-def _grouped(items: Iterable[_Item], key: Callable[[_Item], str]) -> list[list[_Item]]:
-    """List items with the same key, in the order in which each key first appears."""
-    groups: dict[str, list[_Item]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
+def _grouped(
+    records: Sequence[CaseRecord], key: Callable[[CaseRecord], str]
+) -> list[list[CaseRecord]]:
+    """List records with the same key, in the order in which each key first appears."""
+    groups: dict[str, list[CaseRecord]] = {}
+    for record in records:
+        groups.setdefault(key(record), []).append(record)
     return list(groups.values())

@@ -7,9 +7,9 @@ the sampler's library would not: a sampler that is loaded from it draws other tr
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,8 @@ from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.scenario import Scenario, Variant, variants
+from tiswarm.scenario.expansion import Variant, variants
+from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.study.provenance import CODE
 from tiswarm.version import __version__
@@ -33,12 +34,11 @@ from tiswarm.world.history import History
 if TYPE_CHECKING:
     from optuna import Study, Trial
 
-FIRST_TRAINING_SEED = 1000
-SAMPLER_SEED = 0
+_Ranges = Mapping[str, tuple[float, float]]
+_FIRST_TRAINING_SEED = 1000
+_SAMPLER_SEED = 0
 
-Range = tuple[float, float]
-
-GAINS: dict[str, Range] = {
+GAINS = {
     "attraction_gain": (0.05, 2.0),
     "repulsion_gain": (0.5, 200.0),
     "height_gain": (0.005, 1.0),
@@ -47,30 +47,22 @@ GAINS: dict[str, Range] = {
 }
 """Range of each gain, on a logarithmic scale; units as in `VirtualForceParams`."""
 
-ROUND_GAINS: dict[str, Range] = {"repulsion_share": (0.001, 1.0)}
+_ROUND_GAINS = {"repulsion_share": (0.001, 1.0)}
 """Ranges of the gains of `BackPropagation`, where a condition has it."""
 
-AS_GOOD = 1.02
+_AS_GOOD = 1.02
 """Error relative to the least, up to which a trial counts as equally good: other seeds would rank
 such trials otherwise. Of these the trial with the weakest repulsion is chosen, since rounding
 errors grow with it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrainingCase:
-    """One training structure under one condition."""
+class _TrainingCase(NamedTuple):
+    """A training structure at a point of the sweep and condition, with its true centers [R]."""
 
     label: str
-    """Point of the sweep and condition."""
-
     log: SensingLog
-    """What the swarm sensed."""
-
     true: Reals
-    """True centers [R], shape (N, 3)."""
-
     params: VirtualForceParams
-    """Settings whose gains are replaced."""
 
 
 def tune(
@@ -90,7 +82,7 @@ def tune(
         scenario: What to grow and how to localize it; its own seeds are excluded.
         path: Record of the fit, written after every trial; the fit of an existing one is resumed.
         trials: Trials in all.
-        training_seeds: Structures of each sweep point, from `FIRST_TRAINING_SEED` on.
+        training_seeds: Structures of each sweep point, from seed 1000 on.
         conditions: Conditions to include; all if empty.
         progress: Receives progress reports.
         arch: Device.
@@ -107,7 +99,7 @@ def tune(
     seeds = _training_seeds(scenario, training_seeds)
     points = _points(scenario, conditions)
     start = _current_gains(points)
-    ranges = {name: limits for name, limits in (GAINS | ROUND_GAINS).items() if name in start}
+    ranges = {name: limits for name, limits in (GAINS | _ROUND_GAINS).items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": __version__,
         "code": CODE,
@@ -116,7 +108,7 @@ def tune(
         "robots": [point.settings.robots for point in points],
         "training_seeds": seeds,
         "objective": "mean RMSE over structures [R]",
-        "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {SAMPLER_SEED}",
+        "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {_SAMPLER_SEED}",
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
     done = _read_trials(path, record)
@@ -137,19 +129,17 @@ def tune(
 
 
 def _training_seeds(scenario: Scenario, count: int) -> list[int]:
-    """Return the training seeds, unless the scenario reports on one of them."""
-    seeds = list(range(FIRST_TRAINING_SEED, FIRST_TRAINING_SEED + count))
+    seeds = list(range(_FIRST_TRAINING_SEED, _FIRST_TRAINING_SEED + count))
     if shared := set(seeds) & set(scenario.seed_list):
         problem = (
             f"the scenario reports on seed {min(shared)}, which the fit would train on; "
-            f"keep its seeds below {FIRST_TRAINING_SEED}"
+            f"keep its seeds below {_FIRST_TRAINING_SEED}"
         )
         raise InputError(problem, key="seeds")
     return seeds
 
 
 def _points(scenario: Scenario, conditions: Sequence[str]) -> list[Variant]:
-    """List the sweep points under each condition to include."""
     for name in conditions:
         if name not in scenario.conditions:
             problem = f"no condition {name!r}; choose among {', '.join(scenario.conditions)}"
@@ -171,42 +161,33 @@ def _current_gains(points: Sequence[Variant]) -> dict[str, float]:
     params = [_params(point) for point in points]
     values = {name: getattr(params[0], name) for name in GAINS}
     if rounds := next((p.back_propagation for p in params if p.back_propagation), None):
-        values |= {name: getattr(rounds, name) for name in ROUND_GAINS}
-    ranges = GAINS | ROUND_GAINS
+        values |= {name: getattr(rounds, name) for name in _ROUND_GAINS}
+    ranges = GAINS | _ROUND_GAINS
     return {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
 
 
 def _training_cases(
     points: Sequence[Variant], seeds: list[int], progress: Progress
-) -> list[TrainingCase]:
+) -> list[_TrainingCase]:
     """Grow every training structure once, and sense it under each condition."""
     grown: dict[str, list[History]] = {}
     cases = []
     for point in points:
         settings = point.settings
-        structure = repr((settings.structure, settings.robot, settings.robots))
-        if structure not in grown:
-            with progress.task("grow", len(seeds) * settings.robots) as advance:
-                grown[structure] = grow(
-                    settings.structure,
-                    robots=settings.robots,
-                    seeds=seeds,
-                    robot=settings.robot,
-                    on_progress=advance,
+        structure, robot, robots = settings.structure, settings.robot, settings.robots
+        kind = repr((structure, robot, robots))
+        if kind not in grown:
+            with progress.task("grow", len(seeds) * robots) as advance:
+                grown[kind] = grow(
+                    structure, robots=robots, seeds=seeds, robot=robot, on_progress=advance
                 )
-        cases += [
-            TrainingCase(
-                label=point.label,
-                log=observe(history, settings.sensing),
-                true=history.position,
-                params=_params(point),
-            )
-            for history in grown[structure]
-        ]
+        for history in grown[kind]:
+            log = observe(history, settings.sensing)
+            cases.append(_TrainingCase(point.label, log, history.position, _params(point)))
     return cases
 
 
-def _errors(cases: Sequence[TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
+def _errors(cases: Sequence[_TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
     """Return the mean RMSE with such gains, over all cases and over those of each label [R]."""
     params = [_with_gains(case.params, values) for case in cases]
     estimates = localize_many([case.log for case in cases], params)
@@ -221,7 +202,7 @@ def _errors(cases: Sequence[TrainingCase], values: Mapping[str, float]) -> dict[
 def _with_gains(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
     gains: dict[str, Any] = {name: values[name] for name in GAINS}
     if rounds := params.back_propagation:
-        of_rounds: dict[str, Any] = {name: values[name] for name in ROUND_GAINS}
+        of_rounds: dict[str, Any] = {name: values[name] for name in _ROUND_GAINS}
         gains["back_propagation"] = replace(rounds, **of_rounds)
     return replace(params, **gains)
 
@@ -237,16 +218,13 @@ def _optuna_version() -> str:
 
 
 def _replayed_study(
-    first: dict[str, float],
-    done: Sequence[Mapping[str, Any]],
-    ranges: Mapping[str, Range],
-    path: Path,
+    first: dict[str, float], done: Sequence[Mapping[str, Any]], ranges: _Ranges, path: Path
 ) -> "Study":
     """Make a sampler that starts with the gains `first`, and bring it past the trials done."""
     import optuna  # noqa: PLC0415 - slow to import, and an extra
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(sampler=optuna.samplers.CmaEsSampler(seed=SAMPLER_SEED))
+    study = optuna.create_study(sampler=optuna.samplers.CmaEsSampler(seed=_SAMPLER_SEED))
     study.enqueue_trial(first)
     for row in done:
         trial = study.ask()
@@ -256,10 +234,8 @@ def _replayed_study(
     return study
 
 
-def _suggested(trial: "Trial", ranges: Mapping[str, Range]) -> dict[str, Any]:
-    return {
-        name: trial.suggest_float(name, low, high, log=True) for name, (low, high) in ranges.items()
-    }
+def _suggested(trial: "Trial", ranges: _Ranges) -> dict[str, Any]:
+    return {name: trial.suggest_float(name, *ends, log=True) for name, ends in ranges.items()}
 
 
 def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -281,7 +257,7 @@ def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _outcome(done: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the best trial, and the chosen one."""
     best = min(done, key=lambda row: row["rmse_R"])
-    as_good = [row for row in done if row["rmse_R"] <= AS_GOOD * best["rmse_R"]]
+    as_good = [row for row in done if row["rmse_R"] <= _AS_GOOD * best["rmse_R"]]
     return {"best": best, "chosen": min(as_good, key=lambda row: row["repulsion_gain"])}
 
 
