@@ -31,17 +31,10 @@ class Assumptions:
     """Facts that a table of poses does not state; lengths in its own unit."""
 
     dock_radius: float
-    tolerance: float
-    """Largest difference between the distance of two docks in contact and their diameter."""
-
-    anchor: int | None
-    """Id of the anchor robot; the first robot to join, or of the file, if None."""
-
-    ground_z: float | None
-    """Height of flat ground; None where there is none."""
-
-    length_unit: str
-    """Unit of lengths where the columns do not name it."""
+    tolerance: float  # largest gap or overlap of two docks in contact
+    anchor: int | None  # id of the anchor robot; the first to join, or of the file, if None
+    ground_z: float | None  # height of flat ground; None where there is none
+    length_unit: str  # unit of lengths where the columns do not name it
 
 
 class _Poses(NamedTuple):
@@ -68,8 +61,7 @@ def import_poses(
     Args:
         path: The table.
         out: Folder for the two files; made if need be.
-        dock_offset_body: Vectors from center to dock, body frame, shape (D, 3); ignored for
-            spheres.
+        dock_offset_body: Vectors from center to dock, body frame, shape (D, 3), but for spheres.
         assumed: Facts that the table does not state.
         progress: Receives a line on the result, and on each assumption.
 
@@ -172,14 +164,7 @@ def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
 
 
 def _align(offset: Reals, first: pd.DataFrame, path: Path, tolerance: float) -> Reals:
-    """Rotate the first robot's shape onto each robot, shape (N, 4).
-
-    Args:
-        offset: Vectors from center to sphere, world frame, shape (N, D, 3).
-        first: The first row of each robot.
-        path: The file, for messages.
-        tolerance: Largest distance of a sphere from its place in the first robot's shape.
-    """
+    """Rotate the first robot's shape onto each robot, whose spheres are at `offset`, (N, D, 3)."""
     rotations = []
     for own, robot, line in zip(offset, first["robot"], first["line"], strict=True):
         rotation, _ = Rotation.align_vectors(own, offset[0])

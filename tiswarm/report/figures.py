@@ -43,9 +43,6 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
 
     Returns:
         The files written; empty where no case is done.
-
-    Raises:
-        InputError: a table of the run is damaged.
     """
     from matplotlib import style
 

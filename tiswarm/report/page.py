@@ -48,31 +48,22 @@ _CAPTIONS = {
 class Shown(NamedTuple):
     """A picture within the page; sizes in pixels."""
 
-    source: str
-    """The picture as a data URL, or the path of its file."""
-
+    source: str  # the picture as a data URL, or the path of its file
     caption: str
     width: int
     height: int
-    wide: int
-    """Width on the page."""
+    wide: int  # width on the page
 
 
 class View(NamedTuple):
     """The cases of the 3D view."""
 
-    data: dict[str, Any]
-    """Dock offsets [R], and for each case poses and errors [R] in join order."""
-
+    data: dict[str, Any]  # dock offsets [R], and for each case poses and errors [R] in join order
     note: str
 
 
 def write_page(run: RunData, progress: Progress) -> Path:
-    """Write `report.html` into the folder of a run.
-
-    Raises:
-        InputError: a file of the run is damaged.
-    """
+    """Write `report.html` into the folder of a run."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
 
     environment = Environment(
@@ -136,11 +127,7 @@ def _in_words(run: RunData, manifest: dict[str, Any]) -> str:
 
 
 def build_view(run: RunData) -> View | None:
-    """Take the first case of each series, within the limits; None if no case is done.
-
-    Raises:
-        InputError: a table of a case is missing or damaged.
-    """
+    """Take the first case of each series, within the limits; None if no case is done."""
     if not run.series:
         return None
     first = [cases[0] for cases in run.series.values()]

@@ -59,12 +59,8 @@ _Column = tuple[str, str, int]
 class Table:
     """A table of the page."""
 
-    frame: pd.DataFrame
-    """Formatted cells, all of them text."""
-
-    words: Collection[str]
-    """Columns of words, which are aligned left; the others contain numbers."""
-
+    frame: pd.DataFrame  # formatted cells, all of them text
+    words: Collection[str]  # columns of words, which are aligned left; the others contain numbers
     title: str = ""
     note: str = ""
 

@@ -1,4 +1,7 @@
-"""Reads a run folder once: its cases and its tables."""
+"""Reads a run folder once: its cases and its tables.
+
+All functions of this room raise InputError if a file that they read is missing or damaged.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,30 +18,17 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 class Case:
     """One row of `summary.csv`."""
 
-    name: str
-    """Name of its folder."""
-
+    name: str  # of its folder
     folder: Path
     done: bool
     condition: str
-    series: str
-    """Point of the sweep and condition, which cases of other seeds share."""
-
-    point: str
-    """Values of the sweep, which cases of other seeds and conditions share; may be empty."""
-
-    kind: str
-    """Kind of its structure."""
-
-    robots: int
-    """Robots of its structure; 0 where unknown."""
+    series: str  # point of the sweep and condition, which cases of other seeds share
+    point: str  # values of the sweep; empty without a sweep
+    kind: str  # kind of its structure
+    robots: int  # robots of its structure; 0 where unknown
 
     def columns(self, file: str, names: Sequence[str]) -> Reals:
-        """Read columns of numbers of a file of the case, shape (rows, names).
-
-        Raises:
-            InputError: the table or a column is missing or damaged.
-        """
+        """Read columns of numbers of a file of the case, shape (rows, names)."""
         return read_table(self.folder / file, numbers=names)[list(names)].to_numpy()
 
 
@@ -51,8 +41,7 @@ class RunData:
     """The folder of a run, and its summary."""
 
     folder: Path
-    summary: pd.DataFrame
-    """All cases, `summary.csv`."""
+    summary: pd.DataFrame  # all cases, `summary.csv`
 
     @cached_property
     def cases(self) -> list[Case]:
@@ -97,9 +86,8 @@ class RunData:
         if found:
             return max(found, key=lambda case: case.robots)
         if not done:
-            raise InputError(
-                "no case of this run is done; there is nothing to draw", path=self.folder
-            )
+            problem = "no case of this run is done; there is nothing to draw"
+            raise InputError(problem, path=self.folder)
         some = ", ".join(case.name for case in done[:9])
         problem = f"no case {name!r} is done; choose one of {some}"
         raise InputError(problem, path=self.folder, key="--case")
@@ -107,11 +95,7 @@ class RunData:
     def table(
         self, name: str, columns: Sequence[str] = (), *, optional: bool = False
     ) -> pd.DataFrame:
-        """Read a table of the run with columns that it must have; a missing one may be empty.
-
-        Raises:
-            InputError: the table or a column is missing or damaged.
-        """
+        """Read a table of the run with columns that it must have; a missing one may be empty."""
         if optional and not (self.folder / name).exists():
             return pd.DataFrame()
         return read_table(self.folder / name, columns)
@@ -147,11 +131,7 @@ def load_run(folder: Path) -> RunData:
 def read_table(
     path: Path, columns: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> pd.DataFrame:
-    """Read a table with columns that it must have; empty cells of `numbers` become NaN.
-
-    Raises:
-        InputError: the table or a column is missing or damaged.
-    """
+    """Read a table with columns that it must have; empty cells of `numbers` become NaN."""
     try:
         # Only empty cells are unknown: a condition may be called `NA` or `null`.
         table = pd.read_csv(path, keep_default_na=False, na_values=[""])

@@ -53,9 +53,6 @@ def draw_accuracy(run: RunData) -> "Figure":
 
     Points of the sweep share a row and differ in color and marker. Open markers are published
     numbers, whose unit of length is not defined.
-
-    Raises:
-        InputError: the table is damaged.
     """
     published = [column for _, column in _MEASURES.values()]
     table = run.table("table.csv", ["condition", "cases", *published])
@@ -144,9 +141,6 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     """List the profile figures of a run by file name: one for each of a few sweep points.
 
     All series share a figure if there are many points, or no sweep.
-
-    Raises:
-        InputError: the table is damaged.
     """
     table = run.table("profiles.csv", optional=True)
     if "rmse_R" not in table:  # no case was finished
@@ -191,9 +185,6 @@ def draw_scaling(run: RunData) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
     Legends state the power of N fitted to all sizes, and to the two largest.
-
-    Raises:
-        InputError: the table is damaged.
     """
     columns = ["series", "measure", "robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", columns)

@@ -40,14 +40,8 @@ def animate_run(
 ) -> Rendered:
     """Animate the growth of a case into `renders/growth.gif` or `renders/growth.mp4`.
 
-    Every frame has the camera and the ground of the whole structure.
-
-    Args:
-        run: The run.
-        form: File format.
-        progress: Receives progress.
-        renderer: Name of the renderer; the best that works if None.
-        case: Name of the case, which the file name then contains; the first of the largest if None.
+    Every frame has the camera and the ground of the whole structure. Renderer, case and file name
+    are chosen as in `render_run`.
 
     Raises:
         InputError: the renderer or the case is unknown, or the run is damaged.

@@ -15,29 +15,16 @@ _SLANT = 0.9  # upward part below which an axis may be crossed with the vertical
 class Mesh(NamedTuple):
     """V points and T triangles of every capsule of a scene."""
 
-    point: Array32
-    """Positions [R], shape (V, 3)."""
-
-    triangle: NDArray[np.int32]
-    """Points of each triangle, counterclockwise from outside, shape (T, 3)."""
-
-    point_capsule: Ints
-    """Capsule of each point, shape (V,)."""
-
-    triangle_capsule: Ints
-    """Capsule of each triangle, shape (T,)."""
+    point: Array32  # positions [R], shape (V, 3)
+    triangle: NDArray[np.int32]  # its points, counterclockwise from outside, shape (T, 3)
+    point_capsule: Ints  # capsule of each point, shape (V,)
+    triangle_capsule: Ints  # capsule of each triangle, shape (T,)
 
 
 def mesh_capsules(scene: Scene, sides: int | None = None) -> Mesh:
-    """Mesh the capsules of a scene.
-
-    Args:
-        scene: The scene.
-        sides: Sides of a sphere's equator; if None, more for spheres that look larger.
-    """
+    """Mesh the capsules of a scene; an equator has more sides if it looks larger, or `sides`."""
     depth = float(np.median(scene.camera.project(scene.start.astype(np.float64))[:, 2]))
-    points, triangles, order, counts = [], [], [], []
-    first = 0
+    points, triangles, order, counts, first = [], [], [], [], 0
     for radius in np.unique(scene.radius):
         which = np.flatnonzero(scene.radius == radius)
         seen = float(radius) * scene.camera.pixels_per_slope / depth

@@ -41,19 +41,12 @@ _TRUTH_LOOK = Look(0.3, 0.18, 0.72)
 _ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)  # where both coincide, blue docks on orange arms are seen
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 
-# --- legend [pixels] ---
-
-_LEGEND_MARGIN = 18
-_LEGEND_HEIGHT = 62
-_FONT = 26
+_LEGEND_HEIGHT, _BAR_LENGTH = 62, 200  # of a legend, and of its bar of colors [pixels]
 _INK = (40, 40, 40)
-_BAR_LENGTH = 200
 
 
-class Keys(NamedTuple):
-    """A legend of single colors (hex) and their meanings."""
-
-    entries: tuple[tuple[str, str], ...]
+Keys = tuple[tuple[str, str], ...]
+"""A legend of single colors (hex), each with its meaning."""
 
 
 class Scale(NamedTuple):
@@ -71,25 +64,16 @@ class Picture(NamedTuple):
     legend: Keys | Scale
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CaseView:
     """N robots of a case: true and estimated poses, errors and forces."""
 
     case: Case
-    pose: Reals
-    """True center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)."""
-
-    estimated_pose: Reals
-    """Estimated center [R] and sensed quaternion wxyz, NaN where unknown, shape (N, 7)."""
-
-    error: Reals
-    """Distance between true and estimated center [R], shape (N,)."""
-
-    force: Reals
-    """Force that each robot senses in its links [weight of a dock], shape (N,)."""
-
-    robot: Ints
-    """Id of each robot, shape (N,)."""
+    pose: Reals  # true center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)
+    estimated_pose: Reals  # estimated center [R] and sensed quaternion, as `pose`, shape (N, 7)
+    error: Reals  # distance between true and estimated center [R], shape (N,)
+    force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
+    robot: Ints  # id of each robot, shape (N,)
 
     @cached_property
     def log(self) -> SensingLog:
@@ -133,36 +117,21 @@ class CaseView:
 
 
 def read_case_view(case: Case) -> CaseView:
-    """Read the poses, errors and forces of a case.
-
-    Raises:
-        InputError: a file of the case is missing or damaged.
-    """
+    """Read the poses, errors and forces of a case."""
     names = [*POSE, *_ESTIMATED_POSE, "error_R", "sensed_force", "robot"]
     pose, estimated, rest = np.split(case.columns("robots.csv", names), [7, 14], axis=1)
     error, force, robot = rest.T
-    return CaseView(
-        case=case,
-        pose=pose,
-        estimated_pose=estimated,
-        error=error,
-        force=force,
-        robot=robot.astype(np.int64),
-    )
+    return CaseView(case, pose, estimated, error, force, robot.astype(np.int64))
 
 
 def build_pictures(case: Case) -> dict[str, Picture]:
-    """Build every picture of a case, by name.
-
-    Raises:
-        InputError: a file of the case is missing or damaged.
-    """
+    """Build every picture of a case, by name."""
     view = read_case_view(case)
     structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
     truth = view.robots(view.pose, rgb(TRUE_BLUE), _TRUTH_LOOK)
     estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), _ESTIMATE_LOOK)
-    both = Keys(((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated")))
+    both = ((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
     return {
         "structure": Picture(build_scene([structure], view.ground_z), by_join),
         "sensed-force": _scaled(view, view.force, FORCE_COLORS, "sensed force [dock weights]"),
@@ -197,19 +166,19 @@ def add_legend(picture: Image.Image, legend: Keys | Scale) -> Image.Image:
     whole = Image.new("RGB", (picture.width, picture.height + _LEGEND_HEIGHT), "white")
     whole.paste(picture, (0, _LEGEND_HEIGHT))
     pen = ImageDraw.Draw(whole)
-    font = ImageFont.load_default(_FONT)
-    left = float(_LEGEND_MARGIN)
+    font = ImageFont.load_default(26)
+    left, top = 18.0, 18
     if isinstance(legend, Scale):
-        pen.text((left, _LEGEND_MARGIN), legend.low, _INK, font)
+        pen.text((left, top), legend.low, _INK, font)
         left += pen.textlength(f"{legend.low} ", font)
         bar = colors_along(np.linspace(0.0, 1.0, _BAR_LENGTH), legend.colors)
         for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
-            pen.line((left + x, _LEGEND_MARGIN + 6, left + x, _LEGEND_MARGIN + 26), tuple(color))
-        pen.text((left + _BAR_LENGTH, _LEGEND_MARGIN), f" {legend.high}", _INK, font)
+            pen.line((left + x, top + 6, left + x, top + 26), tuple(color))
+        pen.text((left + _BAR_LENGTH, top), f" {legend.high}", _INK, font)
         return whole
-    for color, text in legend.entries:
-        pen.ellipse((left, _LEGEND_MARGIN, left + 24, _LEGEND_MARGIN + 24), fill=color)
-        pen.text((left + 34, _LEGEND_MARGIN + 12), text, _INK, font, anchor="lm")
+    for key, text in legend:
+        pen.ellipse((left, top, left + 24, top + 24), fill=key)
+        pen.text((left + 34, top + 12), text, _INK, font, anchor="lm")
         left += 70 + pen.textlength(text, font)
     return whole
 
@@ -219,8 +188,7 @@ class Rendered(NamedTuple):
 
     path: Path
     renderer: str
-    reason: str
-    """Why a better renderer failed; empty if none did."""
+    reason: str  # why a better renderer failed; empty if none did
 
 
 def render_run(
@@ -228,11 +196,8 @@ def render_run(
 ) -> list[Rendered]:
     """Draw every picture of one case of a run into `renders/`.
 
-    Args:
-        run: The run.
-        progress: Receives progress.
-        renderer: Name of the renderer; the best that works if None.
-        case: Name of the case, which file names then contain; the first of the largest if None.
+    The best renderer that works draws the first of the largest cases, unless they are named. File
+    names contain the name of the case if it is given.
 
     Raises:
         InputError: the renderer or the case is unknown, or the run is damaged.
@@ -242,12 +207,11 @@ def render_run(
     suffix = "" if case is None else f"-{case}"
     pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
     progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
-    place = run.subfolder("renders")
     drawn = []
     for (name, plan), picture in zip(planned.items(), pictures, strict=True):
         stream = io.BytesIO()
         add_legend(Image.fromarray(picture), plan.legend).save(stream, format="PNG")
-        path = place / f"{name}{suffix}.png"
+        path = run.subfolder("renders") / f"{name}{suffix}.png"
         write_bytes(path, stream.getvalue())
         progress.info(f"renders/{path.name}")
         drawn.append(Rendered(path=path, renderer=used, reason=reason))

@@ -33,11 +33,7 @@ _TILE = 12  # edge of a tile in which the `taichi` renderer sorts capsules [pixe
 
 
 def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[Picture], str, str]:
-    """Draw scenes with one renderer, or with the first that works.
-
-    Args:
-        scenes: Scenes to draw.
-        renderer: Name of the renderer; the first of `TRACERS` that works if None.
+    """Draw scenes with one renderer, or with the first of `TRACERS` that works.
 
     Returns:
         The pictures, of shape (height, width, 3), the name of their renderer, and why a better
@@ -158,8 +154,7 @@ def taichi_tracer(scene: Scene) -> Trace:
 
     backend.current()
     camera = scene.camera
-    start = camera.project(scene.start.astype(np.float64))
-    end = camera.project(scene.end.astype(np.float64))
+    start, end = (camera.project(ends.astype(np.float64)) for ends in (scene.start, scene.end))
     nearest: Reals = np.minimum(start[:, 2], end[:, 2]) - scene.radius
     tile_start, tile_item = _sort_into_tiles(scene, start, end, nearest)
     middle = (camera.width / 2.0, camera.height / 2.0)

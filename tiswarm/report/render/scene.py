@@ -44,20 +44,11 @@ _GROUND_GRAY = 0.92
 class Camera:
     """A pinhole camera."""
 
-    eye: Reals
-    """Position of the eye [R], shape (3,)."""
-
-    axes: Reals
-    """Right, up and forward, unit vectors in rows, shape (3, 3)."""
-
-    half_height: float
-    """Half height of the picture at distance 1."""
-
-    width: int
-    """Width of the picture [pixels]."""
-
-    height: int
-    """Height of the picture [pixels]."""
+    eye: Reals  # position of the eye [R], shape (3,)
+    axes: Reals  # right, up and forward, unit vectors in rows, shape (3, 3)
+    half_height: float  # half height of the picture at distance 1
+    width: int  # width of the picture [pixels]
+    height: int  # height of the picture [pixels]
 
     @property
     def pixels_per_slope(self) -> float:
@@ -65,11 +56,7 @@ class Camera:
         return 0.5 * self.height / self.half_height
 
     def directions(self, pixels: Array32) -> Array32:
-        """Aim a ray through each pixel, with a forward part of 1, shape (n, 3).
-
-        Args:
-            pixels: Column and row from the top left corner, fractions allowed, shape (n, 2).
-        """
+        """Aim a ray, of forward part 1, through each pixel (column and row from the top left)."""
         middle = np.array([self.width, self.height], dtype=np.float32) / 2
         slope = (pixels - middle) / np.float32(self.pixels_per_slope)
         right, up, forward = (self.axes * [[1.0], [-1.0], [1.0]]).astype(np.float32)
@@ -85,38 +72,21 @@ class Camera:
 class Ground:
     """A square patch of flat ground, cut into cells."""
 
-    corner: Reals
-    """Center of the cell with the least x and y [R], shape (3,)."""
-
-    cell: float
-    """Distance between the centers of two neighboring cells [R]."""
-
-    gray: Array32
-    """Brightness, by y and x cell, shape (cells, cells)."""
-
-    opacity: Array32
-    """Opacity from 0 (no ground) to 1, by y and x cell, shape (cells, cells)."""
+    corner: Reals  # center of the cell with the least x and y [R], shape (3,)
+    cell: float  # distance between the centers of two neighboring cells [R]
+    gray: Array32  # brightness, by y and x cell, shape (cells, cells)
+    opacity: Array32  # opacity from 0 (no ground) to 1, by y and x cell, shape (cells, cells)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """P capsules, a ground if any, and a camera, against white."""
 
-    start: Array32
-    """One end of each segment [R], shape (P, 3)."""
-
-    end: Array32
-    """Other end of each segment [R], shape (P, 3)."""
-
-    radius: Array32
-    """Radius of each capsule [R], shape (P,)."""
-
-    color: Array32
-    """Red, green, blue of each capsule, 0 to 1, shape (P, 3)."""
-
-    shade: Array32
-    """Light blocked: on average, and toward x, y and z, shape (P, 4)."""
-
+    start: Array32  # one end of each segment [R], shape (P, 3)
+    end: Array32  # other end of each segment [R], shape (P, 3)
+    radius: Array32  # radius of each capsule [R], shape (P,)
+    color: Array32  # red, green, blue of each capsule, 0 to 1, shape (P, 3)
+    shade: Array32  # light blocked: on average, and toward x, y and z, shape (P, 4)
     camera: Camera
     ground: Ground | None
 
@@ -139,15 +109,9 @@ class Look:
 class Robots:
     """N robots to draw."""
 
-    center: Reals
-    """Centers [R], shape (N, 3)."""
-
-    dock: Reals
-    """Dock centers [R], shape (N, docks, 3)."""
-
-    color: Reals
-    """Red, green, blue of each robot, 0 to 1, shape (N, 3)."""
-
+    center: Reals  # centers [R], shape (N, 3)
+    dock: Reals  # dock centers [R], shape (N, docks, 3)
+    color: Reals  # red, green, blue of each robot, 0 to 1, shape (N, 3)
     look: Look
 
 
@@ -204,11 +168,8 @@ def _shade(points: Reals, blockers: Reals) -> Array32:
     """Sum the light that robots block from points, in terms that are linear in the normal.
 
     A sphere of radius r at distance d in direction u blocks (r/d)^2 max(0, n.u) of the light
-    on a surface with normal n; 1/4 + n.u / 2 approximates max(0, n.u).
-
-    Args:
-        points: Lit points [R], shape (n, 3).
-        blockers: Center and radius of the spheres [R], shape (N, 4).
+    on a surface with normal n; 1/4 + n.u / 2 approximates max(0, n.u). Rows of `blockers` are
+    center and radius of the spheres [R].
     """
     center = blockers[:, :3]
     reach = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
@@ -245,12 +206,7 @@ def _ground(dock: Reals, blockers: Reals, height: float) -> Ground | None:
 
 
 def fit_camera(points: Reals, radius: float) -> Camera:
-    """Place a camera so that balls of one radius around all points fill the picture.
-
-    Args:
-        points: Centers [R], shape (n, 3).
-        radius: Radius of each ball [R].
-    """
+    """Place a camera so that balls of one radius [R] around all points [R] fill the picture."""
     back = _view_direction(points)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
@@ -278,11 +234,7 @@ def _view_direction(points: Reals) -> Reals:
 
 
 def _stand_back(across: Reals, depth: Reals, radius: float, slope: float) -> tuple[float, float]:
-    """Find where the eye sees every ball between two planes through it.
-
-    Returns:
-        Place of the eye across the view, and its distance in front of depth 0.
-    """
+    """Place the eye, across the view and before depth 0, so that it sees every ball whole."""
     slope /= _MARGIN
     reach = radius * math.hypot(1.0, slope)
     above = float(np.max(across - slope * depth)) + reach
