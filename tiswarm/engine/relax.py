@@ -76,16 +76,9 @@ def relax(
     The bytes of the result depend on the arguments alone, not on threads.
 
     >>> from tiswarm.robot import RobotGeometry
-    >>> result = relax(
-    ...     [[0, 0, 0], [6, 0, 0]],
-    ...     [[1, 0, 0, 0]] * 2,
-    ...     [[0, 0, 1, 0]],
-    ...     robot=RobotGeometry(),
-    ...     attraction_gain=0.1,
-    ...     repulsion_gain=0.1,
-    ...     ramp=1.0,
-    ...     steps=50,
-    ... )
+    >>> places, level = [[0, 0, 0], [6, 0, 0]], [[1, 0, 0, 0]] * 2
+    >>> gains = {"attraction_gain": 0.1, "repulsion_gain": 0.1, "ramp": 1.0}
+    >>> result = relax(places, level, [[0, 0, 1, 0]], robot=RobotGeometry(), steps=50, **gains)
     >>> result.position[:, 0].round(3).tolist()  # connected docks touch at a distance of D = 2
     [2.0, 4.0]
 

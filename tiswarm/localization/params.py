@@ -13,10 +13,6 @@ CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometr
 
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
-CHAINS, STEPS = 8, 3000
-"""Annealings of a structure, and steps of each, for their accuracy."""
-CHAINS_IF_LARGE, STEPS_IF_LARGE = 4, 2000
-"""Those of a large one, where time counts more than the little that others add."""
 
 Width = Annotated[float, Field(gt=0.0)]
 
@@ -262,19 +258,15 @@ class JointParams(CueParams):
 
     def chains_for(self, robots: int) -> int:
         """Annealings of a structure of so many robots."""
-        if self.chains is None:
-            return CHAINS if robots <= LARGE else CHAINS_IF_LARGE
-        return self.chains
+        return self.chains or (8 if robots <= LARGE else 4)
+
+    def steps_for(self, robots: int) -> int:
+        """Steps of each of them."""
+        return self.steps or (3000 if robots <= LARGE else 2000)
 
     def refines(self, robots: int) -> bool:
         """Whether to refine what chains of a structure of so many robots come to."""
         return robots <= LARGE if self.refine is None else self.refine
-
-    def steps_for(self, robots: int) -> int:
-        """Steps of each of them."""
-        if self.steps is None:
-            return STEPS if robots <= LARGE else STEPS_IF_LARGE
-        return self.steps
 
 
 LocalizationParams = Annotated[

@@ -93,6 +93,9 @@ class StructureArrays(NamedTuple):
     relay: Ints2
     """Call that each dock passes on; a robot that touches a positive one is recruited, (S, 3 N)."""
 
+    robot_count: Ints1
+    """Robots that have joined, shape (S,)."""
+
 
 class Climbers(NamedTuple):
     """Robots that climb at the same time, one slot each."""
@@ -417,7 +420,8 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 @ti.kernel
 def climb(
     limits: ClimbLimits, settles: Static, movers: Ints1, state: Ints1,
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays
+    # StructureArrays
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
     # WalkArrays, written from the first stance on
@@ -437,7 +441,7 @@ def climb(
         movers: Slots of the robots that move, shape (M,).
         state: Written: how each walk ended, shape (slots,).
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay))
+    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     climbers = ti.static(Climbers(structure, first_stance, goal, dock_offset_body, near))
     walks = ti.static(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)

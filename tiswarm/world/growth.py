@@ -22,12 +22,14 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend
+from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import uniform
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
+from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frame, StructureFailure
 from tiswarm.world.params import KINDS, RecruitParams, StructureParams
-from tiswarm.world.walks import Structures, Walks, climb_limits
+from tiswarm.world.walks import Walks, climb_limits
 
 MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -73,7 +75,13 @@ class GrowthBatch:
         """Prepare empty ground for each seed."""
         self.robots = robots
         self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
-        self.docks = Structures(len(seeds), robots)
+        count, docks = len(seeds), DOCK_COUNT * robots
+        self.arrays = StructureArrays(
+            cells=CellList.allocate(count, docks),
+            dock=np.zeros((count, docks, 3)),
+            relay=np.zeros((count, docks), np.int32),
+            robot_count=np.zeros(count, np.int32),
+        )
         self.structure_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
         limits = climb_limits(params.climb, robot, KINDS[params.kind].terrain(params))
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
@@ -88,7 +96,7 @@ class GrowthBatch:
             # Founders come one by one, since they found what the others climb.
             is_crowded = structure.founding and climbing > 0
             if not (self.moving[slot] or is_crowded or structure.ended or is_complete):
-                start = structure.spawn(self.docks.joined_docks(structure.number))
+                start = structure.spawn(self.arrays.dock[structure.number])
                 if start is not None:
                     self.walks.start(slot, *start)
                     self.moving[slot] = True
@@ -97,11 +105,11 @@ class GrowthBatch:
     def round(self, threads: ThreadPoolExecutor) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
-        walks.climb(self.docks, movers)
+        walks.climb(self.arrays, movers)
         wants = np.zeros(len(self.structure_of), np.int32)
         for slot in movers:
             wants[slot] = walks.touches(slot) or self._climbed_by(slot).founding
-        walks.join(self.docks, movers, wants)
+        walks.join(self.arrays, movers, wants)
         for slot in movers:
             structure = self._climbed_by(slot)
             self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
@@ -126,7 +134,7 @@ class GrowthBatch:
         structure = self.structures[number]
         is_last = len(structure.walks) == self.robots or bool(structure.ended)
         relayed = structure.recruit(is_last=is_last)
-        self.docks.arrays.relay[number, : len(relayed)] = relayed
+        self.arrays.relay[number, : len(relayed)] = relayed
 
 
 class GrowingStructure:
@@ -164,7 +172,7 @@ class GrowingStructure:
         Draws depend on the seed and the number of robots spawned before alone.
 
         Args:
-            docks: Dock centers of the structure [R], shape (n, 3).
+            docks: Dock centers [R], those that have joined first, shape (n, 3).
 
         Returns:
             Center [R], orientation wxyz and goal [R]; None where every place was taken.
@@ -187,8 +195,9 @@ class GrowingStructure:
 
     def _survey(self, docks: Reals) -> None:
         """Account for the docks that joined since the last spawn in the next robots' places."""
-        new = docks[self.surveyed :]
-        self.surveyed = len(docks)
+        joined = DOCK_COUNT * len(self.walks)
+        new = docks[self.surveyed : joined]
+        self.surveyed = joined
         for side, rim in enumerate(self.rim):
             self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
         above = new[:, 2] - (self.terrain.ground_z + self.robot.dock_radius)

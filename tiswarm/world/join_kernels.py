@@ -7,42 +7,35 @@ from tiswarm.world.flip_kernels import DOCKS, ClimbLimits, StructureArrays, Walk
 
 
 @ti.func
-def is_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, body: Ref, newest):
-    """Whether a dock that joined as item `newest` or later could matter to this stance.
+def first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
+    """Find the first stance of a walk that docks from item `newest` on could matter to, or -1.
 
     Only docks within a flip's reach of its own matter to what a robot senses and does.
     """
-    found = False
-    here = vector_in(walks.center, mover, stance)
-    q = quaternion_at(walks.orientation, mover, stance)
-    for k in range(DOCKS):
-        point = here + rotate(q, vector_at(body, k))
-        cube = cube_of(point, limits.inverse_edge)
-        for which in range(27):
-            item = first_item(structures.cells, s, cube, which)
-            while item >= newest:  # chains run from the newest item to the oldest
-                offset = vector_in(structures.dock, s, item) - point
-                found = found or offset.norm_sqr() < limits.reach * limits.reach
-                item = structures.cells.following[s, item]
-    return found
-
-
-@ti.func
-def first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
-    """Find the first stance of a walk that items from `newest` on could matter to, or -1."""
     disturbed = -1
     for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
-        if disturbed < 0:
-            if is_disturbed(limits, structures, s, walks, mover, stance, body, newest):
-                disturbed = stance
+        here = vector_in(walks.center, mover, stance)
+        q = quaternion_at(walks.orientation, mover, stance)
+        for k in range(DOCKS):
+            point = here + rotate(q, vector_at(body, k))
+            cube = cube_of(point, limits.inverse_edge)
+            for which in range(27):
+                item = first_item(structures.cells, s, cube, which)
+                while item >= newest:  # chains run from the newest item to the oldest
+                    offset = vector_in(structures.dock, s, item) - point
+                    if offset.norm_sqr() < limits.reach * limits.reach:
+                        disturbed = stance
+                    item = structures.cells.following[s, item]
+        if disturbed >= 0:
+            break
     return disturbed
 
 
 @ti.kernel
 def join_undisturbed(
     limits: ClimbLimits, first_mover: Ints1, movers: Ints1, wants: Ints1, dock_offset_body: Reals2,
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2,  # StructureArrays, changed
-    robot_count: Ints1,
+    # StructureArrays, changed
+    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
     last: Ints1, best: Ints1, stay: Ints1,
@@ -60,11 +53,10 @@ def join_undisturbed(
         movers: Slots of the movers, structure by structure, shape (M,).
         wants: Whether each slot's walk ends where it can stay, shape (slots,).
         dock_offset_body: Center to dock in the body frame [R], shape (3, 3).
-        robot_count: Changed: robots of each structure, shape (S,).
         disturbed: Written: first disturbed stance of each slot, or -1.
         joined: Written: number under which each slot's robot joined, or -1.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay))
+    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     walks = ti.static(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
     )

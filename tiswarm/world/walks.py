@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Reals
-from tiswarm.compute.cell_kernels import CellList
 from tiswarm.errors import TiswarmError
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world import flip_kernels
@@ -50,25 +49,6 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
     )
 
 
-class Structures:
-    """Structures of up to `robots` robots each, and how many have joined."""
-
-    def __init__(self, structures: int, robots: int) -> None:
-        """Reserve empty structures."""
-        docks = DOCK_COUNT * robots
-        self.robot_count = np.zeros(structures, np.int32)
-        self.arrays = StructureArrays(
-            cells=CellList.allocate(structures, docks),
-            dock=np.zeros((structures, docks, 3)),
-            relay=np.zeros((structures, docks), np.int32),
-        )
-
-    def joined_docks(self, structure: int) -> Reals:
-        """Dock centers of the robots that have joined [R], shape (3 n, 3)."""
-        docks: Reals = self.arrays.dock[structure]
-        return docks[: DOCK_COUNT * self.robot_count[structure]]
-
-
 class Walks:
     """Room for the walks of as many robots as climb at once, one slot each."""
 
@@ -107,17 +87,19 @@ class Walks:
         self.climbers.goal[slot] = goal
         self.climbers.first_stance[slot] = 0
 
-    def climb(self, structures: Structures, movers: Slots) -> None:
+    def climb(self, structures: StructureArrays, movers: Slots) -> None:
         """Let the robots in the slots `movers` walk on from their first stance."""
-        cells, *docks = structures.arrays
-        arrays = (*cells, *docks, *self.climbers, *self.stances)
-        flip_kernels.climb(self.limits, self.settles, movers, self.state, *arrays)
+        cells, *docks = structures
+        flip_kernels.climb(
+            self.limits, self.settles, movers, self.state, *cells, *docks, *self.climbers,
+            *self.stances,
+        )  # fmt: skip
         if (self.state[movers] == SCRATCH_FULL).any():
             raise TiswarmError(
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
 
-    def join(self, structures: Structures, movers: Slots, wants: NDArray[np.int32]) -> None:
+    def join(self, structures: StructureArrays, movers: Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
 
         Args:
@@ -125,12 +107,12 @@ class Walks:
             movers: Their slots, ascending, shape (M,).
             wants: Whether each slot's walk ends where it can stay, shape (slots,).
         """
-        (cells, *docks), counts = structures.arrays, structures.robot_count
+        cells, *docks = structures
         climbed = self.climbers.structure[movers]
-        first = np.searchsorted(climbed, np.arange(len(counts) + 1)).astype(np.int32)
+        first = np.searchsorted(climbed, np.arange(len(structures.dock) + 1)).astype(np.int32)
         join_undisturbed(
             self.limits, first, movers, wants, self.climbers.dock_offset_body, *cells, *docks,
-            counts, *self.stances, self.disturbed, self.joined,
+            *self.stances, self.disturbed, self.joined,
         )  # fmt: skip
 
     def touches(self, slot: int) -> bool:
