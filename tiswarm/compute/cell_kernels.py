@@ -12,8 +12,8 @@ import numpy as np
 
 from tiswarm.compute.lang import Ints2, Ref, ti
 
-STRIDE_Y, STRIDE_Z = 1_640_531_527, 1_013_904_223
-MIN_BUCKETS = 128
+_STRIDE_Y, _STRIDE_Z = 1_640_531_527, 1_013_904_223
+_MIN_BUCKETS = 128
 """Fewest buckets for which the 27 cubes around a point keep apart (and any power of two above)."""
 
 
@@ -29,7 +29,7 @@ class CellList(NamedTuple):
     @classmethod
     def allocate(cls, structures: int, capacity: int) -> "CellList":
         """Reserve empty chains for `structures` structures of `capacity` items."""
-        buckets = max(MIN_BUCKETS, 1 << (2 * capacity - 1).bit_length())
+        buckets = max(_MIN_BUCKETS, 1 << (2 * capacity - 1).bit_length())
         return cls(
             head=np.full((structures, buckets), -1, np.int32),
             following=np.full((structures, capacity), -1, np.int32),
@@ -43,9 +43,9 @@ def cube_of(point, inverse_edge):
 
 
 @ti.func
-def bucket_of(cube, buckets):
+def _bucket_of(cube, buckets):
     """Hash a cube to its bucket; `buckets` is a power of two."""
-    key = cube[0] + STRIDE_Y * cube[1] + STRIDE_Z * cube[2]
+    key = cube[0] + _STRIDE_Y * cube[1] + _STRIDE_Z * cube[2]
     return ti.cast(key & ti.cast(buckets - 1, ti.i64), ti.i32)
 
 
@@ -56,13 +56,13 @@ def first_item(cells: Ref, structure, cube, which):
     `which` runs from 0 to 26.
     """
     neighbor = cube + ti.Vector([which % 3 - 1, which // 3 % 3 - 1, which // 9 - 1])
-    return cells.head[structure, bucket_of(neighbor, cells.head.shape[1])]
+    return cells.head[structure, _bucket_of(neighbor, cells.head.shape[1])]
 
 
 @ti.func
 def link(cells: Ref, structure, item, cube):
     """Put an item in front of its bucket's chain."""
-    bucket = bucket_of(cube, cells.head.shape[1])
+    bucket = _bucket_of(cube, cells.head.shape[1])
     cells.following[structure, item] = cells.head[structure, bucket]
     cells.head[structure, bucket] = item
 
@@ -70,8 +70,8 @@ def link(cells: Ref, structure, item, cube):
 @ti.func
 def relink(cells: Ref, structure, item, old, new):
     """Move an item from the chain of one cube to the front of another's."""
-    bucket = bucket_of(old, cells.head.shape[1])
-    if bucket != bucket_of(new, cells.head.shape[1]):
+    bucket = _bucket_of(old, cells.head.shape[1])
+    if bucket != _bucket_of(new, cells.head.shape[1]):
         after = cells.following[structure, item]
         if cells.head[structure, bucket] == item:
             cells.head[structure, bucket] = after

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
 
-STRIDE_STRUCTURE = 1_779_033_703
+_STRIDE_STRUCTURE = 1_779_033_703
 CELL_LENGTH = 0.25
 """Edge of a cell along x, in cutoffs: short, since runs of cells along x are cheap."""
 CELL_WIDTH = 2.0
@@ -31,7 +31,7 @@ SCAN_BLOCK = 512
 """Buckets that one thread sums up at a time."""
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
-REACH_MARGIN = 1e-3
+_REACH_MARGIN = 1e-3
 """Lengthening of a reach, so that rounding cannot shorten it [cutoff]."""
 
 
@@ -86,39 +86,39 @@ def cell(value, per_length):
 
 
 @ti.func
-def bucket_of_cell(grid: Ref, x, y, z, structure):
+def _bucket_of_cell(grid: Ref, x, y, z, structure):
     """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
     key = x + grid.stride_y * y + grid.stride_z * z
-    key += STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
+    key += _STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
     return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
 
 
 @ti.func
-def own_bucket(grid: Ref, at):
+def _own_bucket(grid: Ref, at):
     """Find the bucket of the cell that holds a dock."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    return bucket_of_cell(
+    return _bucket_of_cell(
         grid, cell(at[0], per_length), cell(at[1], per_width), cell(at[2], per_width), at[3]
     )
 
 
 @ti.func
-def count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+def _count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
-    ti.atomic_add(cells.begin[grid.table + own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
+    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
 
 
 @ti.func
-def scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
+def _scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Put a dock into the next free slot of its bucket."""
-    bucket = own_bucket(grid, dock_at(dock, base, m))
+    bucket = _own_bucket(grid, dock_at(dock, base, m))
     slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
     cells.dock[slot] = m
 
 
 @ti.func
-def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
+def _sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
     """Order the docks of a bucket by number, since threads have scattered them in any order."""
     first = grid.slot + cells.begin[grid.table + bucket]
     last = grid.slot + cells.begin[grid.table + bucket + 1]
@@ -136,7 +136,7 @@ def sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
 
 
 @ti.func
-def nearer_side(value, index, per_width):
+def _nearer_side(value, index, per_width):
     """Find the cell beside its own that a place is nearer to (-1 or 1), and how near [cutoff]."""
     within = value * per_width - index
     side = ti.select(within < 1.0 - within, -1, 1)
@@ -144,7 +144,7 @@ def nearer_side(value, index, per_width):
 
 
 @ti.func
-def near_slots(here, square_cutoff, first, cells: Ref):
+def _near_slots(here, square_cutoff, first, cells: Ref):
     """Set a bit for each of the BLOCK sorted docks from `first` on that is near.
 
     The loop writes nothing and leaves none out, so that compilers compare many docks at a time.
@@ -161,14 +161,14 @@ def near_slots(here, square_cutoff, first, cells: Ref):
 
 
 @ti.func
-def add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place, room, count):
+def _add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place, room, count):
     """Add to a row those of the sorted docks in a range of slots that are near an own dock."""
     square_cutoff = grid.cutoff * grid.cutoff
     structures = cells.place.shape[0] // 4 * 3
     at = slots[0]
     while at < slots[1]:
         wanted = (1 << ti.min(slots[1] - at, BLOCK)) - 1
-        near = wanted & near_slots(here, square_cutoff, at, cells)
+        near = wanted & _near_slots(here, square_cutoff, at, cells)
         while near != 0:
             slot = at + ti.math.popcnt((near & -near) - 1)
             near &= near - 1
@@ -184,40 +184,40 @@ def add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place
 
 
 @ti.func
-def add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, room, count):
+def _add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, room, count):
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
     y = cell(here[1], per_width)
     z = cell(here[2], per_width)
-    side_y, gap_y = nearer_side(here[1], y, per_width)
-    side_z, gap_z = nearer_side(here[2], z, per_width)
+    side_y, gap_y = _nearer_side(here[1], y, per_width)
+    side_z, gap_z = _nearer_side(here[2], z, per_width)
     end = cells.begin[grid.table + grid.buckets]
     for column in range(4):
         # In a column of cells, visit only the run that the ball around the dock can reach.
         one_y = column & 1
         one_z = column >> 1
         square = 1.0 - one_y * gap_y * gap_y - one_z * gap_z * gap_z
-        if square > -REACH_MARGIN:
-            reach = (ti.sqrt(ti.max(square, 0.0)) + REACH_MARGIN) * grid.cutoff
+        if square > -_REACH_MARGIN:
+            reach = (ti.sqrt(ti.max(square, 0.0)) + _REACH_MARGIN) * grid.cutoff
             left = cell(here[0] - reach, per_length)
             length = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
-            bucket = bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
+            bucket = _bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
             past = bucket + ti.cast(length, ti.i32)
             first = cells.begin[grid.table + bucket]
             last = cells.begin[grid.table + ti.min(past, grid.buckets)]
             if past > grid.buckets:  # the run goes round the end of the table
                 last += cells.begin[grid.table + past - grid.buckets]
             slots = grid.slot + ti.Vector([first, ti.min(last, end)])
-            count = add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
+            count = _add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
             if last > end:
                 slots = grid.slot + ti.Vector([0, last - end])
-                count = add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
+                count = _add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
     return count
 
 
 @ti.func
-def without_connected(grid: Ref, connected, rows: Ref, place, count):
+def _without_connected(grid: Ref, connected, rows: Ref, place, count):
     """Remove from a row the docks that its first entries list as connected."""
     flag = 1 << grid.own_bits
     for c in range(connected):
@@ -234,7 +234,7 @@ def without_connected(grid: Ref, connected, rows: Ref, place, count):
 
 
 @ti.func
-def fill_rows_of(
+def _fill_rows_of(
     grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
 ):
     """Write the rows of robots `first` to `last` in succession; return how many entries.
@@ -253,9 +253,9 @@ def fill_rows_of(
         count = connected
         for own in range(grid.docks):
             here = dock_at(dock, base, robot * grid.docks + own)
-            count = add_dock(grid, here, own, robot * grid.docks, cells, rows, at, free, count)
+            count = _add_dock(grid, here, own, robot * grid.docks, cells, rows, at, free, count)
         if count <= free:
-            count = without_connected(grid, connected, rows, at, count)
+            count = _without_connected(grid, connected, rows, at, count)
         rows.first[robot] = at
         rows.count[robot] = count
         used += count
@@ -270,14 +270,14 @@ def list_structure(
     for k in range(grid.buckets + 2):
         cells.begin[grid.table + k] = 0
     for m in range(first * grid.docks, last * grid.docks):
-        count_dock(grid, base, m, dock, cells)
+        _count_dock(grid, base, m, dock, cells)
     for k in range(1, grid.buckets):
         cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
     for m in range(first * grid.docks, last * grid.docks):
-        scatter_dock(grid, base, m, dock, cells)
+        _scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
-        sort_bucket(grid, base, bucket, dock, cells)
-    return fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
+        _sort_bucket(grid, base, bucket, dock, cells)
+    return _fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
 
 
 @ti.kernel
@@ -303,7 +303,7 @@ def sort_docks(
     for k in range(begin.shape[0]):
         begin[k] = 0
     for m in range(sorted_dock.shape[0]):
-        count_dock(grid, base, m, dock, cells)
+        _count_dock(grid, base, m, dock, cells)
     for block in range(block_total.shape[0]):
         total = 0
         for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
@@ -316,9 +316,9 @@ def sort_docks(
     for k in range(SCAN_BLOCK, begin.shape[0] - 2):
         begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
     for m in range(sorted_dock.shape[0]):
-        scatter_dock(grid, base, m, dock, cells)
+        _scatter_dock(grid, base, m, dock, cells)
     for bucket in range(begin.shape[0] - 2):
-        sort_bucket(grid, base, bucket, dock, cells)
+        _sort_bucket(grid, base, bucket, dock, cells)
 
 
 @ti.kernel
@@ -351,7 +351,7 @@ def fill_rows(
     for first in range(robots):
         if first % run == 0:
             last = ti.min(first + run, robots)
-            used = fill_rows_of(
+            used = _fill_rows_of(
                 grid, base, first, last, dock, cells, connections, rows,
                 first // run * run_stride, room,
             )  # fmt: skip

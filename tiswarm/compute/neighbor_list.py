@@ -21,11 +21,11 @@ MOST_ITEMS = 2**31 - 1
 """Largest number that the kernels' integers can hold."""
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
-FIRST_CAPACITY = 8
+_FIRST_CAPACITY = 8
 """Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
 RUN = 512
 """Robots whose rows a core writes in succession, so that they lie close in memory."""
-ROOM = 1.25
+_ROOM = 1.25
 """Factor of the room that was needed, when more is made."""
 
 
@@ -144,7 +144,7 @@ class NeighborList:
         # A core reads along a row, a graphics card the same entry of many rows at once.
         self.entry_stride = 1 if on_cpu else robots
         # A row of its own has to hold more than what rows need on average.
-        self.capacity = FIRST_CAPACITY * docks * (1 if on_cpu else 2)
+        self.capacity = _FIRST_CAPACITY * docks * (1 if on_cpu else 2)
         bounds = np.array([0, robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
@@ -213,7 +213,7 @@ class NeighborList:
         Raises:
             InputError: where that is more than can be numbered.
         """
-        self.capacity = int(ROOM * entries) + 1
+        self.capacity = int(_ROOM * entries) + 1
         self._check_size()
         self.rows = self.rows._replace(entry=self.memory.ints(self._row_size()))
 

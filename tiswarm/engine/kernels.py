@@ -62,7 +62,7 @@ class Robots(NamedTuple):
 
 
 @ti.func
-def pull_of(distance, connected, attraction, repulsion, spacing):
+def _pull_of(distance, connected, attraction, repulsion, spacing):
     """Compute the magnitude of Eqs. (1) and (2); both gains include the ramp.
 
     Every branch is computed, since which one holds cannot be predicted in a dense swarm.
@@ -83,7 +83,7 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
         F = -B (1 - a) (d - D)^4 u    otherwise
     """
     distance = offset.norm()
-    pull = pull_of(distance, True, attraction_gain * ramp, repulsion_gain * (1.0 - ramp), spacing)
+    pull = _pull_of(distance, True, attraction_gain * ramp, repulsion_gain * (1.0 - ramp), spacing)
     return pull / ti.max(distance, TINY) * offset
 
 
@@ -102,7 +102,7 @@ def capped(step, max_step):
 
 
 @ti.func
-def force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Ref):
+def _force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Ref):
     """Sum Eqs. (1) and (2) over a robot's row."""
     force = ti.Vector([0.0, 0.0, 0.0])
     flag = 1 << grid.own_bits
@@ -115,16 +115,16 @@ def force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Re
         other = base + 4 * (entry >> (grid.own_bits + 1))
         offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         distance = offset.norm()
-        pull = pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
+        pull = _pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
         force += pull / ti.max(distance, TINY) * offset
     return force
 
 
 @ti.func
-def step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, robots: Ref):
+def _step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, robots: Ref):
     """Move a robot by its forces; return its squared step and distance from its reference."""
     here = vector_at(robots.position, robot)
-    force = force_of_row(grid, gains, ramp, base, robot, rows, robots)
+    force = _force_of_row(grid, gains, ramp, base, robot, rows, robots)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
             force[2] += gains.height_gain * (robots.height[robot] - here[2])
@@ -174,7 +174,7 @@ def step_robots(
         for robot in range(row_count.shape[0]):
             if control[STALE] == 0:
                 base = (first_t + k) % 2 * half
-                step, way = step_robot(
+                step, way = _step_robot(
                     grid, gains, ramp[first_t + k], base, half - base, robot, rows, robots
                 )
                 ti.atomic_max(moved, step)
@@ -289,7 +289,7 @@ def relax_structures(
                 if longest[s] <= room:
                     moved = 0.0
                     for robot in range(start[s], start[s + 1]):
-                        step, way = step_robot(
+                        step, way = _step_robot(
                             grid, gains, ramp[t], base, half - base, robot, rows, robots
                         )
                         moved = ti.max(moved, step)

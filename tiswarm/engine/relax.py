@@ -29,13 +29,13 @@ SKIN = 0.25
 """Reach of rows of neighbors beyond D [D]."""
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
-LAUNCHES = 2
+_LAUNCHES = 2
 """Launches between two questions to the device whether rows are stale."""
-NO_LIMIT = 1e30
-LARGEST_GAIN = 1e12
-NORM_SLACK = 1e-6
+_NO_LIMIT = 1e30
+_LARGEST_GAIN = 1e12
+_NORM_SLACK = 1e-6
 """Largest deviation of a quaternion's norm from 1."""
-FINEST = 0.01
+_FINEST = 0.01
 """Coarsest resolution of a coordinate [D]."""
 
 
@@ -138,7 +138,7 @@ class PreparedSwarm:
         robots = len(center)
         orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
         norm = np.linalg.norm(orientation, axis=1)
-        if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < NORM_SLACK).all()):
+        if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < _NORM_SLACK).all()):
             raise InputError(
                 "positions must be finite and orientations unit quaternions (w, x, y, z)"
             )
@@ -202,11 +202,11 @@ class PreparedSwarm:
             raise InputError(
                 f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
             )
-        limit = NO_LIMIT if max_step is None else max_step
+        limit = _NO_LIMIT if max_step is None else max_step
         gains = Gains(attraction_gain, repulsion_gain, height_gain, self.spacing, limit)
-        if not (all(0.0 <= gain <= LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
+        if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
             raise InputError(
-                f"gains must be 0 to {LARGEST_GAIN:g}, and the longest step 0 or more, "
+                f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {tuple(gains)}"
             )
         position = self.start_position.copy()
@@ -223,7 +223,7 @@ class PreparedSwarm:
     def _is_resolved(self, position: Reals) -> bool:
         """Whether every coordinate is a number that the precision resolves finely enough."""
         farthest = np.abs(position).max(initial=0.0)
-        return bool(farthest * np.finfo(self.running.dtype).eps <= FINEST * self.spacing)
+        return bool(farthest * np.finfo(self.running.dtype).eps <= _FINEST * self.spacing)
 
     def _go_to_start(self) -> None:
         robots = self.robots
@@ -245,7 +245,7 @@ class PreparedSwarm:
                 taken = int(control[kernels.TAKEN])
                 with backend.fast_arithmetic():
                     for t in range(
-                        taken, taken + LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
+                        taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
                     ):
                         kernels.step_robots(
                             neighbors.docks, neighbors.own_bits, neighbors.entry_stride, *gains,

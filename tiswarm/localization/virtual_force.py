@@ -36,9 +36,9 @@ from tiswarm.records.sensing_file import SensingLogBuilder
 from tiswarm.records.sensing_format import parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
-WORLD_UP = np.array([[0.0, 0.0, 1.0]])
-NO_SWEEPS = BackPropagation(sweeps=0)
-NO_TORQUE = VirtualTorque(gain=0.0)
+_WORLD_UP = np.array([[0.0, 0.0, 1.0]])
+_NO_SWEEPS = BackPropagation(sweeps=0)
+_NO_TORQUE = VirtualTorque(gain=0.0)
 
 Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as the value of its JSON."""
@@ -46,7 +46,7 @@ Line = str | Mapping[str, object]
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
-    rounds = params.back_propagation or NO_SWEEPS
+    rounds = params.back_propagation or _NO_SWEEPS
     schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps)
     return (len(log.dock_offset_body), *schedule)
 
@@ -65,7 +65,7 @@ def localize_batch(
     """
     dtype = backend.current().dtype
     iterations, every = params[0].iterations, params[0].trace_every
-    rounds = params[0].back_propagation or NO_SWEEPS
+    rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
     frames = np.array([*range(0, iterations, every), iterations, *(iterations + k for k in swept)])
     start = np.cumsum([0, *(log.robot_count for log in logs)]).astype(np.int32)
@@ -234,11 +234,11 @@ def _robots(dock_offset: NDArray[np.floating]) -> Robots:
 def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
     """Choose how robots turn; they turn only where the log states a bias of yaw."""
     is_biased = noise is not None and noise.yaw_bias_deg
-    return params.virtual_torque or NO_TORQUE if is_biased else NO_TORQUE
+    return params.virtual_torque or _NO_TORQUE if is_biased else _NO_TORQUE
 
 
 def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
-    rounds, torque = params.back_propagation or NO_SWEEPS, _torque(params, noise)
+    rounds, torque = params.back_propagation or _NO_SWEEPS, _torque(params, noise)
     yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
     undocked = kernels.DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else kernels.NO_DOCKS
     return Gains(
@@ -260,8 +260,8 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
 def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:
     """Direction of each robot's initial offset, shape (N, 3)."""
     if params.initial_offset_axis == "world":
-        return np.tile(WORLD_UP, (len(orientation_wxyz), 1))
-    return dock_offsets(orientation_wxyz, WORLD_UP)[:, 0]
+        return np.tile(_WORLD_UP, (len(orientation_wxyz), 1))
+    return dock_offsets(orientation_wxyz, _WORLD_UP)[:, 0]
 
 
 def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

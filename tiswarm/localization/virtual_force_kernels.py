@@ -95,7 +95,7 @@ class Trace(NamedTuple):
 
 
 @ti.func
-def gains_of(gains: Ref, structure):
+def _gains_of(gains: Ref, structure):
     """Read the gains of a structure, columns in the order of `Gains`."""
     return ti.Struct({name: gains[structure, c] for c, name in ti.static(enumerate(Gains._fields))})
 
@@ -123,7 +123,7 @@ def with_torque(force, arm):
 
 
 @ti.func
-def connected_force(
+def _connected_force(
     gains: Ref, robot, base, placed, ramp, attract_inward, measured: Ref, robots: Ref
 ):
     """Sum Eq. (1) over the robot's contacts with the first `placed` robots, with its torque.
@@ -147,7 +147,7 @@ def connected_force(
 
 
 @ti.func
-def undocked_force(
+def _undocked_force(
     gains: Ref, robot, base, structure, ramp, measured: Ref, robots: Ref, cells: Ref
 ):
     """Sum Eq. (2) over listed docks closer than D, but not connected, to the robot's.
@@ -193,9 +193,9 @@ def virtual_force(
 
     Each force acts at a dock; the fourth component is their torque about the vertical.
     """
-    force = connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
+    force = _connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
     if gains.undocked != NO_DOCKS:
-        force += undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
+        force += _undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
     if not ti.math.isnan(measured.flip_height[robot]):
         lift = measured.flip_height[robot] - robots.position[robot, 2]
         force[2] += gains.height_gain * lift
@@ -203,7 +203,7 @@ def virtual_force(
 
 
 @ti.func
-def initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
+def _initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
     """Average the earlier neighbors, each counted once, and add the offset of Algorithm 1.
 
     A robot that touches no earlier one starts from the anchor instead.
@@ -227,7 +227,7 @@ def initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
 
 
 @ti.func
-def write_position(robots: Ref, robot, place):
+def _write_position(robots: Ref, robot, place):
     """Move a robot's center to a place."""
     for c in ti.static(range(3)):
         robots.position[robot, c] = place[c]
@@ -242,13 +242,13 @@ def record(trace: Ref, frame, robot, place, moved):
 
 
 @ti.func
-def step_of(gains: Ref, force, share):
+def _step_of(gains: Ref, force, share):
     """Step by a share of a force, no farther than the longest step."""
     return capped(share * ti.Vector([force[0], force[1], force[2]]), gains.max_step)
 
 
 @ti.func
-def turn_of(gains: Ref, torque, share, turned):
+def _turn_of(gains: Ref, torque, share, turned):
     """Compute a robot's turn [rad]: by a share of the torque, and back to the sensed yaw."""
     pace = share * gains.torque_gain
     turn = pace * (torque - gains.hold * turned) / (1.0 + pace * gains.hold)
@@ -266,7 +266,7 @@ def move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref
         new = cube_of(dock_at(robots, robot, k) + step, 1.0 / gains.spacing)
         relink(cells, structure, item, old, new)
     robots.yaw[robot] += turn
-    write_position(robots, robot, vector_at(robots.position, robot) + step)
+    _write_position(robots, robot, vector_at(robots.position, robot) + step)
 
 
 @ti.kernel
@@ -301,16 +301,16 @@ def localize_in_join_order(
     trace = ti.static(Trace(trace_position, step_length))
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:
-            gains = gains_of(gains_table, s)
+            gains = _gains_of(gains_table, s)
             base = start[s]
             for robot in range(base + placed_before[s], start[s + 1]):
                 here = vector_at(position, robot)
                 if robot > base:
-                    here = initial_position(gains, robot, base, measured, robots)
+                    here = _initial_position(gains, robot, base, measured, robots)
                 moved = 0.0
                 frame = 0
                 for t in range(iterations + 1):
-                    write_position(robots, robot, here)
+                    _write_position(robots, robot, here)
                     if t % trace_every == 0 or t == iterations:
                         record(trace, frame, robot, here, moved)
                         frame += 1
@@ -319,8 +319,8 @@ def localize_in_join_order(
                             gains, robot, base, s, robot - base, (t + 1.0) / iterations, 0.0,
                             measured, robots, cells,
                         )  # fmt: skip
-                        step = step_of(gains, force, 1.0)
-                        turn = turn_of(gains, force[3], 1.0, yaw[robot])
+                        step = _step_of(gains, force, 1.0)
+                        turn = _turn_of(gains, force[3], 1.0, yaw[robot])
                         moved = step.norm()
                         here += step
                         yaw[robot] += turn
@@ -338,8 +338,10 @@ def localize_in_join_order(
                             force = virtual_force(
                                 gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
                             )
-                            step = step_of(gains, force, ti.select(j > base, gains.sweep_gain, 0.0))
-                            turn = turn_of(gains, force[3], gains.sweep_gain, yaw[j])
+                            step = _step_of(
+                                gains, force, ti.select(j > base, gains.sweep_gain, 0.0)
+                            )
+                            turn = _turn_of(gains, force[3], gains.sweep_gain, yaw[j])
                             move(gains, j, base, s, step, turn, robots, cells)
                             there = vector_at(position, j)
                             record(trace, frame + sweep // trace_every, j, there, step.norm())

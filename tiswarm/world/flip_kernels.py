@@ -42,21 +42,21 @@ from tiswarm.compute.math_kernels import (  # fmt: skip
 )
 
 DOCKS = 3
-WALKING, ENDED, RECRUITED, SCRATCH_FULL = range(4)
+_WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
 """States of a walk."""
 FLAT, EDGE = 1, 2
 """Ground that a dock stands on; 0 for none."""
-SETTLED_RISE = 1e-12
+_SETTLED_RISE = 1e-12
 """A dock whose coordinate swings by less than this [R] slides along: it never enters."""
-RESTING_ANGLE = 1e-7
+_RESTING_ANGLE = 1e-7
 """A contact met this little before the start of a turn is the one the dock rests on [rad]."""
-RESTING_GAP = 1e-10
+_RESTING_GAP = 1e-10
 """Squared distances to an edge this close to contact are contact [R^2]."""
-MET = 1e-13
+_MET = 1e-13
 """Largest step that counts as arrival at the edge [rad]."""
-NUDGE = 1e-3
+_NUDGE = 1e-3
 """Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
-MAX_STEPS = 500
+_MAX_STEPS = 500
 """Most steps along an edge; 10 to 40 are usual."""
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
@@ -159,7 +159,7 @@ class Flip:
 def ahead(angle, full_turn):
     """Wrap an angle to [0, a full turn); an angle just behind 0 is the contact it rests on."""
     wrapped = angle - full_turn * ti.floor(angle / full_turn)
-    return ti.select(wrapped > full_turn - RESTING_ANGLE, 0.0, wrapped)
+    return ti.select(wrapped > full_turn - _RESTING_ANGLE, 0.0, wrapped)
 
 
 @ti.func
@@ -171,7 +171,7 @@ def crossing_angles(a, b, level, full_turn):
     """
     angles = ti.Vector([full_turn, full_turn])
     swing = ti.sqrt(a * a + b * b)
-    if swing > ti.abs(level) and swing > SETTLED_RISE:
+    if swing > ti.abs(level) and swing > _SETTLED_RISE:
         peak = ti.atan2(b, a)
         half_width = ti.acos(level / swing)
         angles[0] = ahead(peak - half_width, full_turn)
@@ -180,7 +180,7 @@ def crossing_angles(a, b, level, full_turn):
 
 
 @ti.func
-def edge_angle(middle, across, onward, edge, side, limits):
+def _edge_angle(middle, across, onward, edge, side, limits):
     """Find the turn after which a dock first meets a slab with a rounded edge, or a full turn.
 
     The slab ends at `edge`, on its right for a `side` of 1, else -1 on its left.
@@ -197,9 +197,9 @@ def edge_angle(middle, across, onward, edge, side, limits):
     met = limits.full_turn
     t = 0.0 * height
     steps = 0
-    if swing_z < SETTLED_RISE and ti.abs(height) > limits.spacing - RESTING_GAP:
+    if swing_z < _SETTLED_RISE and ti.abs(height) > limits.spacing - _RESTING_GAP:
         t = limits.full_turn  # it slides along the flat and never enters
-    while t < limits.full_turn and steps < MAX_STEPS:
+    while t < limits.full_turn and steps < _MAX_STEPS:
         steps += 1
         c = ti.cos(t)
         s = ti.sin(t)
@@ -208,13 +208,13 @@ def edge_angle(middle, across, onward, edge, side, limits):
         gap = out * out + up * up - limits.spacing * limits.spacing
         slope = 2.0 * side * out * (onward[0] * c - across[0] * s)
         slope += 2.0 * up * (onward[2] * c - across[2] * s)
-        if gap < RESTING_GAP and t == 0.0 and slope > -RESTING_GAP:
+        if gap < _RESTING_GAP and t == 0.0 and slope > -_RESTING_GAP:
             gap = 0.0
-            t = ti.max(slope / bend, NUDGE)
+            t = ti.max(slope / bend, _NUDGE)
         else:
             room = slope * slope + 2.0 * bend * gap
             step = (slope + ti.sqrt(ti.max(room, 0.0))) / bend
-            if step < MET:
+            if step < _MET:
                 met = t
                 break
             t += step
@@ -228,18 +228,18 @@ def slab_angles(middle, across, onward, edge, side, limits):
     swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
     swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
     top = limits.ground_z + 0.5 * limits.spacing
-    if middle[2] - swing_z < top + RESTING_GAP:
+    if middle[2] - swing_z < top + _RESTING_GAP:
         inland = side * (middle[0] - edge) + swing_x <= 0.0
         if inland and middle[2] > limits.ground_z:
             angles = crossing_angles(-across[2], -onward[2], middle[2] - top, limits.full_turn)
         elif side * (middle[0] - edge) - swing_x < limits.spacing:
-            angles[0] = edge_angle(middle, across, onward, edge, side, limits)
-            angles[1] = edge_angle(middle, across, -onward, edge, side, limits)
+            angles[0] = _edge_angle(middle, across, onward, edge, side, limits)
+            angles[1] = _edge_angle(middle, across, -onward, edge, side, limits)
     return angles
 
 
 @ti.func
-def ground_kind(point, limits):
+def _ground_kind(point, limits):
     """Find the ground that a dock at `point` stands on: 0, FLAT or EDGE."""
     kind = 0
     depth = 0.5 * limits.spacing
@@ -255,7 +255,7 @@ def ground_kind(point, limits):
 
 
 @ti.func
-def flip_contact(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
+def _flip_contact(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
     """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped."""
     along = arm.dot(axis)
     across = arm - along * axis
@@ -273,7 +273,7 @@ def flip_contact(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
 
 
 @ti.func
-def gather_near(limits: Ref, structures: Ref, s, pivot, near: Ref, mover):
+def _gather_near(limits: Ref, structures: Ref, s, pivot, near: Ref, mover):
     """List the vectors from `pivot` to the structure's docks in reach; return how many."""
     count = 0
     cube = cube_of(pivot, limits.inverse_edge)
@@ -291,8 +291,8 @@ def gather_near(limits: Ref, structures: Ref, s, pivot, near: Ref, mover):
 
 
 @ti.func
-def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
-    """Record what dock `k` at `point` touches; return how many things, and if one recruits."""
+def _sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k, point):
+    """Record what dock `k` at `point` touches; return whether any of it recruits."""
     count = 0
     called = 0
     limit = limits.spacing + limits.contact_gap
@@ -308,13 +308,18 @@ def sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, k
                 if structures.relay[s, item] > 0:
                     called = 1
             item = structures.cells.following[s, item]
-    ground = ground_kind(point, limits)
-    walks.on_ground[mover, stance, k] = ground
-    return ti.Vector([count + ground, called])
+    walks.on_ground[mover, stance, k] = _ground_kind(point, limits)
+    return called
 
 
 @ti.func
-def revisits(limits: Ref, walks: Ref, mover, stance, point):
+def _is_attached(walks: Ref, mover, stance, k):
+    """Whether dock `k` touches another dock or the ground."""
+    return walks.touching[mover, stance, k, 0] >= 0 or walks.on_ground[mover, stance, k] != 0
+
+
+@ti.func
+def _revisits(limits: Ref, walks: Ref, mover, stance, point):
     """Whether the walk up to `stance` has had its center at `point` before."""
     seen = False
     for earlier in range(stance + 1):
@@ -324,7 +329,7 @@ def revisits(limits: Ref, walks: Ref, mover, stance, point):
 
 
 @ti.func
-def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover, stance, k):
+def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover, stance, k):
     """Of all flips about dock `k`, find the one that ends nearest to the goal."""
     s = climbers.structure[mover]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
@@ -335,7 +340,7 @@ def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover,
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = here - to_center
-    found = gather_near(limits, structures, s, pivot, near, mover)
+    found = _gather_near(limits, structures, s, pivot, near, mover)
     count = ti.min(found, near.shape[1])
     chosen.overflow = ti.cast(found > count, ti.i32)
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
@@ -346,7 +351,7 @@ def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover,
         first = ti.Vector([limits.full_turn, limits.full_turn])
         for step in range(1, DOCKS):
             arm = rotate(q, vector_at(body, (k + step) % DOCKS) - body_in)
-            first = ti.min(first, flip_contact(limits, arm, axis, pivot, near, mover, count))
+            first = ti.min(first, _flip_contact(limits, arm, axis, pivot, near, mover, count))
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -354,7 +359,7 @@ def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover,
                 turned = quaternion_product(flip, q).normalized()
                 end = pivot - rotate(turned, body_in)
                 distance = (end - goal).norm()
-                if distance < chosen.distance and not revisits(limits, walks, mover, stance, end):
+                if distance < chosen.distance and not _revisits(limits, walks, mover, stance, end):
                     chosen.distance = distance
                     chosen.center = end
                     chosen.orientation = turned
@@ -363,24 +368,12 @@ def nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover,
 
 
 @ti.func
-def move_to(walks: Ref, mover, stance, here, q):
+def _move_to(walks: Ref, mover, stance, here, q):
     """Write a robot's center and orientation at a stance."""
     for c in ti.static(range(3)):
         walks.center[mover, stance, c] = here[c]
     for c in ti.static(range(4)):
         walks.orientation[mover, stance, c] = q[c]
-
-
-@ti.func
-def only_free_dock(walks: Ref, mover, stance):
-    """Find the only dock that touches nothing, or -1 where none or several do."""
-    free = -1
-    count = 0
-    for k in range(DOCKS):
-        if walks.touching[mover, stance, k, 0] < 0 and walks.on_ground[mover, stance, k] == 0:
-            free = k
-            count += 1
-    return ti.select(count == 1, free, -1)
 
 
 @ti.func
@@ -392,8 +385,12 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     """
     s, best = climbers.structure[m], walks.best[m]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
-    free = only_free_dock(walks, m, best)
-    if free >= 0:
+    free, free_count = -1, 0
+    for k in range(DOCKS):
+        if not _is_attached(walks, m, best, k):
+            free = k
+            free_count += 1
+    if free_count == 1:
         one = (free + 1) % DOCKS
         q = quaternion_at(walks.orientation, m, best)
         body_in = vector_at(body, one)
@@ -401,8 +398,8 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
         arm = rotate(q, vector_at(body, free) - body_in)
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
-        count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
-        met = flip_contact(limits, arm, axis, pivot, near, m, count)
+        count = ti.min(_gather_near(limits, structures, s, pivot, near, m), near.shape[1])
+        met = _flip_contact(limits, arm, axis, pivot, near, m, count)
         angle = ti.min(met[0], met[1])
         if angle <= limits.max_flip:
             flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
@@ -411,10 +408,10 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
             stay = walks.last[m] + 1
             walks.stay[m] = stay
             walks.pivot_dock[m, stay] = one
-            move_to(walks, m, stay, end, turned)
+            _move_to(walks, m, stay, end, turned)
             for k in range(DOCKS):
                 point = end + rotate(turned, vector_at(body, k))
-                sense_contacts(limits, structures, s, walks, m, stay, k, point)
+                _sense_contacts(limits, structures, s, walks, m, stay, k, point)
 
 
 @ti.kernel
@@ -459,36 +456,33 @@ def climb(
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
-            state[m] = WALKING
-            while state[m] == WALKING:
+            state[m] = _WALKING
+            while state[m] == _WALKING:
                 here = vector_in(center, m, stance)
                 q = quaternion_at(orientation, m, stance)
                 flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
-                attached = ti.Vector([0, 0, 0])
                 called = 0
                 for k in range(DOCKS):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
-                    sensed = sense_contacts(limits, structures, s, walks, m, stance, k, point)
-                    attached[k] = sensed[0]
-                    called = ti.max(called, sensed[1])
+                    called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 if called:
                     state[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < limits.patience:
                     for k in range(DOCKS):
-                        if attached[k] > 0:
-                            other = nearest_flip(limits, structures, climbers, walks, m, stance, k)
+                        if _is_attached(walks, m, stance, k):
+                            other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
                             if other.overflow:
                                 state[m] = SCRATCH_FULL
                             if other.distance < flip.distance:
                                 flip = other
-                if state[m] == WALKING:
+                if state[m] == _WALKING:
                     if flip.pivot < 0 or stance + 2 >= center.shape[1]:  # one is kept for settling
-                        state[m] = ENDED
+                        state[m] = _ENDED
                     else:
                         pivot_dock[m, stance] = flip.pivot
                         stance += 1
-                        move_to(walks, m, stance, flip.center, flip.orientation)
+                        _move_to(walks, m, stance, flip.center, flip.orientation)
                         if flip.distance < best_distance:
                             best_distance = flip.distance
                             best_stance = stance

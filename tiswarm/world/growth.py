@@ -31,7 +31,7 @@ from tiswarm.world.mechanics import Frame, StructureFailure
 from tiswarm.world.params import KINDS, RecruitParams, StructureParams
 from tiswarm.world.walks import Walks, climb_limits
 
-MAX_TRIES = 64
+_MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
 
 
@@ -177,14 +177,20 @@ class GrowingStructure:
         Returns:
             Center [R], orientation wxyz and goal [R]; None where every place was taken.
         """
-        self._survey(docks)
+        level = self.terrain.ground_z + self.robot.dock_radius
+        new = docks[self.surveyed : DOCK_COUNT * len(self.walks)]
+        self.surveyed += len(new)
+        for side, rim in enumerate(self.rim):
+            self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
+        is_low = np.abs(new[:, 2] - level) <= self.clearance
+        self.low_docks = np.concatenate([self.low_docks, new[is_low]])
         index = self.spawned
         self.spawned += 1
         side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
-        for trial in range(MAX_TRIES):
+        for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
-            center = np.array([x, y, self.terrain.ground_z + self.robot.dock_radius])
+            center = np.array([x, y, level])
             distance = np.linalg.norm(self.low_docks - center, axis=1)
             if distance.min(initial=np.inf) > self.clearance:
                 half = np.pi * draw[2]
@@ -192,16 +198,6 @@ class GrowingStructure:
                 return center, orientation, self.kind.goal(self.params, side)
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
-
-    def _survey(self, docks: Reals) -> None:
-        """Account for the docks that joined since the last spawn in the next robots' places."""
-        joined = DOCK_COUNT * len(self.walks)
-        new = docks[self.surveyed : joined]
-        self.surveyed = joined
-        for side, rim in enumerate(self.rim):
-            self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
-        above = new[:, 2] - (self.terrain.ground_z + self.robot.dock_radius)
-        self.low_docks = np.concatenate([self.low_docks, new[np.abs(above) <= self.clearance]])
 
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth after too many in a row."""
@@ -220,9 +216,8 @@ class GrowingStructure:
         turn = Rotation.from_quat(walk.orientation_wxyz[-1], scalar_first=True).as_matrix()
         own, other, dock = walk.at_rest(walk.contacts).T
         contacts = np.column_stack([DOCK_COUNT * other + dock, DOCK_COUNT * j + own])
-        standing = np.concatenate(
-            [walk.at_rest(walk.ground_docks)[:, 0], walk.at_rest(walk.edge_docks)[:, 0]]
-        )
+        feet = np.concatenate([walk.ground_docks, walk.edge_docks])
+        standing = walk.at_rest(feet)[:, 0]
         docks = walk.center[-1] + self.robot.dock_offset_body @ turn.T
         footing = np.column_stack([DOCK_COUNT * j + standing, self.terrain.foot(docks[standing])])
         self.frame.join(walk.center[-1], turn, contacts, footing)

@@ -7,7 +7,7 @@ from tiswarm.world.flip_kernels import DOCKS, ClimbLimits, StructureArrays, Walk
 
 
 @ti.func
-def first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
+def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
     """Find the first stance of a walk that docks from item `newest` on could matter to, or -1.
 
     Only docks within a flip's reach of its own matter to what a robot senses and does.
@@ -69,7 +69,7 @@ def join_undisturbed(
                 joined[m] = -1
                 passed = -1
                 if DOCKS * robot_count[s] > newest:
-                    passed = first_disturbed(limits, structures, s, walks, m, body, newest)
+                    passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
                 if wants[m] and passed < 0 and DOCKS * robot_count[s] < dock.shape[1]:
                     joined[m] = robot_count[s]
                     here = vector_in(center, m, stay[m])
@@ -86,4 +86,4 @@ def join_undisturbed(
                 m = movers[n]
                 disturbed[m] = -1
                 if joined[m] < 0 and DOCKS * robot_count[s] > newest:
-                    disturbed[m] = first_disturbed(limits, structures, s, walks, m, body, newest)
+                    disturbed[m] = _first_disturbed(limits, structures, s, walks, m, body, newest)

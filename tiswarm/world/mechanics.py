@@ -33,14 +33,14 @@ from scipy.sparse.linalg import splu
 from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
-GROUND = -1
+_GROUND = -1
 """Second dock of a beam that ends in the ground."""
-MAX_UNBORNE = 1e-6
+_MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
-UNHELD = "a part of the structure is held by nothing"
+_UNHELD = "a part of the structure is held by nothing"
 SIDE = 6
 """Unknowns of a node."""
-ROW_BITS = 32
+_ROW_BITS = 32
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
@@ -111,7 +111,7 @@ class BlockMatrix:
         blocks = square.reshape(n, m, SIDE, m, SIDE).swapaxes(2, 3).reshape(-1, SIDE, SIDE)
         row = np.repeat(nodes, m, axis=1).ravel()
         column = np.tile(nodes, (1, m)).ravel()
-        place = (row.astype(np.int64) << ROW_BITS) | column  # one sortable number
+        place = (row.astype(np.int64) << _ROW_BITS) | column  # one sortable number
         self.waiting.append((place, blocks))
 
     def assemble(self, nodes: int) -> csc_matrix:
@@ -123,7 +123,7 @@ class BlockMatrix:
         first = np.flatnonzero(np.r_[True, place[1:] != place[:-1]])
         self.place, self.block = place[first], np.add.reduceat(block, first)
         self.waiting = []
-        row, column = self.place >> ROW_BITS, self.place & ((1 << ROW_BITS) - 1)
+        row, column = self.place >> _ROW_BITS, self.place & ((1 << _ROW_BITS) - 1)
         start = np.searchsorted(row, np.arange(nodes + 1))
         matrix = bsr_matrix((self.block, column, start), shape=(SIDE * nodes, SIDE * nodes))
         by_row = matrix.tocsr()
@@ -165,7 +165,7 @@ class Frame:
     def joints(self) -> NDArray[np.intp]:
         """Docks that touch, rows of (dock, dock), shape (C, 2)."""
         self._admit()
-        inner: NDArray[np.intp] = self.ends[self.ends[:, 1] != GROUND]
+        inner: NDArray[np.intp] = self.ends[self.ends[:, 1] != _GROUND]
         return inner
 
     def _admit(self) -> None:
@@ -184,7 +184,7 @@ class Frame:
             own = first + np.arange(len(docks)).reshape(-1, len(self.body))
             self.blocks.add(own, _turned(self.robot, turns))
         joints, feet = np.concatenate(contacts), np.concatenate(footing)
-        foot = np.column_stack([feet[:, 0], np.full(len(feet), GROUND)])
+        foot = np.column_stack([feet[:, 0], np.full(len(feet), _GROUND)])
         ends = np.concatenate([joints, foot]).astype(np.intp)
         target = np.concatenate([self.dock[joints[:, 1]], feet[:, 1:]])
         span, params = target - self.dock[ends[:, 0]], self.params
@@ -195,7 +195,7 @@ class Frame:
         if self.rigid:
             follow = self._follow(ends)
             beams = follow.swapaxes(1, 2) @ beams @ follow
-        standing = ends[:, 1] == GROUND
+        standing = ends[:, 1] == _GROUND
         nodes = self._node(ends)
         self.blocks.add(nodes[~standing], beams[~standing])
         self.blocks.add(nodes[standing, :1], beams[standing, :6, :6])
@@ -207,8 +207,8 @@ class Frame:
     def _follow(self, ends: NDArray[np.intp]) -> Reals:
         """Motion of beam ends from that of the rigid robots they are on, shape (n, 12, 12)."""
         follow = np.zeros((len(ends), 12, 12))
-        follow[:, :6, :6] = rigid_link(self.arm[ends[:, 0]])
-        follow[:, 6:, 6:] = rigid_link(self.arm[ends[:, 1]])
+        follow[:, :6, :6] = _rigid_link(self.arm[ends[:, 0]])
+        follow[:, 6:, 6:] = _rigid_link(self.arm[ends[:, 1]])
         return follow
 
     def solve(self) -> Loads:
@@ -221,7 +221,7 @@ class Frame:
         weight = np.zeros((len(self.dock), 6))
         weight[:, 2] = -1.0
         both: Reals = self._motion(weight)[self._node(self.ends)].reshape(-1, 12, 1)
-        standing = self.ends[:, 1] == GROUND
+        standing = self.ends[:, 1] == _GROUND
         if self.rigid:
             both = self._follow(self.ends) @ both
         both[standing, 6:] = 0.0
@@ -231,13 +231,13 @@ class Frame:
         np.add.at(acting, self.ends[:, 0], -force[:, 0])
         np.add.at(acting, self.ends[~standing, 1], -force[~standing, 1])
         section = np.where(standing, 1.0, 0.5)[:, None] * self.span
-        stress = beam_stress(force[:, 0], self.span, section, self.params.beam_radius)
+        stress = _beam_stress(force[:, 0], self.span, section, self.params.beam_radius)
         ground_force = force[standing, 1, :3]
         surplus = ground_force.sum(axis=0) - [0.0, 0.0, len(self.dock)]
         imbalance = float(np.abs(surplus).max() / len(self.dock))
         # Rounding hides that a matrix is singular, but not that nothing bears the weight.
-        if not imbalance <= MAX_UNBORNE:
-            raise StructureFailure(UNHELD)
+        if not imbalance <= _MAX_UNBORNE:
+            raise StructureFailure(_UNHELD)
         return Loads(
             sensed=self._sensed(acting),
             contact_stress=stress[~standing],
@@ -249,15 +249,15 @@ class Frame:
     def _motion(self, weight: Reals) -> Reals:
         """Solve for the displacement and rotation of every node, shape (nodes, 6)."""
         if self.rigid:
-            pushed = rigid_link(self.arm).swapaxes(1, 2) @ weight[:, :, None]
+            pushed = _rigid_link(self.arm).swapaxes(1, 2) @ weight[:, :, None]
             weight = pushed.reshape(-1, len(self.body), 6).sum(axis=1)
-        if not (self.ends[:, 1] == GROUND).any():
-            raise StructureFailure(UNHELD)
+        if not (self.ends[:, 1] == _GROUND).any():
+            raise StructureFailure(_UNHELD)
         matrix, options = self.blocks.assemble(len(weight)), {"SymmetricMode": True}
         try:
             factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         except RuntimeError as error:
-            raise StructureFailure(UNHELD) from error
+            raise StructureFailure(_UNHELD) from error
         return factor.solve(weight.ravel()).reshape(-1, 6)
 
     def _sensed(self, acting: Reals) -> Reals:
@@ -316,7 +316,7 @@ def stiffness(span: Reals, axial: float, radius: float, poisson: float) -> Reals
     return matrix
 
 
-def rigid_link(arm: Reals) -> Reals:
+def _rigid_link(arm: Reals) -> Reals:
     """Build the matrix from the motion of a rigid body's node to that of a point, (n, 6, 6).
 
     `arm` is from the node to the point [R], shape (n, 3).
@@ -326,7 +326,7 @@ def rigid_link(arm: Reals) -> Reals:
     return link
 
 
-def beam_stress(end: Reals, span: Reals, section: Reals, radius: float) -> Reals:
+def _beam_stress(end: Reals, span: Reals, section: Reals, radius: float) -> Reals:
     """Compute the largest von Mises stress in a cross-section of round beams.
 
     Args:

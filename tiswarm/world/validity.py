@@ -9,10 +9,10 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.history import History
 
-MAX_OVERLAP = 1e-9
+_MAX_OVERLAP = 1e-9
 """Deepest overlap that rounding may leave [R]."""
 
-MAX_IMBALANCE = 1e-6
+_MAX_IMBALANCE = 1e-6
 """Greatest share of the weight that the ground may fail to bear in the numbers [1]."""
 
 
@@ -35,7 +35,7 @@ def _faults(history: History, contact_gap: float) -> Iterator[str]:
     docks = history.position[:, None, :] + turned
     dock = docks.reshape(-1, 3)
 
-    pairs = cKDTree(dock).query_pairs(robot.spacing - MAX_OVERLAP, output_type="ndarray")
+    pairs = cKDTree(dock).query_pairs(robot.spacing - _MAX_OVERLAP, output_type="ndarray")
     pairs = pairs[pairs[:, 0] // DOCK_COUNT != pairs[:, 1] // DOCK_COUNT]
     if len(pairs):
         depth = robot.spacing - np.linalg.norm(dock[pairs[:, 0]] - dock[pairs[:, 1]], axis=1)
@@ -44,7 +44,7 @@ def _faults(history: History, contact_gap: float) -> Iterator[str]:
         yield f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
 
     depth = history.terrain.depth(dock, robot.dock_radius)
-    if not depth.max() <= MAX_OVERLAP:
+    if not depth.max() <= _MAX_OVERLAP:
         yield f"robot {np.argmax(depth) // DOCK_COUNT} is {depth.max():.3g} R deep in the ground"
 
     i, a, j, b = contacts.T
@@ -60,5 +60,5 @@ def _faults(history: History, contact_gap: float) -> Iterator[str]:
         yield f"robot {np.argmin(joined)} touches neither an earlier robot nor the ground"
 
     imbalance = max((load.imbalance for load in history.loads), default=0.0)
-    if imbalance > MAX_IMBALANCE:
+    if imbalance > _MAX_IMBALANCE:
         yield f"weight and ground forces differ by {imbalance:.3g} of the weight"
