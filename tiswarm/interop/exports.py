@@ -11,10 +11,10 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
-from tiswarm.report.figure_style import ERROR_COLORS, colors_along
+from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.pictures import POSE, TRUE_SIZE, CaseView, read_case_view
-from tiswarm.report.render.scene import Robots, build_scene
+from tiswarm.report.render.scene import Robots, build_scene, capsule_normals
 from tiswarm.report.run_data import load_run
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
@@ -57,8 +57,7 @@ def _shapes(view: CaseView, *, gamma: float = 1.0) -> dict[str, Any]:
     """
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
-    worst = max(np.nanmax(view.error, initial=0.0), 1e-9)
-    by_error = colors_along(np.nan_to_num(view.error) / worst, ERROR_COLORS)
+    by_error, _ = colors_from_zero(view.error, ERROR_COLORS)
     line: Any = entities.Line
     lines = [line(pair) for pair in view.log.contacts[:, [0, 2]]]
     gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
@@ -70,20 +69,15 @@ def _shapes(view: CaseView, *, gamma: float = 1.0) -> dict[str, Any]:
 
 
 def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, imported late
-    """Mesh robots; the normal of a point leads away from the axis of its capsule."""
+    """Mesh robots with colors and normals."""
     from trimesh import Trimesh  # noqa: PLC0415 - slow to import
 
     scene = build_scene([robots], None)
     mesh = mesh_capsules(scene, sides=_SIDES)
-    start, end = scene.start[mesh.point_capsule], scene.end[mesh.point_capsule]
-    span = end - start
-    length = np.maximum(np.sum(span**2, axis=1), 1e-12)
-    along = np.clip(np.sum((mesh.point - start) * span, axis=1) / length, 0.0, 1.0)
-    away = mesh.point - start - along[:, None] * span
     return Trimesh(
         mesh.point,
         mesh.triangle,
-        vertex_normals=away / np.linalg.norm(away, axis=1, keepdims=True),
+        vertex_normals=capsule_normals(scene, mesh.point_capsule, mesh.point),
         vertex_colors=np.round(255.0 * scene.color[mesh.point_capsule] ** gamma).astype(np.uint8),
         process=False,
     )

@@ -60,6 +60,12 @@ def colors_along(share: NDArray[np.floating], colors: Sequence[str]) -> Reals:
     return np.column_stack([np.interp(share, stops, channel) for channel in channels])
 
 
+def colors_from_zero(values: Reals, colors: Sequence[str]) -> tuple[Reals, float]:
+    """Color values from zero to the greatest, shape (n, 3); returns the greatest too."""
+    greatest = max(float(np.nanmax(values, initial=0.0)), 1e-9)
+    return colors_along(np.nan_to_num(values) / greatest, colors), greatest
+
+
 def new_figure(width: float, height: float) -> "Figure":
     """Make an empty figure of a size [inch] with a constrained layout."""
     from matplotlib.figure import Figure

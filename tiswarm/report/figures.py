@@ -69,7 +69,7 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     """List the figures that a run has, by file name."""
     painters: dict[str, Callable[[RunData], Figure]] = {"convergence": draw_convergence}
     if _first_by_kind(run.series):
-        painters["error-along-growth"] = draw_error_along_growth
+        painters["error-along-growth"] = _draw_error_along_growth
     else:
         painters["error-against-height"] = draw_error_against_height
     if (run.folder / "scaling.csv").is_file():
@@ -187,7 +187,7 @@ def draw_error_against_height(run: RunData) -> "Figure":
     return figure
 
 
-def draw_error_along_growth(run: RunData) -> "Figure":
+def _draw_error_along_growth(run: RunData) -> "Figure":
     """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each kind of structure has a panel with the first condition.

@@ -45,7 +45,7 @@ _CAPTIONS = {
 """Captions by file name; a longer name adds a sweep point or a case."""
 
 
-class Shown(NamedTuple):
+class _Shown(NamedTuple):
     """A picture within the page; sizes in pixels."""
 
     source: str  # the picture as a data URL, or the path of its file
@@ -55,7 +55,7 @@ class Shown(NamedTuple):
     wide: int  # width on the page
 
 
-class View(NamedTuple):
+class _View(NamedTuple):
     """The cases of the 3D view."""
 
     data: dict[str, Any]  # dock offsets [R], and for each case poses and errors [R] in join order
@@ -126,7 +126,7 @@ def _in_words(run: RunData, manifest: dict[str, Any]) -> str:
     return f"{', '.join(counts)}{each}{time}."
 
 
-def build_view(run: RunData) -> View | None:
+def build_view(run: RunData) -> _View | None:
     """Take the first case of each series, within the limits; None if no case is done."""
     if not run.series:
         return None
@@ -142,7 +142,7 @@ def build_view(run: RunData) -> View | None:
     notes = [f"The view contains {len(shown)} of {done} cases."] if len(shown) < done else []
     if robots > MOST_ROBOTS:
         notes.append(f"It contains the first {MOST_ROBOTS} of {robots} robots.")
-    return View(
+    return _View(
         data={"offsets": view.dock_offset_body.round(_DIGITS).tolist(), "cases": shown},
         note=" ".join(notes),
     )
@@ -166,7 +166,7 @@ def _data(view: CaseView) -> dict[str, Any]:
     }
 
 
-def _pictures(folder: Path, room: int, *, lossless: bool) -> list[Shown]:
+def _pictures(folder: Path, room: int, *, lossless: bool) -> list[_Shown]:
     """Embed the pictures of a folder that fit into the room [bytes]; link the others."""
     pictures = []
     for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
@@ -183,7 +183,7 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> list[Shown]:
         room -= len(source)
         if room <= 0:
             source, caption = where, f"{caption}; separate file: page size limit"
-        pictures.append(Shown(source, caption, width, height, wide=round(width * share)))
+        pictures.append(_Shown(source, caption, width, height, wide=round(width * share)))
     return pictures
 
 

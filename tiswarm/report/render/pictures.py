@@ -24,6 +24,7 @@ from tiswarm.report.figure_style import (
     JOIN_COLORS,
     TRUE_BLUE,
     colors_along,
+    colors_from_zero,
     rgb,
 )
 from tiswarm.report.render.raycast import draw_scenes
@@ -143,8 +144,7 @@ def build_pictures(case: Case) -> dict[str, Picture]:
 
 def _scaled(view: CaseView, value: Reals, colors: tuple[str, ...], title: str) -> Picture:
     """Color the structure by a value of each robot, from zero to the greatest."""
-    greatest = max(np.nanmax(value, initial=0.0), 1e-9)
-    color = colors_along(np.nan_to_num(value) / greatest, colors)
+    color, greatest = colors_from_zero(value, colors)
     robots = view.robots(view.pose, color, TRUE_SIZE)
     legend = Scale(colors, f"{title}  0", f"{greatest:.3g}")
     return Picture(build_scene([robots], view.ground_z), legend)

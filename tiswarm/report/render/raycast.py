@@ -113,7 +113,7 @@ def _edges(seen: Ints) -> Bools:
 # --- open3d ---
 
 
-def open3d_tracer(scene: Scene) -> Trace:
+def _open3d_tracer(scene: Scene) -> Trace:
     """Prepare Embree to cast rays at a mesh of the scene."""
     o3d = import_open3d()
     mesh = mesh_capsules(scene)
@@ -201,5 +201,5 @@ def _sort_into_tiles(
     return starts.astype(np.int32), order[item[by_tile]].astype(np.int32)
 
 
-TRACERS: dict[str, Callable[[Scene], Trace]] = {"open3d": open3d_tracer, "taichi": taichi_tracer}
+TRACERS: dict[str, Callable[[Scene], Trace]] = {"open3d": _open3d_tracer, "taichi": taichi_tracer}
 """The renderers by name, best first; `taichi` needs no library beyond the engine's."""

@@ -242,12 +242,17 @@ def _stand_back(across: Reals, depth: Reals, radius: float, slope: float) -> tup
     return (above - below) / 2.0, (above + below) / (2.0 * slope)
 
 
-def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
-    """Color points on the surfaces [R] of given capsules, shape (n, 3)."""
+def capsule_normals(scene: Scene, which: Ints, points: Array32) -> Array32:
+    """Point away from the axes of given capsules at points on their surfaces [R], shape (n, 3)."""
     start, span = scene.start[which], scene.end[which] - scene.start[which]
     length = np.maximum(_dot(span, span), np.float32(1e-12))
     along = np.clip(_dot(points - start, span) / length, 0.0, 1.0)
-    normal = _unit(points - start - along[:, None] * span)
+    return _unit(points - start - along[:, None] * span)
+
+
+def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
+    """Color points on the surfaces [R] of given capsules, shape (n, 3)."""
+    normal = capsule_normals(scene, which, points)
     # The sun stands above the viewer's left shoulder.
     sun = _unit((np.array([[-0.5, 0.75, -0.6]]) @ scene.camera.axes).astype(np.float32))[0]
     to_eye = _unit(scene.camera.eye.astype(np.float32) - points)
