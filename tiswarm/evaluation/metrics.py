@@ -30,10 +30,7 @@ def robot_errors(estimate: Reals, truth: Reals) -> Reals:
 def relative_errors(estimate: Reals, truth: Reals, pairs: AnyInts) -> Reals:
     """Return the relative position error of each pair of robots [R], shape (P,).
 
-    Args:
-        estimate: Estimated centers.
-        truth: True centers.
-        pairs: Indices of two robots each, shape (P, 2).
+    `pairs` are indices of two robots each, shape (P, 2).
 
     >>> shift = np.array([[2.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     >>> relative_errors(shift, np.zeros((2, 3)), np.array([[0, 1]]))
@@ -130,10 +127,8 @@ def procrustes_disparity(estimate: Reals, truth: Reals) -> float:
 def mean_std_ci95(values: Reals) -> dict[str, float]:
     """Return mean, standard deviation and half width of the 95 % confidence interval of the mean.
 
-    The interval is Student's. A result that needs more values is NaN.
-
-    Args:
-        values: One number for each structure, NaN if it has none, shape (n,).
+    There is one value for each structure, NaN if it has none, shape (n,). The interval is
+    Student's. A result that needs more values is NaN.
 
     >>> mean_std_ci95(np.array([1.0, 2.0, 3.0, math.nan]))["std"]
     1.0
@@ -150,11 +145,7 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
     """Compare two conditions on the same structures, pair by pair.
 
     Structures differ more than conditions do, so paired differences are more certain than the
-    difference of two means.
-
-    Args:
-        first: One number for each structure under the first condition, NaN if none, shape (n,).
-        second: One number for each structure under the second condition, shape (n,).
+    difference of two means. There is one number for each structure, NaN if none, shape (n,).
 
     Returns:
         Number of pairs; mean, std and ci95 of second minus first; number of pairs in which the
@@ -179,14 +170,9 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
 
 
 def power_law_exponent(x: Reals, y: Reals) -> float:
-    """Fit p of y ~ x^p by least squares of log y over log x [1].
+    """Fit p of y ~ x^p by least squares of log y over log x [1], both of shape (n,).
 
-    Args:
-        x: Places, shape (n,).
-        y: Values, shape (n,).
-
-    Returns:
-        The exponent; NaN with fewer than three different places, or a value that is not positive.
+    It is NaN with fewer than three different places, or a value that is not positive.
 
     >>> x = np.array([1.0, 4.0, 9.0])
     >>> round(power_law_exponent(x, 7.0 * x**1.5), 9)

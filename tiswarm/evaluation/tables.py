@@ -30,19 +30,13 @@ def score(
 ) -> dict[str, float | int]:
     """Return accuracy measures of an estimate, and properties of the structure that limit them.
 
-    Args:
-        truth: True poses.
-        log: The measurements behind the estimate.
-        estimate: Estimated positions.
-        robot: Geometry of a robot, for lengths in rho.
-        cues: Cues of the log that the localizer used.
+    `cues` are the cues of the log that the localizer used; `robot` is for lengths in rho.
     """
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
     of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
-    modes = floppy_modes(
-        weld(measure(log, cues), true / log.dock_radius, yaw_unknown=estimate.yaw is not None)
-    )
+    place, free = true / log.dock_radius, estimate.yaw is not None
+    modes = floppy_modes(weld(measure(log, cues), place, yaw_unknown=free))
     return {
         "robots": log.robot_count,
         "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[1:]),
@@ -65,13 +59,8 @@ def outlier_scores(
 ) -> dict[str, float | int]:
     """Return precision and recall of the detected outliers, and the counts behind them.
 
-    A contact is wrong if the robots did not touch with these docks in that stance.
-
-    Args:
-        history: True contacts of every stance.
-        log: Sensed contacts.
-        estimate: Detected outliers.
-        cues: Cues of the log that the localizer used.
+    A contact is wrong if the robots did not touch with these docks in that stance. `cues` are the
+    cues of the log that the localizer used.
 
     Returns:
         Scores by name; NaN where no contact is wrong or detected; empty where the method detects
@@ -104,11 +93,7 @@ def by_robot(
 ) -> pd.DataFrame:
     """Tabulate each robot in join order: true and estimated pose, errors, contacts and load.
 
-    Args:
-        truth: True poses.
-        log: Measurements of the robots.
-        estimate: Estimated positions.
-        sensed_force: Load that each robot senses in its links [weight of a dock], shape (N,).
+    `sensed_force` is what each robot senses in its links [weight of a dock], shape (N,).
     """
     true, estimated = truth.position, estimate.position
     table = pd.DataFrame({"robot": truth.robot_id})
@@ -134,18 +119,12 @@ def by_robot(
 
 def by_iteration(truth: Truth, estimate: Estimate) -> pd.DataFrame:
     """Tabulate each recorded iteration: errors, and the residual of the localizer."""
-    true = truth.position
-    return pd.DataFrame(
-        {
-            "iteration": estimate.iteration,
-            "sse_R2": [metrics.sse(frame, true) for frame in estimate.trace],
-            "rmse_R": [metrics.rmse(frame, true) for frame in estimate.trace],
-            "procrustes_disparity": [
-                metrics.procrustes_disparity(frame, true) for frame in estimate.trace
-            ],
-            "residual_R": estimate.residual,
-        }
-    )
+    table = pd.DataFrame({"iteration": estimate.iteration})
+    true, trace = truth.position, estimate.trace
+    table["sse_R2"] = [metrics.sse(frame, true) for frame in trace]
+    table["rmse_R"] = [metrics.rmse(frame, true) for frame in trace]
+    table["procrustes_disparity"] = [metrics.procrustes_disparity(frame, true) for frame in trace]
+    return table.assign(residual_R=estimate.residual)
 
 
 def by_join(history: History) -> pd.DataFrame:
@@ -194,10 +173,6 @@ def totals(history: History) -> dict[str, float | int]:
 
 def score_files(truth: Path, estimate: Path) -> tuple[str, dict[str, float]]:
     """Compare two tables of positions, matching robots by name.
-
-    Args:
-        truth: Table of true positions.
-        estimate: Table of estimated positions.
 
     Returns:
         The length unit of the tables, and accuracy measures by name in that unit.
