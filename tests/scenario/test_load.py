@@ -86,12 +86,14 @@ def _renamed_key(monkeypatch):
 )
 def test_keys_of_earlier_versions_are_accepted(scenario, text, options, iterations):
     """Scenarios and options may use the old name of a key."""
-    found = variants(load_scenario(scenario(SMALL + text), options))
+    with pytest.warns(FutureWarning, match="now .*iterations"):
+        found = variants(load_scenario(scenario(SMALL + text), options))
 
     assert [variant.settings.localization.iterations for variant in found] == iterations
 
 
 @pytest.mark.usefixtures("_renamed_key")
+@pytest.mark.filterwarnings("ignore:.*the old name still works:FutureWarning")
 def test_mistakes_in_old_keys_keep_their_line(scenario):
     """The message names the key of today; one that a section has by both names is refused."""
     path = scenario(f"{SMALL}localization:\n  z_correction: true\n  rounds: 0\n")
@@ -103,6 +105,7 @@ def test_mistakes_in_old_keys_keep_their_line(scenario):
     assert localization_params("virtual-force", ["rounds=7"]).iterations == 7
 
 
+@pytest.mark.filterwarnings("ignore:.*the old name still works:FutureWarning")
 def test_old_names_of_the_settings_of_joint_load(scenario):
     """Scenarios and run folders of earlier versions have them."""
     old = "{method: joint, stretch: 1.0, start_tolerance: 0.5, end_tolerance: 0.02}"

@@ -1,6 +1,7 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ from tiswarm.errors import InputError, TiswarmError
 from tiswarm.params import Arch
 
 _INTERRUPTED = 130
+_PYTHON = warnings.showwarning
 
 app = typer.Typer(
     add_completion=False,
@@ -49,6 +51,16 @@ def _options(
         typer.echo(context.get_help())
 
 
+def _show_warning(
+    message: Warning | str, category: type[Warning], *place: object, **options: object
+) -> None:
+    """Print hints of tiswarm in one line, and warnings of libraries as Python does."""
+    if category is FutureWarning and str(message).endswith("the old name still works"):
+        sys.stderr.write(f"tiswarm: hint: {message}\n")
+    else:
+        _PYTHON(message, category, *place, **options)  # type: ignore[arg-type]
+
+
 def main() -> None:
     """Run the command line; errors that a user can fix are one line, not a traceback."""
     sys.exit(_status(sys.argv[1:]))
@@ -56,6 +68,7 @@ def main() -> None:
 
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
+    warnings.showwarning = _show_warning
     try:
         status: Any = app(arguments, standalone_mode=False)
     except TiswarmError as error:

@@ -3,6 +3,7 @@
 import itertools
 import json
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
@@ -138,7 +139,11 @@ def _new_name(at: tuple[Part, ...], key: str) -> str:
     prefix = "".join(f"{part}." for part in section)
     old = [part.strip() for part in key.split(",")]
     new = [RENAMED.get(f"{prefix}{part}", f"{prefix}{part}").removeprefix(prefix) for part in old]
-    return key if new == old else ", ".join(new)
+    if new == old:
+        return key
+    name = ", ".join(new)
+    warnings.warn(f"{key}: this key is now {name}; the old name still works", FutureWarning, 2)
+    return name
 
 
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:

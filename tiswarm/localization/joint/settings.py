@@ -87,7 +87,7 @@ class ConvergenceTest:
     """Such contacts that any structure may have."""
 
     most_outliers: float = 0.2
-    """Share of measurements that can be outliers [1]; where more are, the chains failed."""
+    """Share of contacts that can be outliers [1]; where more are, the chains failed."""
 
     most_chains: float = 0.5
     """Share of the chains that must miss a contact before it bounds no distance [1]."""
