@@ -126,6 +126,8 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
     wanted = getattr(ti, arch)
     real = ti.f64 if precision == "f64" else ti.f32
     options = {
+        "default_fp": real,
+        "enable_fallback": False,
         "cpu_max_num_threads": threads,
         "fast_math": False,  # it would drop NaN checks and change bits
         "offline_cache": True,
@@ -134,7 +136,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
     }
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            ti.init(wanted, real, enable_fallback=False, log_level=ti.ERROR, **options)
+            ti.init(arch=wanted, log_level=ti.ERROR, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
             f"backend {arch} is not available on this machine; use --arch cpu"
