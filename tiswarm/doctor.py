@@ -78,21 +78,13 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
 
 
 def start_backend(arch: Arch) -> str:
-    """Start a backend; return its library and number of threads.
-
-    Raises:
-        EnvironmentTroubleError: the backend does not work on this machine.
-    """
+    """Start a backend; return its library and number of threads."""
     found = backend.start(arch)
     return f"{found.library}, {found.threads} threads"
 
 
 def draw_test_picture(renderer: str) -> str:
-    """Draw one robot in a small picture; return the time it took in words.
-
-    Raises:
-        EnvironmentTroubleError: the renderer does not work on this machine.
-    """
+    """Draw one robot in a small picture; return the time it took in words."""
     begin = time.perf_counter()
     center = np.array([[0.0, 0.0, 1.0]])
     dock = center + RobotGeometry().dock_offset_body[None]

@@ -6,8 +6,8 @@ from tiswarm.report.page import write_page
 from tiswarm.report.render.animation import Movie, animate_run
 from tiswarm.report.render.pictures import render_run
 from tiswarm.report.run_data import RunData, load_run
-from tiswarm.study import RunResult
 from tiswarm.study.provenance import write_manifest
+from tiswarm.study.run import RunResult
 
 
 def draw_all(

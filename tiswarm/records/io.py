@@ -72,25 +72,17 @@ def at_line(path: Path, line: int) -> Iterator[None]:
 
 
 class Table:
-    """A CSV file whose cells stay text until a column is read."""
+    """A CSV file whose cells stay text until a column is read; a bad line raises InputError."""
 
     def __init__(self, path: Path) -> None:
-        """Read the header.
-
-        Raises:
-            InputError: the file cannot be read or its first line is malformed.
-        """
+        """Read the header."""
         self.path = path
         self._lines = numbered_lines(path)
         self.columns = [name.strip() for name in self._split(*next(self._lines, (1, "")))]
 
     @cached_property
     def rows(self) -> dict[int, list[str]]:
-        """Cells of each robot, by line.
-
-        Raises:
-            InputError: a row is malformed, or there is none.
-        """
+        """Cells of each robot, by line."""
         rows = {}
         for line, text in self._lines:
             cells = rows[line] = self._split(line, text)
@@ -106,21 +98,11 @@ class Table:
         return list(self.rows)[row]
 
     def integers(self, column: str) -> Ints:
-        """Read a column of whole numbers, shape (rows,).
-
-        Raises:
-            InputError: a cell is not a whole number of 64 bits.
-        """
+        """Read a column of whole numbers of 64 bits, shape (rows,)."""
         return np.array(self._values(column, _integer, "a whole number; write it like 7"), np.int64)
 
     def numbers(self, column: str, *, empty: float | None = None) -> Reals:
-        """Read a column of finite numbers, shape (rows,).
-
-        `empty` is the value of an empty cell; None refuses empty cells.
-
-        Raises:
-            InputError: a cell is not a finite number.
-        """
+        """Read a column of finite numbers, shape (rows,); empty cells are `empty`, or refused."""
         wanted = "a finite number; write it like 0.5 or 1e-3"
         return np.array(self._values(column, _finite, wanted, empty), np.float64)
 
@@ -216,11 +198,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results and its parents, unless they exist.
-
-    Raises:
-        EnvironmentTroubleError: a folder cannot be made.
-    """
+    """Make a folder for results and its parents, or raise EnvironmentTroubleError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

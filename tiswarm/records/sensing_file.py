@@ -59,12 +59,13 @@ def read_sensing_log(path: Path) -> SensingLog:
     >>> from tempfile import TemporaryDirectory
     >>> header = {"format": FORMAT, "version": 1, "dock_radius": 1.0, "dock_offsets": [[1.5, 0, 0]]}
     >>> header |= {"anchor_position": [0, 0, 1], "ground_z": None, "length_unit": "R"}
-    >>> anchor = {"robot": 7, "orientation_wxyz": [1, 0, 0, 0], "contacts": []}
+    >>> anchor = {"robot": 7, "orientation_wxyz": [1, 0, 0, 0], "contacts": [], "flip_height": 5.31}
     >>> with TemporaryDirectory() as folder:
     ...     path = Path(folder) / "sensing.jsonl"
     ...     _ = path.write_text(f"{json.dumps(header)}\n{json.dumps(anchor)}")
-    ...     read_sensing_log(path).robot_id
-    array([7])
+    ...     write_sensing_log(read_sensing_log(path), path)
+    ...     print(path.read_text().splitlines()[1])
+    {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": [], "flip_height": 5.31}
     """
     lines = numbered_lines(path)
     number, text = next(lines, (0, ""))
@@ -87,23 +88,6 @@ def write_sensing_log(log: SensingLog, path: Path) -> None:
     Raises:
         ValueError: a number that must be known is not finite.
         EnvironmentTroubleError: the file cannot be written.
-
-    >>> from tempfile import TemporaryDirectory
-    >>> log = SensingLog(
-    ...     robot_id=np.array([7]),
-    ...     dock_radius=1.0,
-    ...     dock_offset_body=np.eye(3),
-    ...     anchor_position=np.zeros(3),
-    ...     orientation_wxyz=np.array([[1.0, 0.0, 0.0, 0.0]]),
-    ...     contacts=np.empty((0, 4), np.int32),
-    ...     ground_docks=np.empty((0, 2), np.int32),
-    ...     flip_height=np.array([5.31]),
-    ...     spawn_position=np.full((1, 3), np.nan),
-    ... )
-    >>> with TemporaryDirectory() as folder:
-    ...     write_sensing_log(log, Path(folder) / "sensing.jsonl")
-    ...     print((Path(folder) / "sensing.jsonl").read_text().splitlines()[1])
-    {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": [], "flip_height": 5.31}
     """
     with replacing(path) as file:
         for entries in chain([_header_entries(log)], _robot_entries(log)):
@@ -127,8 +111,7 @@ class SensingLogBuilder:
     def add(self, line: RobotLine) -> SensedStance:
         """Append a robot and return its final stance; a refused robot leaves no trace.
 
-        Raises:
-            InputError: with the key at fault, but without file and line.
+        An InputError names the key at fault, but neither file nor line.
         """
         if line.robot in self._index_of:
             problem = f"robot {line.robot} has a line already; give every robot its own number"

@@ -82,11 +82,7 @@ ROBOT_NUMBERS: dict[str, float | list[float]] = {
 
 
 def parse_header(text: str) -> HeaderLine:
-    """Read the first line.
-
-    Raises:
-        InputError: with the key at fault, but without file and line.
-    """
+    """Read the first line; an InputError names the key at fault, but neither file nor line."""
     entries = _parse_json(text)
     if entries.get("format") != FORMAT:
         problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
@@ -102,11 +98,7 @@ def parse_header(text: str) -> HeaderLine:
 
 
 def parse_robot(text: str) -> RobotLine:
-    """Read any line but the first.
-
-    Raises:
-        InputError: with the key at fault, but without file and line.
-    """
+    """Read a further line; an InputError names the key at fault, but neither file nor line."""
     try:
         return RobotLine.model_validate(_parse_json(text))
     except ValidationError as found:

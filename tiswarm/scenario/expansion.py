@@ -90,9 +90,7 @@ def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]
 def variants(scenario: Scenario) -> list[Variant]:
     """List the variants of a scenario: sweep points in order, at each its conditions in order.
 
-    Raises:
-        InputError: a condition or a swept value is wrong; never for a loaded scenario, which
-            has been checked already.
+    A wrong condition or swept value raises InputError; scenarios from files have none.
     """
     found, mistakes = _expand(to_plain(scenario), scenario.conditions, scenario.sweep)
     if mistakes:

@@ -157,11 +157,7 @@ def set_key(data: Plain, path: Sequence[str], value: object) -> str:
 
 
 def parse_setting(text: str, *section: str) -> Setting:
-    """Parse `KEY=VALUE`, the key being one of a section if that is given.
-
-    Raises:
-        InputError: the text has no key or no value, or the value is not YAML.
-    """
+    """Parse `KEY=VALUE`, the key being one of a section if that is given, or raise InputError."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise InputError("is not KEY=VALUE; write it like robots=20", key=f"--set {text}")

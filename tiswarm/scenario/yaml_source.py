@@ -50,11 +50,7 @@ class YamlSource:
 
 
 def read_yaml(path: Path) -> YamlSource:
-    """Read a YAML file.
-
-    Raises:
-        InputError: the file cannot be read or is not YAML as scenarios use it.
-    """
+    """Read a YAML file, or raise InputError."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
@@ -69,8 +65,7 @@ def read_yaml(path: Path) -> YamlSource:
 def parse_yaml(text: str, path: Path | None = None) -> YamlSource:
     """Parse YAML text from a file, or from the command line if `path` is None.
 
-    Raises:
-        InputError: the text is empty or not YAML as scenarios use it.
+    Text that is empty or not YAML as scenarios use it raises InputError.
     """
     lines: dict[tuple[Part, ...], int] = {(): 1}
     try:

@@ -6,18 +6,8 @@ No other room holds the truth and an estimate together.
 from tiswarm.study.cases import plan
 from tiswarm.study.executors import Execution
 from tiswarm.study.provenance import forecast
-from tiswarm.study.run import RunResult, run, tabulate
+from tiswarm.study.run import run, tabulate
 from tiswarm.study.tables import compare, headline
 from tiswarm.study.tuning import tune
 
-__all__ = [
-    "Execution",
-    "RunResult",
-    "compare",
-    "forecast",
-    "headline",
-    "plan",
-    "run",
-    "tabulate",
-    "tune",
-]
+__all__ = ["Execution", "compare", "forecast", "headline", "plan", "run", "tabulate", "tune"]

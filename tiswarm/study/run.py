@@ -135,11 +135,7 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
 
 
 def tabulate(path: Path) -> None:
-    """Write the tables of a run folder again, from its stored cases.
-
-    Raises:
-        InputError: `path` is not a run folder.
-    """
+    """Write the tables of a run folder again, from its stored cases."""
     resolved = path / "scenario.yaml"
     if not resolved.is_file():
         msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
@@ -193,16 +189,12 @@ def _robots_at_once(missing: Sequence[Case], executor: Executor, execution: Exec
 
 
 def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) -> Outcome | None:
-    """Return the outcome of a batch; None if it is to be split.
-
-    Raises:
-        TiswarmError: an error that every other case would have too.
-    """
+    """Return the outcome of a batch; None if it is to be split."""
     error = future.exception()
     if error is None:
         return future.result()
     if isinstance(error, TiswarmError) or not isinstance(error, Exception):
-        raise error
+        raise error  # every other case would have it too
     if len(batch) > 1:
         return None
     record = failure(batch[0], reason(error))

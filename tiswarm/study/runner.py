@@ -150,12 +150,9 @@ class _CaseRunner:
         self._warm_up_growth()
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
-                settings.structure,
-                robots=settings.robots,
-                seeds=seeds,
-                robot=settings.robot,
+                settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
                 on_progress=advance,
-            )
+            )  # fmt: skip
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs.of(first[seed].name)["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
