@@ -216,7 +216,7 @@ def _end_all() -> None:
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Run the jobs that arrive at a connection, and send back what came of each."""
+    """Run the jobs that arrive at a connection, and send back the outcome of each."""
     threading.Thread(target=_end_with, args=[parent], daemon=True).start()
     connection: Connection[object, Any] = Connection(descriptor)
     with suppress(EOFError):

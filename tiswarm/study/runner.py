@@ -95,7 +95,9 @@ class _CaseRunner:
         histories = self._grow()
         valid, records = self._store_invalid(histories)
         logs = self._sense(valid, histories)
-        for cases, sensed in _by_method(valid, logs):
+        for _, alike in groupby(sorted(valid, key=_method), key=_method):
+            cases = list(alike)
+            sensed = [logs[case.name] for case in cases]
             estimates = self._localize(cases, sensed)
             with self._stage("evaluate and store", cases) as advance:
                 for case, log, estimate in zip(cases, sensed, estimates, strict=True):
@@ -183,11 +185,11 @@ class _CaseRunner:
             self.job.folder.store_failure(failed)
         return [case for case in cases if not faults[case.seed]], failures
 
-    def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> list[SensingLog]:
+    def _sense(self, cases: Sequence[Case], histories: dict[int, History]) -> dict[str, SensingLog]:
+        logs = {}
         with self._stage("sense", cases) as advance:
-            logs = []
             for case in cases:
-                logs.append(observe(histories[case.seed], case.settings.sensing))
+                logs[case.name] = observe(histories[case.seed], case.settings.sensing)
                 advance(1)
         return logs
 
@@ -229,17 +231,9 @@ def _precision(case: Case) -> Precision:
     return case.settings.precision
 
 
-def _by_method(
-    cases: Sequence[Case], logs: Sequence[SensingLog]
-) -> Iterator[tuple[list[Case], list[SensingLog]]]:
-    """List cases of one method and precision, which are localized side by side, and their logs."""
-
-    def kind(sensed: tuple[Case, SensingLog]) -> tuple[str, Precision]:
-        return sensed[0].settings.localization.method, _precision(sensed[0])
-
-    for _, group in groupby(sorted(zip(cases, logs, strict=True), key=kind), key=kind):
-        alike = list(group)
-        yield [case for case, _ in alike], [log for _, log in alike]
+def _method(case: Case) -> tuple[str, Precision]:
+    """Return method and precision; cases that share them are localized side by side."""
+    return case.settings.localization.method, case.settings.precision
 
 
 def _record(
