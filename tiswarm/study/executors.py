@@ -160,11 +160,9 @@ class _Process:
         code = "from tiswarm.study.executors import main; main({}, {})"
         self.process = subprocess.Popen(  # noqa: S603 - our own code
             [sys.executable, "-c", code.format(theirs.fileno(), os.getpid())],
-            stdin=subprocess.DEVNULL,
-            stdout=self.output,
-            stderr=self.output,
+            stdin=subprocess.DEVNULL, stdout=self.output, stderr=self.output,
             pass_fds=[theirs.fileno()],
-        )
+        )  # fmt: skip
         theirs.close()
         _running.add(self)
 
