@@ -23,14 +23,9 @@ from tiswarm.records.io import Table, write_text
 class Truth:
     """True poses of N robots, in join order."""
 
-    robot_id: Ints
-    """Name of each robot, shape (N,)."""
-
-    position: Reals
-    """Centers [R], shape (N, 3)."""
-
-    orientation_wxyz: Reals
-    """Body to world, unit quaternion, shape (N, 4)."""
+    robot_id: Ints  # name of each robot, shape (N,)
+    position: Reals  # centers [R], shape (N, 3)
+    orientation_wxyz: Reals  # body to world, unit quaternion, shape (N, 4)
 
 
 def write_positions(

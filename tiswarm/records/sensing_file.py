@@ -46,8 +46,7 @@ class SensedStance(NamedTuple):
     """One checked stance, with indices in place of the names of other robots."""
 
     orientation_wxyz: list[float]
-    lists: dict[str, list[tuple[int, ...]]]
-    """Sorted items of each list in `STANCE_LISTS`."""
+    lists: dict[str, list[tuple[int, ...]]]  # sorted items of each list in `STANCE_LISTS`
 
 
 def read_sensing_log(path: Path) -> SensingLog:

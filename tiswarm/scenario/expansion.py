@@ -46,17 +46,10 @@ _MINIMAL: Plain = {"name": "minimal", "structure": {"kind": "tower"}}
 class Variant:
     """One point of the sweep under one condition."""
 
-    label: str
-    """Name of a folder: `baseline`, or `robots=300,baseline`."""
-
-    condition: str
-    """Name of the condition."""
-
-    point: Mapping[str, Any]
-    """Swept values by dotted key, without those that follow another key."""
-
-    settings: Scenario
-    """The scenario at this point and condition, without conditions and sweep."""
+    label: str  # name of a folder: `baseline`, or `robots=300,baseline`
+    condition: str  # name of the condition
+    point: Mapping[str, Any]  # swept values by dotted key, without those that follow another key
+    settings: Scenario  # the scenario at this point and condition, without conditions and sweep
 
 
 def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:

@@ -53,8 +53,7 @@ class Mistake(NamedTuple):
 
     path: tuple[Part, ...]
     problem: str
-    about_key: bool = False
-    """Whether the key is wrong, not its value."""
+    about_key: bool = False  # whether the key is wrong, not its value
 
 
 class Setting(NamedTuple):

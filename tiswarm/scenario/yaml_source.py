@@ -35,11 +35,8 @@ _CONSTRUCTORS: dict[str, Callable[[str], object]] = {
 class YamlSource:
     """Plain data and the lines it comes from."""
 
-    data: Any
-    """Dicts with text keys, lists, text, numbers, booleans and None."""
-
-    lines: dict[tuple[Part, ...], int]
-    """Line of each key and list entry, by its path."""
+    data: Any  # dicts with text keys, lists, text, numbers, booleans and None
+    lines: dict[tuple[Part, ...], int]  # line of each key and list entry, by its path
 
     def line_of(self, path: Sequence[Part]) -> int:
         """Return the line of a value, or of the section that lacks it."""

@@ -24,12 +24,8 @@ from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.progress import Progress
 from tiswarm.study.runner import Job, Outcome, run_job
 
-CONNECT_S = 30
-"""Time that a scheduler has to answer [s]."""
-
-START_S = 600.0
-"""Time that a process has to start and to compile the kernels of a job [s]."""
-
+CONNECT_S = 30  # time that a scheduler has to answer
+START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 _READY = "ready"
 
 
@@ -37,20 +33,11 @@ _READY = "ready"
 class Execution:
     """Where and how the cases of a run are computed; no byte of the results depends on it."""
 
-    workers: int | None = None
-    """Processes side by side, each with its share of the threads; None computes in this one."""
-
-    scheduler: str | None = None
-    """Address of a Dask scheduler whose workers see the same folders."""
-
-    shard: tuple[int, int] = (1, 1)
-    """Part to compute, and the number of parts."""
-
-    case_limit_s: float | None = None
-    """Longest wall time of a case [s]."""
-
-    fail_fast: bool = False
-    """Whether the first case that fails ends the run."""
+    workers: int | None = None  # processes that share the threads; None computes in this one
+    scheduler: str | None = None  # address of a Dask scheduler whose workers see the same folders
+    shard: tuple[int, int] = (1, 1)  # part to compute, and the number of parts
+    case_limit_s: float | None = None  # longest wall time of a case [s]
+    fail_fast: bool = False  # whether the first case that fails ends the run
 
 
 class _JobError(Exception):

@@ -30,17 +30,10 @@ class RunResult:
     """Result of a run."""
 
     folder: Path
-    computed: int
-    """Cases that this run computed."""
-
-    found: int
-    """Cases that an earlier run had finished."""
-
-    failed: tuple[CaseRecord, ...]
-    """Cases that this run could not compute."""
-
-    missing: int
-    """Cases left to other shards; the shard that leaves none writes the tables."""
+    computed: int  # cases that this run computed
+    found: int  # cases that an earlier run had finished
+    failed: tuple[CaseRecord, ...]  # cases that this run could not compute
+    missing: int  # cases left to other shards; the shard that leaves none writes the tables
 
     @property
     def what_failed(self) -> str:

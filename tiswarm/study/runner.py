@@ -41,8 +41,7 @@ class Job:
     folder: RunFolder
     cases: Sequence[Case]
     arch: Arch
-    threads: int | None
-    """CPU threads; all if None."""
+    threads: int | None  # CPU threads; all if None
 
 
 class Outcome(NamedTuple):

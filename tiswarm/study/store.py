@@ -37,24 +37,13 @@ class CaseRecord:
     case: str
     seed: int
     condition: str
-    point: Mapping[str, Any]
-    """Values of the swept keys."""
-
+    point: Mapping[str, Any]  # values of the swept keys
     status: Literal["done", "failed"]
-    reason: str = ""
-    """Reason of the failure, or of the early end of growth."""
-
-    scores: Mapping[str, float | int | None] = field(default_factory=dict)
-    """Results of the evaluation; None where a number is unknown."""
-
-    version: str = __version__
-    """Version of the package that computed the case."""
-
-    code: str = field(default_factory=lambda: CODE)
-    """Digest of the code that computed the case; other code need not give the same bytes."""
-
-    files: Mapping[str, str] = field(default_factory=dict)
-    """SHA-256 of each other file of the case, without its cost."""
+    reason: str = ""  # reason of the failure, or of the early end of growth
+    scores: Mapping[str, float | int | None] = field(default_factory=dict)  # None where unknown
+    version: str = __version__  # version of the package that computed the case
+    code: str = field(default_factory=lambda: CODE)  # digest of the code that computed the case
+    files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of all others but the cost
 
     @property
     def series(self) -> str:
