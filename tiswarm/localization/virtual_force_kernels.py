@@ -228,7 +228,6 @@ def _initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
 
 @ti.func
 def _write_position(robots: Ref, robot, place):
-    """Move a robot's center to a place."""
     for c in ti.static(range(3)):
         robots.position[robot, c] = place[c]
 

@@ -369,7 +369,6 @@ def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover
 
 @ti.func
 def _move_to(walks: Ref, mover, stance, here, q):
-    """Write a robot's center and orientation at a stance."""
     for c in ti.static(range(3)):
         walks.center[mover, stance, c] = here[c]
     for c in ti.static(range(4)):

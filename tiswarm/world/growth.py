@@ -72,7 +72,6 @@ class GrowthBatch:
     def __init__(
         self, params: StructureParams, robots: int, seeds: Sequence[int], robot: RobotGeometry
     ) -> None:
-        """Prepare empty ground for each seed."""
         self.robots = robots
         self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
         count, docks = len(seeds), DOCK_COUNT * robots
@@ -143,7 +142,6 @@ class GrowingStructure:
     def __init__(
         self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
     ) -> None:
-        """Prepare empty ground."""
         self.number, self.seed, self.params, self.robot = number, seed, params, robot
         self.kind = KINDS[params.kind]
         self.terrain = self.kind.terrain(params)

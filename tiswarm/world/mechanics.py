@@ -135,7 +135,6 @@ class Frame:
     """The beams of one structure; grows by a robot at a time."""
 
     def __init__(self, params: MechanicsParams, dock_offset_body: Reals) -> None:
-        """Prepare an empty frame for robots of one shape."""
         self.params = params
         self.body = dock_offset_body
         self.robot = _condensed_robot(dock_offset_body, params)

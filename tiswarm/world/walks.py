@@ -70,13 +70,16 @@ class Walks:
             dock_offset_body=robot.dock_offset_body,
             near=np.empty((slots, near, 3)),
         )
+        last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
-            np.empty((slots, stances, 3)),
-            np.empty((slots, stances, 4)),
-            np.empty((slots, stances), np.int32),
-            np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32),
-            np.empty((slots, stances, DOCK_COUNT), np.int32),
-            *np.zeros((3, slots), np.int32),
+            center=np.empty((slots, stances, 3)),
+            orientation=np.empty((slots, stances, 4)),
+            pivot_dock=np.empty((slots, stances), np.int32),
+            touching=np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32),
+            on_ground=np.empty((slots, stances, DOCK_COUNT), np.int32),
+            last=last,
+            best=best,
+            stay=stay,
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
 
