@@ -73,15 +73,19 @@ def new_figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), dpi=300, layout="constrained")
 
 
-def panel_grid(
-    figure: "Figure", count: int, columns: int, *, sharex: bool = False, sharey: bool = False
-) -> "list[Axes]":
-    """Divide a figure into `count` panels, `columns` in a row."""
-    rows = -(-count // columns)
-    grid = figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel()
+def new_panels(
+    width: float, height: float, count: int, columns: int, *, share: str = ""
+) -> "tuple[Figure, list[Axes]]":
+    """Make a figure of a size [inch] with `count` panels, `columns` in a row.
+
+    Panels have the axes named in `share`, such as "xy", in common.
+    """
+    figure = new_figure(width, height)
+    x, y, rows = "x" in share, "y" in share, -(-count // columns)
+    grid = figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
     for unused in grid[count:]:
         unused.set_axis_off()
-    return list(grid[:count])
+    return figure, list(grid[:count])
 
 
 def line_style(place: int) -> dict[str, Any]:

@@ -11,7 +11,15 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import COLUMN_WIDTH, PAGE_WIDTH, line_style, pdf, png, shortened
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    PAGE_WIDTH,
+    line_style,
+    new_panels,
+    pdf,
+    png,
+    shortened,
+)
 from tiswarm.report.run_data import Case, RunData, Series
 from tiswarm.report.table_figures import draw_accuracy, draw_scaling, profile_painters
 
@@ -93,8 +101,7 @@ def draw_convergence(run: RunData) -> "Figure":
     rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
     height = 0.8 + 1.9 * rows + _LEGEND_LINE * (len(names) // in_line)
-    figure = figure_style.new_figure(width, height)
-    panels = figure_style.panel_grid(figure, len(shown), columns, sharey=True)
+    figure, panels = new_panels(width, height, len(shown), columns, share="y")
     legend: dict[str, Artist] = {}
     top = 0.0
     for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
@@ -170,8 +177,8 @@ def draw_error_against_height(run: RunData) -> "Figure":
     columns, rows = min(3, len(shown)), -(-len(shown) // 3)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
-    figure = figure_style.new_figure(width, 0.5 + (2.0 + _LEGEND_LINE * lines) * rows)
-    panels = figure_style.panel_grid(figure, len(shown), columns, sharex=True, sharey=True)
+    height = 0.5 + (2.0 + _LEGEND_LINE * lines) * rows
+    figure, panels = new_panels(width, height, len(shown), columns, share="xy")
     tables = [_errors_at(cases, "z_R") for _, cases in shown]
     _scatter(panels, tables)
     notes = [run.note]
@@ -193,8 +200,7 @@ def _draw_error_along_growth(run: RunData) -> "Figure":
     Each kind of structure has a panel with the first condition.
     """
     kinds = _first_by_kind(run.series)
-    figure = figure_style.new_figure(PAGE_WIDTH, 2.6)
-    panels = figure_style.panel_grid(figure, len(kinds), len(kinds), sharey=True)
+    figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y")
     _scatter(panels, [_errors_at(cases, _GROWS[kind][0]) for kind, cases in kinds.items()])
     for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
         axes.set_xlabel(_GROWS[kind][1])

@@ -13,7 +13,7 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, panel_grid, shortened
+from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, new_panels, shortened
 from tiswarm.report.run_data import RunData, read_table, swept_columns, swept_words
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ def draw_accuracy(run: RunData) -> "Figure":
     points = pd.Series([shortened(text) for text in texts], table.index)
     names = list(dict.fromkeys(table["condition"]))
     shown = list(dict.fromkeys(points))[: max(1, _MOST_ROWS // len(names))]
-    figure = figure_style.new_figure(PAGE_WIDTH, 0.9 + 0.12 * len(names) * (1 + len(shown)))
-    panels = panel_grid(figure, len(_MEASURES), len(_MEASURES), sharey=True)
+    height = 0.9 + 0.12 * len(names) * (1 + len(shown))
+    figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
     for axes, (measure, (_, counterpart)) in zip(panels, _MEASURES.items(), strict=True):
         for index, point in enumerate(shown):
             rows = table[points == point].set_index("condition").reindex(names)
@@ -107,8 +107,8 @@ def _comparison(table: pd.DataFrame) -> "Figure":
     shown = table.head(_MOST_ROWS)
     swept = swept_words(shown).iloc[:, 1:].to_dict("records")
     labels = [", ".join(v for v in reversed(row.values()) if v != "nan") for row in swept]
-    figure = figure_style.new_figure(PAGE_WIDTH, 0.9 + 0.17 * len(shown))
-    panels = panel_grid(figure, len(_MEASURES), len(_MEASURES), sharey=True)
+    height = 0.9 + 0.17 * len(shown)
+    figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
     for axes, name in zip(panels, _MEASURES, strict=True):
         for index, run in enumerate(shown["run"].unique()):
             rows = (shown["run"] == run).to_numpy()
@@ -161,8 +161,7 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops."""
     swept = swept_columns(table, before="by")
     height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
-    figure = figure_style.new_figure(PAGE_WIDTH, height)
-    panels = panel_grid(figure, len(PROFILED), 3)
+    figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
@@ -188,10 +187,9 @@ def draw_scaling(run: RunData) -> "Figure":
     """
     columns = ["series", "measure", "robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", columns)
-    figure = figure_style.new_figure(PAGE_WIDTH, 4.4)
+    figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
-    panels = panel_grid(figure, len(SCALING_PANELS), 3)
     for axes, (measure, label) in zip(panels, SCALING_PANELS.items(), strict=True):
         rows = table[table["measure"] == measure]
         for place, name in enumerate(dict.fromkeys(table["series"])):
