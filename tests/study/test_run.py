@@ -125,7 +125,9 @@ def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
         case = small_run / "cases" / f"1-{condition}"
         out = tmp_path / f"{condition}.csv"
 
-        done = tiswarm("localize", case / "sensing.jsonl", *settings, "--out", out)
+        done = tiswarm(
+            "localize", case / "sensing.jsonl", "--method", "virtual-force", *settings, "--out", out
+        )
 
         assert done.returncode == 0, done.stderr
         assert out.read_bytes() == (case / "estimate.csv").read_bytes()
@@ -164,7 +166,10 @@ def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
         truth.to_csv(path, index=False)
     case = run / "cases" / "0-baseline"
 
-    done = tiswarm("localize", case / "sensing.jsonl", "--out", tmp_path / "blind.csv")
+    done = tiswarm(
+        "localize", case / "sensing.jsonl", "--method", "virtual-force",
+        "--out", tmp_path / "blind.csv",
+    )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "blind.csv").read_bytes() == (case / "estimate.csv").read_bytes()
