@@ -22,7 +22,7 @@ from tiswarm.records.sensing_log import SensingLog
 ALLOWED_SD = 4.0
 """Standard deviations that noise may explain."""
 
-ALLOWED_GAP = 0.05
+_ALLOWED_GAP = 0.05
 """Docks may sense each other though this much lies between them [R]."""
 
 HEADER_LINES = 1
@@ -56,7 +56,7 @@ def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:
     spread[measured] = variance[contacts:]
     height[0], spread[0] = log.anchor_position[2] / log.dock_radius, 0.0
     robot, other = rows.robot[:contacts], rows.other
-    slack = ALLOWED_SD * np.sqrt(spread[robot] + spread[other] + variance[:contacts]) + ALLOWED_GAP
+    slack = ALLOWED_SD * np.sqrt(spread[robot] + spread[other] + variance[:contacts]) + _ALLOWED_GAP
     apart = np.abs(height[robot] - height[other] + _fixed_part(rows)[:, 2])
     for row in np.flatnonzero(apart > SPACING + slack).tolist():
         text = f"{_names(log, rows, [row])} is inconsistent: by their flips the docks are"
@@ -84,7 +84,7 @@ def _by_chain(log: SensingLog, rows: Measurements) -> Iterator[tuple[int, str]]:
             for third in closing:
                 gap = np.linalg.norm(fixed[one] - fixed[two] - fixed[third].sum(axis=0))
                 count = 2 + len(third)
-                if gap > count * (SPACING + ALLOWED_GAP) + unsure * math.sqrt(count):
+                if gap > count * (SPACING + _ALLOWED_GAP) + unsure * math.sqrt(count):
                     names = _names(log, rows, [one, two, *third])
                     yield joiner, f"{names} are inconsistent; look at each"
 

@@ -15,7 +15,7 @@ from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.records.sensing_log import SensingLog
 
 UP = np.array([0.0, 0.0, 1.0])
-FLIPS_ASSUMED = 10
+_FLIPS_ASSUMED = 10
 """Flips that a height is taken to come from where the log has no stances."""
 
 
@@ -70,7 +70,7 @@ def height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     variance = precision.height**2
     if log.stances is None:
         reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
-        variance += FLIPS_ASSUMED * (2.0 * reach * odometry.tilt) ** 2
+        variance += _FLIPS_ASSUMED * (2.0 * reach * odometry.tilt) ** 2
     value = log.flip_height / log.dock_radius + odometry.shift[first, 2]
     return Places.of(first, np.full_like(first, CENTER), UP, value, variance=variance)
 

@@ -23,7 +23,7 @@ SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
 
 TINY = 1e-12
-AXES = 3
+_AXES = 3
 
 
 class Distances(NamedTuple):
@@ -102,16 +102,16 @@ class Places(NamedTuple):
         every = cls(
             stance.astype(np.int64),
             dock.astype(np.int64),
-            np.broadcast_to(direction, (len(value), AXES)),
+            np.broadcast_to(direction, (len(value), _AXES)),
             value,
             np.full(len(value), variance),
         )
         return cls._make(column[is_known] for column in every)
 
 
-NO_DISTANCES = Distances.of(*[np.empty(0, np.int64)] * 4, length=SPACING, sd=0.0)
-NO_PLACES = Places.of(
-    np.empty(0, np.int64), np.empty(0, np.int64), np.eye(AXES)[2], np.empty(0), variance=0.0
+_NO_DISTANCES = Distances.of(*[np.empty(0, np.int64)] * 4, length=SPACING, sd=0.0)
+_NO_PLACES = Places.of(
+    np.empty(0, np.int64), np.empty(0, np.int64), np.eye(_AXES)[2], np.empty(0), variance=0.0
 )
 
 
@@ -142,8 +142,8 @@ class Measurements:
         cls, odometry: Odometry, distances: Sequence[Distances] = (), places: Sequence[Places] = ()
     ) -> "Measurements":
         """Concatenate tables, and look up the robots and arms that they are about."""
-        d = Distances(*map(np.concatenate, zip(NO_DISTANCES, *distances, strict=True)))
-        p = Places(*map(np.concatenate, zip(NO_PLACES, *places, strict=True)))
+        d = Distances(*map(np.concatenate, zip(_NO_DISTANCES, *distances, strict=True)))
+        p = Places(*map(np.concatenate, zip(_NO_PLACES, *places, strict=True)))
         stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
         return cls(
             odometry=odometry,
@@ -210,7 +210,9 @@ class Measurements:
         noise = self.odometry.arms(stance, dock)[1]
         noise[: len(self.other)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
         if direction is None:
-            direction = np.concatenate([np.full((len(self.other), AXES), AXES**-0.5), p.direction])
+            direction = np.concatenate(
+                [np.full((len(self.other), _AXES), _AXES**-0.5), p.direction]
+            )
         variance: Reals = (direction**2 * noise).sum(axis=1) + self.own_variance
         return variance
 
@@ -272,18 +274,18 @@ class Measurements:
         of_turn = direction[:, 1] * arm[:, 0] - direction[:, 0] * arm[:, 1]
         toward = direction[:count]
         of_its_turn = toward[:, 1] * its[:, 0] - toward[:, 0] * its[:, 1]
-        every, axis = np.arange(len(i)), np.arange(AXES)
-        thrice = np.repeat(every, AXES)
-        row = [thrice, thrice[: AXES * count], every, every[:count]]
+        every, axis = np.arange(len(i)), np.arange(_AXES)
+        thrice = np.repeat(every, _AXES)
+        row = [thrice, thrice[: _AXES * count], every, every[:count]]
         column = [
-            (AXES * i[:, None] + axis).ravel(),
-            (AXES * j[:, None] + axis).ravel(),
-            AXES * self.robots + i,
-            AXES * self.robots + j,
+            (_AXES * i[:, None] + axis).ravel(),
+            (_AXES * j[:, None] + axis).ravel(),
+            _AXES * self.robots + i,
+            _AXES * self.robots + j,
         ]
         value = [direction.ravel(), -toward.ravel(), of_turn, -of_its_turn]
         entries = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
-        return csc_array(entries, shape=(len(i), (AXES + 1) * self.robots))
+        return csc_array(entries, shape=(len(i), (_AXES + 1) * self.robots))
 
 
 def turned(arm: Reals, yaw: Reals | None) -> Reals:

@@ -12,7 +12,7 @@ from tiswarm.measurements.rigidity import floppy_modes, floppy_robots, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
-SPREAD = 10.0
+_SPREAD = 10.0
 """Standard deviation of positions drawn at random [R]."""
 
 
@@ -35,7 +35,7 @@ def observability(
     rows = measure(log, cues)
     if position is None:
         robot = np.arange(log.robot_count)[:, None]
-        center = SPREAD * normal(0, "anywhere", robot, np.arange(3))
+        center = _SPREAD * normal(0, "anywhere", robot, np.arange(3))
     else:
         center = position / log.dock_radius
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)

@@ -16,17 +16,17 @@ from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.model import Measurements
 
-UNNOTICED = 1e-5
+_UNNOTICED = 1e-5
 """A motion is floppy where all that is measured changes by less than this part of its length."""
 
 SHIFTED = 0.1
 """A robot is floppy where floppy motions shift it by more than this part of what they shift an
 unconstrained robot."""
 
-SHIFTS = 3
+_SHIFTS = 3
 """Degrees of freedom of a robot that does not turn: x, y and z."""
 
-PROBES = 16
+_PROBES = 16
 MOST_UNKNOWNS = 400_000
 """Matrices of more are not factored: too much memory. Those of 100,000 robots take some 1 GB."""
 
@@ -77,10 +77,10 @@ class Bodies(NamedTuple):
     @property
     def has_gauge_yaw(self) -> bool:
         """Whether the swarm as a whole is free to turn about the anchor (a gauge freedom)."""
-        if self.dof == SHIFTS or (self.of_robot[:-1] == self.fixed).any():
+        if self.dof == _SHIFTS or (self.of_robot[:-1] == self.fixed).any():
             return False
         of_world = (self.constraints.first == self.fixed) | (self.constraints.second == self.fixed)
-        return not self.constraints.stiffness[of_world, SHIFTS, SHIFTS].any()
+        return not self.constraints.stiffness[of_world, _SHIFTS, _SHIFTS].any()
 
 
 def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> Bodies:
@@ -104,9 +104,9 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
     dof = direction.shape[1]
     world, places = rows.robots, len(rows.places.value)
     # The world holds the anchor in all directions, and each measured coordinate in one.
-    first = np.concatenate([rows.other, np.full(places + SHIFTS, world)])
-    second = np.concatenate([rows.robot, np.zeros(SHIFTS, np.int64)])
-    way = np.concatenate([direction, np.eye(SHIFTS, dof)])
+    first = np.concatenate([rows.other, np.full(places + _SHIFTS, world)])
+    second = np.concatenate([rows.robot, np.zeros(_SHIFTS, np.int64)])
+    way = np.concatenate([direction, np.eye(_SHIFTS, dof)])
     count = len(center)
     body: AnyInts = np.arange(count)
     held = Constraints(first, second, way[:, :, None] * way[:, None, :])
@@ -131,7 +131,7 @@ def floppy_modes(bodies: Bodies) -> int | None:
 
     These are dim ker R, with R the rigidity matrix. Bodies whose constraints are independent are
     peeled off first; the rest has as many floppy modes as its stiffness matrix R^T R has
-    eigenvalues below UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor
+    eigenvalues below _UNNOTICED^2. Where yaw is unknown a turn of the whole swarm about the anchor
     does not count: the mean of all compasses fixes it.
     """
     peeled, core = _peel(bodies)
@@ -145,7 +145,7 @@ def floppy_modes(bodies: Bodies) -> int | None:
 def floppy_robots(bodies: Bodies) -> Bools | None:
     """Find the robots that floppy motions shift, shape (N,); None for too large structures.
 
-    Of random motions x, -s (K - s 1)^-1 x with s = UNNOTICED^2 is the part that the stiffness
+    Of random motions x, -s (K - s 1)^-1 x with s = _UNNOTICED^2 is the part that the stiffness
     matrix K does not resist. Where the swarm may turn as a whole, we subtract the mean turn.
     """
     if bodies.unknowns > MOST_UNKNOWNS:
@@ -154,21 +154,21 @@ def floppy_robots(bodies: Bodies) -> Bools | None:
     if factors is None:
         return np.zeros(len(bodies.of_robot) - 1, np.bool_)
     coordinate = np.arange(bodies.unknowns)[:, None]
-    motion = normal(0, "floppy motion", coordinate, np.arange(PROBES))
-    left = -(UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.dof, PROBES)
+    motion = normal(0, "floppy motion", coordinate, np.arange(_PROBES))
+    left = -(_UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.dof, _PROBES)
     moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
-    if bodies.dof > SHIFTS:
-        turn, lever = moved[:, SHIFTS], bodies.lever[:-1]
+    if bodies.dof > _SHIFTS:
+        turn, lever = moved[:, _SHIFTS], bodies.lever[:-1]
         moved[:, :2] += _swept(turn, lever)
         if bodies.has_gauge_yaw:
             from_anchor = bodies.center[bodies.of_robot[:-1]] + lever
             moved[:, :2] -= _swept(turn.mean(axis=0), from_anchor)
-    shifted = np.sqrt(np.mean(moved[:, :SHIFTS] ** 2, axis=(1, 2)))
+    shifted = np.sqrt(np.mean(moved[:, :_SHIFTS] ** 2, axis=(1, 2)))
     return np.asarray(shifted > SHIFTED)
 
 
 def _swept(turn: Reals, arm: Reals) -> Reals:
-    """Displacements by turns (..., PROBES) of the ends of arms (N, 3), shape (N, 2, PROBES)."""
+    """Displacements by turns (..., _PROBES) of the ends of arms (N, 3), shape (N, 2, _PROBES)."""
     x, y, _ = arm.T[:, :, None]
     return np.stack([-turn * y, turn * x], axis=1)
 
@@ -207,7 +207,7 @@ def _seen_from(
     other: Reals | None = None,
 ) -> Reals:
     """Express stiffness by motions of bodies about their own centers, not the anchor's axis."""
-    if stiffness.shape[1] == SHIFTS:  # the same from everywhere
+    if stiffness.shape[1] == _SHIFTS:  # the same from everywhere
         return stiffness
     seen: Reals = (
         _from(center).swapaxes(1, 2) @ stiffness @ _from(center if other is None else other)
@@ -217,7 +217,7 @@ def _seen_from(
 
 def _rank(stiffness: Reals) -> Ints:
     """Count the directions that are constrained, shape (rows,)."""
-    rank: Ints = (np.linalg.eigvalsh(stiffness) > UNNOTICED**2).sum(axis=1)
+    rank: Ints = (np.linalg.eigvalsh(stiffness) > _UNNOTICED**2).sum(axis=1)
     return rank
 
 
@@ -274,7 +274,7 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     columns = np.broadcast_to(len(dof) * column[:, None, None] + dof, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
     return splu(
-        csc_array(matrix - UNNOTICED**2 * eye_array(unknowns)),
+        csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)),
         permc_spec="MMD_AT_PLUS_A",
         diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},

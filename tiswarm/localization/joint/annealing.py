@@ -35,7 +35,7 @@ from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
-AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+_AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """A row of the kernel's headings to begin with."""
 
 
@@ -175,7 +175,7 @@ class Annealer:
         self.measured = [
             memory.upload(self.sigma),
             *self._robots(params),
-            *contact_arrays(memory, problems, params, self.start, np.argsort(self.order)),
+            *_contact_arrays(memory, problems, params, self.start, np.argsort(self.order)),
             *self._priors(),
         ]
         self.trees = subtree_arrays(memory, problems, trees, self.chains)
@@ -211,7 +211,7 @@ class Annealer:
 
     def _swarm(self, arm: Reals, position: Reals) -> Swarm:
         upload, copies = self.memory.upload, len(position)
-        heading = np.tile(AS_SENSED, (copies, 1))
+        heading = np.tile(_AS_SENSED, (copies, 1))
         heading[:, INERTIA] = self.inertia_factor
         return Swarm(
             arm=upload(np.tile(arm, (self.chains, 1, 1))),
@@ -367,7 +367,7 @@ def thermostat(sigma: Reals) -> Reals:
     return target
 
 
-def contact_arrays(
+def _contact_arrays(
     memory: Allocator,
     problems: Sequence[Problem],
     params: Sequence[JointParams],

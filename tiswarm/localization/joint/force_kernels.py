@@ -16,23 +16,23 @@ from tiswarm.compute.math_kernels import vector_at
 from tiswarm.localization.virtual_force_kernels import with_torque
 from tiswarm.measurements.model import SPACING
 
-MOST_STIFFNESS = 1.2
+_MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
 moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4
 times steps diverge."""
-MOST_TURN_STIFFNESS = 0.25
+_MOST_TURN_STIFFNESS = 0.25
 """The same of turns; less, for a turn and a shift swing together."""
-FORGET = 0.99
+_FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
 TINY = 1e-12
-WHOLE = 2.0**44
+_WHOLE = 2.0**44
 """Parts of one in which pushes are counted."""
 COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
 """Columns of the table of headings: how far robots have been turned, and how they turn."""
 
 
 @ti.func
-def push_inside(square_length, slope):
+def _push_inside(square_length, slope):
     """Repulsion of docks nearer than D, as a part of their offset; 0 for others.
 
     Args:
@@ -50,7 +50,7 @@ def turned(x, y, heading: Ref, r):
 
 
 @ti.func
-def pull_of_contacts(
+def _pull_of_contacts(
     r,
     i,
     turning: Static,
@@ -68,7 +68,7 @@ def pull_of_contacts(
     are nearer than D, the force has the factor by which the push of overlaps is less than a
     spring's. The logarithm still holds a robot whose contacts are all outliers. Docks in contact at
     the end do not repel each other as all others do: this function subtracts the push that
-    `push_of_overlaps` gives them.
+    `_push_of_overlaps` gives them.
 
     Robots in contact at the end push each other apart, since robots extend outward: the farther
     apart their centers would be if their docks just touched, the likelier. This prior has the
@@ -100,9 +100,9 @@ def pull_of_contacts(
         within = square + contacts.variance[slot] + residual * residual * robots.robust[i]
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
-        inside = push_inside(length * length, 0.5 / SPACING**2)
+        inside = _push_inside(length * length, 0.5 / SPACING**2)
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
-        overlap = contacts.is_final[slot] * push_inside(length * length, slope)
+        overlap = contacts.is_final[slot] * _push_inside(length * length, slope)
         force -= with_torque((stiff * pull + overlap) * apart, arm)
         if contacts.is_final[slot] == 1:
             trust = (square + contacts.variance[slot]) * length * inverse
@@ -120,7 +120,7 @@ def pull_of_contacts(
 
 
 @ti.func
-def push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref):
+def _push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref):
     """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
 
     Integers make the sum independent of the order of a row.
@@ -142,17 +142,21 @@ def push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref):
                     apart = off + own[k, :]
                     square_length = apart.norm_sqr()
                     if square_length < widest:
-                        push = with_torque(push_inside(square_length, slope) * apart, own[k, :])
-                        units += ti.cast(push * WHOLE, ti.i64)
-                        inertia += ti.cast((own[k, 0] ** 2 + own[k, 1] ** 2) * WHOLE, ti.i64)
+                        push = with_torque(_push_inside(square_length, slope) * apart, own[k, :])
+                        units += ti.cast(push * _WHOLE, ti.i64)
+                        inertia += ti.cast((own[k, 0] ** 2 + own[k, 1] ** 2) * _WHOLE, ti.i64)
                         overlaps += 1
-    return ti.cast(units, float) / WHOLE, ti.cast(overlaps, float), ti.cast(inertia, float) / WHOLE
+    return (
+        ti.cast(units, float) / _WHOLE,
+        ti.cast(overlaps, float),
+        ti.cast(inertia, float) / _WHOLE,
+    )
 
 
 @ti.func
-def mass_for(needed, before, factor):
+def _mass_for(needed, before, factor):
     """Mass that a stiffness needs, at least 1, times a factor; one that is too great shrinks."""
-    return ti.max(factor * ti.max(1.0, needed), FORGET * before + (1.0 - FORGET) * factor)
+    return ti.max(factor * ti.max(1.0, needed), _FORGET * before + (1.0 - _FORGET) * factor)
 
 
 @ti.func
@@ -168,11 +172,11 @@ def pull_robot(
     i = r % robots.non_overlap.shape[0]
     width = robots.non_overlap[i] * SPACING * step.growth
     slope = 0.5 / ti.max(width * width, TINY)
-    pull, stiffness, inertia = pull_of_contacts(
+    pull, stiffness, inertia = _pull_of_contacts(
         r, i, turning, slope, step, robots, contacts, priors, swarm
     )
     if robots.non_overlap[i] == 1:
-        push, hardness, lag = push_of_overlaps(r, docks, slope, grid, rows, swarm)
+        push, hardness, lag = _push_of_overlaps(r, docks, slope, grid, rows, swarm)
         pull += push
         stiffness += hardness
         inertia += lag
@@ -189,7 +193,7 @@ def pull_robot(
         stiffness += stiff / 3.0
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
     before = swarm.mass[r]
-    swarm.mass[r] = mass_for(stiffness / MOST_STIFFNESS, before, step.inertia_factor)
+    swarm.mass[r] = _mass_for(stiffness / _MOST_STIFFNESS, before, step.inertia_factor)
     slower = ti.sqrt(before / swarm.mass[r])
     for c in ti.static(range(3)):
         swarm.velocity[r, c] *= slower
@@ -198,6 +202,6 @@ def pull_robot(
         torque = pull[3] + with_torque(hold, walked)[3] - stiff * swarm.heading[r, YAW]
         swarm.heading[r, TORQUE] = torque
         before = swarm.heading[r, INERTIA]
-        needed = (inertia + stiff) / MOST_TURN_STIFFNESS
-        swarm.heading[r, INERTIA] = mass_for(needed, before, step.inertia_factor)
+        needed = (inertia + stiff) / _MOST_TURN_STIFFNESS
+        swarm.heading[r, INERTIA] = _mass_for(needed, before, step.inertia_factor)
         swarm.heading[r, SPIN] *= ti.sqrt(before / swarm.heading[r, INERTIA])

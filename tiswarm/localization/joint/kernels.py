@@ -40,17 +40,17 @@ from tiswarm.localization.joint.force_kernels import (
 )  # fmt: skip
 from tiswarm.localization.virtual_force_kernels import turn_dock
 
-STEP = 1.0
+_STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
 MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
-SUBTREE_KICKS = 2**30
+_SUBTREE_KICKS = 2**30
 """Number of the first subtree among those of robots, so that subtrees draw other random numbers."""
 SKIN = 2.0
 """Reach of Verlet rows beyond the distance at which docks can touch [R]."""
 THIN_SKIN = 0.01
 """Skin while robots move too fast for longer rows to serve two steps [R]."""
-SMALLEST = 0.1
+_SMALLEST = 0.1
 """Size of docks in the first step, as a part of their full size. Docks that are solid at once push
 each other out of the initial heap faster than friction takes the heat away."""
 STALE = -1
@@ -58,7 +58,7 @@ STALE = -1
 
 
 @ti.func
-def kick_of(seed, chain, number, t):
+def _kick_of(seed, chain, number, t):
     """Three numbers of mean 0 and variance 1, a hash of seed, chain, robot and step."""
     key = mixed(mixed(ti.cast(seed, ti.u64)) ^ ti.cast(chain, ti.u64))
     key = mixed(mixed(key ^ ti.cast(number, ti.u64)) ^ ti.cast(t, ti.u64))
@@ -74,16 +74,16 @@ def kick_of(seed, chain, number, t):
 def moved(velocity: Ref, i, axis, force, mass, sigma, kick):
     """Change a velocity; return how far it leads."""
     heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
-    speed = velocity[i, axis] + STEP * force / mass
+    speed = velocity[i, axis] + _STEP * force / mass
     velocity[i, axis] = MEMORY * speed + heat * kick
-    return 0.5 * STEP * (speed + velocity[i, axis])
+    return 0.5 * _STEP * (speed + velocity[i, axis])
 
 
 @ti.func
-def turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
+def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     """Turn copy r of a robot, its docks with it."""
     count = robots.number.shape[0]
-    kick = kick_of(step.seed, r // count, -1 - robots.number[r % count], step.number)[0]
+    kick = _kick_of(step.seed, r // count, -1 - robots.number[r % count], step.number)[0]
     heading = ti.static(swarm.heading)
     turn = moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
     heading[r, YAW] += turn
@@ -96,7 +96,7 @@ def turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
 
 
 @ti.func
-def move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
+def _move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
     """Write the shift of every subtree of block b, with that of the subtrees it grows out of.
 
     A subtree that becomes heavier keeps its kinetic energy.
@@ -125,7 +125,7 @@ def move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
             trees.pull[parent, c] += trees.pull[k, c]
     for k in range(first + 1, last):
         n = k - chain * count
-        kick = kick_of(step.seed, chain, SUBTREE_KICKS + k - first, step.number)
+        kick = _kick_of(step.seed, chain, _SUBTREE_KICKS + k - first, step.number)
         for c in ti.static(range(3)):
             trees.shift[k, c] = trees.shift[first + trees.table[n, 2], c]
             if trees.table[n, 3 + c] == 1:
@@ -135,7 +135,7 @@ def move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
 
 
 @ti.func
-def move_robot(
+def _move_robot(
     r, turning: Static, step: Ref, robots: Ref, priors: Ref, trees: Ref, blocks: Ref,
     swarm: Ref,
 ):  # fmt: skip
@@ -146,7 +146,7 @@ def move_robot(
     """
     i = r % robots.number.shape[0]
     strayed = 0.0 * swarm.mass[r]
-    kick = kick_of(step.seed, r // robots.number.shape[0], robots.number[i], step.number)
+    kick = _kick_of(step.seed, r // robots.number.shape[0], robots.number[i], step.number)
     for c in ti.static(range(3)):
         if robots.number[i] > 0:
             mass, force = swarm.mass[r], swarm.force[r, c]
@@ -154,7 +154,7 @@ def move_robot(
             swarm.position[r, c] += alone + trees.shift[trees.of_robot[r], c]
         strayed += (swarm.position[r, c] - blocks.listed[4 * r + c]) ** 2
     if ti.static(turning) and priors.yaw_precision[i] > 0.0:
-        turn_robot(r, step, robots, swarm)
+        _turn_robot(r, step, robots, swarm)
     if step.is_averaged:
         for c in ti.static(range(3)):
             swarm.total[r, c] += swarm.position[r, c]
@@ -163,7 +163,7 @@ def move_robot(
 
 
 @ti.func
-def grow_old(b, strayed, blocks: Ref):
+def _grow_old(b, strayed, blocks: Ref):
     """Decide whether the rows of block b serve one more step, and how far the next ones reach.
 
     Args:
@@ -178,9 +178,9 @@ def grow_old(b, strayed, blocks: Ref):
 
 
 @ti.func
-def growth_at(t, growing):
+def _growth_at(t, growing):
     """Size of the docks in step `t`, as a part of their full size."""
-    return ti.min(1.0, ti.max(SMALLEST, (t + 1.0) / growing))
+    return ti.min(1.0, ti.max(_SMALLEST, (t + 1.0) / growing))
 
 
 @ti.kernel
@@ -308,7 +308,7 @@ def take_steps(
                 while taken[b] < until and longest[b] <= room:
                     t = taken[b]
                     s = sigma[b % sigma.shape[0], t]
-                    growth = growth_at(t, growing)
+                    growth = _growth_at(t, growing)
                     is_averaged = t >= hold
                     step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
                     if age[b] == STALE:
@@ -326,18 +326,18 @@ def take_steps(
                             pull_robot(
                                 r, docks, turning, step, robots, contacts, priors, grid, rows, swarm
                             )
-                        move_subtrees(b, step, trees, blocks, swarm)
+                        _move_subtrees(b, step, trees, blocks, swarm)
                         strayed = 0.0
                         for r in range(start, end):
-                            distance = move_robot(
+                            distance = _move_robot(
                                 r, turning, step, robots, priors, trees, blocks, swarm
                             )
                             strayed = ti.max(strayed, distance)
-                        grow_old(b, strayed, blocks)
+                        _grow_old(b, strayed, blocks)
                         taken[b] = t + 1
     else:
         t = taken[0]
-        growth = growth_at(t, growing)
+        growth = _growth_at(t, growing)
         is_averaged = t >= hold
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
@@ -349,15 +349,15 @@ def take_steps(
                 b = i // GRAIN
                 s = sigma[b % sigma.shape[0], t]
                 step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-                move_subtrees(b, step, trees, blocks, swarm)
+                _move_subtrees(b, step, trees, blocks, swarm)
         strayed = 0.0
         for r in range(row_count.shape[0]):
             s = sigma[structure[r % structure.shape[0]], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-            distance = move_robot(r, turning, step, robots, priors, trees, blocks, swarm)
+            distance = _move_robot(r, turning, step, robots, priors, trees, blocks, swarm)
             ti.atomic_max(strayed, distance)
         taken[0] = t + 1
-        grow_old(0, strayed, blocks)
+        _grow_old(0, strayed, blocks)
 
 
 @ti.kernel

@@ -18,7 +18,7 @@ from tiswarm.measurements.model import SPACING, Measurements
 from tiswarm.measurements.odometry import ASSUMED, Odometry
 from tiswarm.records.sensing_log import SensingLog
 
-CLEARANCE = 10.0
+_CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
 more than docks of two robots that could overlap."""
 ALLOWED_SD = 4.0
@@ -237,7 +237,7 @@ def _separated(problem: Problem, anchor: Reals, sd: float) -> Problem:
     np.maximum.at(size, problem.part, problem.reach())
     first = np.sort(first[problem.untied[first]])
     row = np.r_[0, first]
-    width = size[problem.part[row]] + CLEARANCE
+    width = size[problem.part[row]] + _CLEARANCE
     place, precision = problem.place.copy(), problem.precision.copy()
     middle = anchor[0] + np.cumsum(width[1:] + width[:-1])
     for i, x in zip(first.tolist(), middle.tolist(), strict=True):

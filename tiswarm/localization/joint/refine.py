@@ -21,7 +21,7 @@ from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import REFINE
 from tiswarm.measurements.model import Measurements
 
-UNKNOWNS = 7
+_UNKNOWNS = 7
 """Unknowns of a robot: its shift, the turn of its final stance, and its yaw."""
 
 
@@ -218,7 +218,7 @@ class _Linear:
         own, turn, free = np.split(draw, sizes[:-1])
         error = self.noise @ turn + np.sqrt(self.own_variance)[:, None] * own
         _, step = self._solve(error, np.sqrt(self.precision[self.free])[:, None] * free)
-        shift = step[: 3 * (len(step) // UNKNOWNS)].reshape(-1, 3, REFINE.draws)
+        shift = step[: 3 * (len(step) // _UNKNOWNS)].reshape(-1, 3, REFINE.draws)
         square: Reals = (shift**2).sum(axis=1).mean(axis=1)
         return square
 

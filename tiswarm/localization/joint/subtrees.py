@@ -17,10 +17,10 @@ from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.contacts import touching
 
-SUBTREE_WEIGHT = 3.0
+_SUBTREE_WEIGHT = 3.0
 """Least mass of a subtree, in masses of its own robots: contacts hold these no less stiffly than
 the subtree, and they move beside it."""
-MOST_MOBILITY = 3.0
+_MOST_MOBILITY = 3.0
 """Most that 1 / mass of all subtrees a robot is in may add up to, for a robot of mass 1. An overlap
 of two robots pushes them and all subtrees that contain one of them, so the work of a step is
 proportional to that sum, which would grow with the number of robots in a thin arm. Results on
@@ -101,14 +101,14 @@ def weights(tree: Forest) -> Reals:
     Thin subtrees that grow out of each other are heavier the more of them there are; the longest
     continuation of a subtree decides.
     """
-    mobility = 1.0 / (SUBTREE_WEIGHT * np.diff(tree.first))
+    mobility = 1.0 / (_SUBTREE_WEIGHT * np.diff(tree.first))
     mobility[0] = 0.0  # everyone together does not move
     total = mobility.copy()
     for subtree in range(1, len(total)):
         total[subtree] += total[tree.parent[subtree]]
     for subtree in range(len(total) - 1, 0, -1):
         total[tree.parent[subtree]] = max(total[tree.parent[subtree]], total[subtree])
-    return SUBTREE_WEIGHT * np.maximum(1.0, total / MOST_MOBILITY)
+    return _SUBTREE_WEIGHT * np.maximum(1.0, total / _MOST_MOBILITY)
 
 
 def _levels(robots: int, pair: Ints) -> Ints:
