@@ -51,7 +51,7 @@ def _check(log, estimate):
     assert (distance <= bound + 1e-9).all()
 
 
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=6)
 @given(
     rule=st.builds(
         Rule,
