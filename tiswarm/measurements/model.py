@@ -22,7 +22,6 @@ from tiswarm.measurements.odometry import Odometry
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
 
-TINY = 1e-12
 _AXES = 3
 
 
@@ -195,12 +194,11 @@ class Measurements:
             other_arm=self.other_arm[distance],
         )
 
-    def variance(self, direction: Reals | None = None) -> Reals:
+    def variance(self) -> Reals:
         """Propagate the noise of orientations to the rows.
 
-        Args:
-            direction: Unit vector of each row, shape (E, 3), as `linearize` returns it. If None,
-                that of a distance is unknown: its variance is the mean over all directions.
+        The direction of a distance is unknown before the positions are: its variance is the mean
+        over all directions.
 
         Returns:
             Variance of each row [R^2], shape (E,).
@@ -209,10 +207,8 @@ class Measurements:
         stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
         noise = self.odometry.arms(stance, dock)[1]
         noise[: len(self.other)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
-        if direction is None:
-            direction = np.concatenate(
-                [np.full((len(self.other), _AXES), _AXES**-0.5), p.direction]
-            )
+        every = np.full((len(self.other), _AXES), _AXES**-0.5)
+        direction = np.concatenate([every, p.direction])
         variance: Reals = (direction**2 * noise).sum(axis=1) + self.own_variance
         return variance
 
