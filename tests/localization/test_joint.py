@@ -17,7 +17,6 @@ from tiswarm.localization.joint.settings import SCHEDULE
 from tiswarm.localization.joint.subtrees import find_subtrees, weights
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.measurements.contacts import sensed_contacts
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.robot import RobotGeometry
@@ -361,7 +360,7 @@ def test_wrong_contacts_are_given_up(towers):
     for log, history, estimate in zip(logs, towers, robust, strict=True):
         judged = outlier_scores(history, log, estimate, cues=params.cues)
         true = _touched(history)
-        felt = [tuple(row) for row in sensed_contacts(log, CUES).tolist()]
+        felt = [tuple(row) for row in measure(log, CUES).sensed_contacts.tolist()]
         doubted = [tuple(row) for row in estimate.outlier_contacts.tolist()]
         wrong = [row for row in felt if row not in true]
         hits = [row for row in doubted if row in wrong]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.contacts import sensed_contacts
+from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import observability
 from tiswarm.sensing import SensingParams, observe
 
@@ -37,7 +37,7 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         gap = known.residual(history.position, yaw)
         walked = np.exp(1j * yaw) * (known.walk @ [1.0, 1j])
         place = known.place - np.column_stack([walked.real, walked.imag, np.zeros(len(yaw))])
-        felt = {tuple(row) for row in sensed_contacts(log, ALL.cues).tolist()}
+        felt = {tuple(row) for row in measure(log, ALL.cues).sensed_contacts.tolist()}
         assert {tuple(row) for row in known.contacts.tolist()} <= felt
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel

@@ -68,7 +68,7 @@ def outlier_scores(
     """
     if estimate.outlier_contacts is None:
         return {}
-    sensed = contacts.sensed_contacts(log, cues)
+    sensed = measure(log, cues).sensed_contacts
     true = np.concatenate(
         [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
     )

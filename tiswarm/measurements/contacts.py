@@ -1,7 +1,5 @@
 """Who touches whom: robots are the nodes of a graph, contacts its edges."""
 
-from collections.abc import Collection
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, coo_matrix
@@ -9,7 +7,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import owners
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -91,21 +88,3 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
     firsts = np.unique(part, return_index=True)[1]
     bound: Reals = dijkstra(graph, directed=False, indices=firsts, min_only=True)
     return bound
-
-
-def sensed_contacts(log: SensingLog, cues: Collection[str]) -> Ints:
-    """List contacts of the final and of earlier stances, as far as cues make use of them.
-
-    Rows of (robot, its stance from the spawn on, own dock, other robot, its dock), shape (K, 5).
-    """
-    rows = []
-    if "contacts" in cues:
-        i, a, j, b = log.contacts.T.astype(np.int64)
-        last = np.zeros_like(j) if log.stances is None else np.diff(log.stances.start)[j]
-        rows.append(np.column_stack([j, last, b, i, a]))
-    if "walk_contacts" in cues and log.stances is not None:
-        stance = log.stances.contacts[:, 0]
-        robot = owners(log.stances)[stance]
-        place = stance - log.stances.start[robot]
-        rows.append(np.column_stack([robot, place, log.stances.contacts[:, 1:]]))
-    return np.concatenate([np.empty((0, 5), np.int64), *rows])

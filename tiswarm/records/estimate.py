@@ -113,7 +113,7 @@ class Estimate:
     """Convergence; None where the method does not assess it."""
 
     outlier_contacts: Ints | None = None
-    """Outliers among the contacts, rows as `sensed_contacts` lists them, shape (K, 5); None where
+    """Outliers among the contacts, rows as `Measurements.sensed_contacts`, shape (K, 5); None where
     the method does not look for them, or did not converge."""
 
     outlier_places: Ints | None = None
