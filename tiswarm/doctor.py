@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tiswarm.child import child_command
 from tiswarm.compute import backend
 from tiswarm.params import ARCHS, Arch
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
@@ -31,7 +32,6 @@ _OPEN3D_LIBRARIES = {
 
 _PROBE = """
 import sys
-sys.path = [place for place in sys.path if place]  # no modules of the working folder
 from tiswarm import doctor
 from tiswarm.errors import TiswarmError
 try:
@@ -68,7 +68,7 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
     """Run a probe in a process of its own, because a bad driver or library may crash it."""
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and code
-            [sys.executable, "-c", _PROBE, probe.__name__, name],
+            child_command(_PROBE, probe.__name__, name),
             capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:

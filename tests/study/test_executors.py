@@ -42,8 +42,11 @@ def inject(tmp_path, monkeypatch):
     return into_processes
 
 
-def test_processes_side_by_side_change_no_byte(whole, tmp_path):
-    """Two processes give the bytes of one process."""
+def test_processes_side_by_side_change_no_byte(whole, tmp_path, monkeypatch):
+    """Two processes give the bytes of one process, and import no file of the working folder."""
+    (tmp_path / "calendar.py").write_text("x = 1")
+    monkeypatch.chdir(tmp_path)
+
     result = _run(tmp_path, workers=2)
 
     assert result.computed == 8

@@ -8,7 +8,6 @@ need a guard in the scripts of users.
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -19,6 +18,7 @@ from multiprocessing.connection import Connection, Pipe
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
+from tiswarm.child import child_command
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.progress import Progress
@@ -146,7 +146,7 @@ class _Process:
         self.connection, theirs = Pipe()
         code = "from tiswarm.study.executors import main; main({}, {})"
         self.process = subprocess.Popen(  # noqa: S603 - our own code
-            [sys.executable, "-c", code.format(theirs.fileno(), os.getpid())],
+            child_command(code.format(theirs.fileno(), os.getpid())),
             stdin=subprocess.DEVNULL, stdout=self.output, stderr=self.output,
             pass_fds=[theirs.fileno()],
         )  # fmt: skip
