@@ -163,8 +163,8 @@ def _inspect_log(path: Path) -> Inspection:
 def _inspect_scenario(path: Path) -> Inspection:
     # slow to import
     from tiswarm.scenario.expansion import find_mistakes, load_scenario  # noqa: PLC0415
-    from tiswarm.study import forecast, plan  # noqa: PLC0415
+    from tiswarm.study import forecast  # noqa: PLC0415
 
     if mistakes := find_mistakes(path):
         return Inspection(mistakes)
-    return Inspection(summary=str(forecast(plan(load_scenario(path)))))
+    return Inspection(summary=str(forecast(load_scenario(path))))

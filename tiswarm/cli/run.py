@@ -51,7 +51,7 @@ def run(
     progress = ConsoleProgress(quiet=quiet)
     plan = load_scenario(scenario, overrides)
     if only_plan:
-        typer.echo(study.forecast(study.plan(plan)))
+        typer.echo(study.forecast(plan))
         return
     if workers is not None and scheduler is not None:
         raise InputError("choose only one of --workers, --scheduler")

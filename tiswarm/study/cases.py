@@ -48,11 +48,15 @@ def series_text(point: Mapping[str, Any], condition: str) -> str:
     return ", ".join(filter(None, [point_text(point), condition]))
 
 
+def structure_kind(settings: Scenario) -> tuple[int, str]:
+    """Return all that determines a structure but its seed: size and settings."""
+    # Small structures sort first: they finish early, and need no memory that large ones took.
+    return settings.robots, repr((settings.structure, settings.robot))
+
+
 def structure_key(case: Case) -> tuple[int, str, int]:
     """Return all that determines the structure of a case: size, settings and seed."""
-    # Small structures sort first: they finish early, and need no memory that large ones took.
-    settings = case.settings
-    return (settings.robots, repr((settings.structure, settings.robot)), case.seed)
+    return (*structure_kind(case.settings), case.seed)
 
 
 def structures(cases: Sequence[Case]) -> list[list[Case]]:
@@ -67,7 +71,7 @@ def batches(cases: Sequence[Case], robots_at_once: int = ROBOTS_AT_ONCE) -> Iter
     All conditions of a structure are in the same batch, so each structure is grown once. A batch
     ends when its structures have `robots_at_once` robots.
     """
-    for _, alike in groupby(structures(cases), key=lambda group: structure_key(group[0])[:2]):
+    for _, alike in groupby(structures(cases), key=lambda group: structure_kind(group[0].settings)):
         batch: list[Case] = []
         robots = 0
         for group in alike:

@@ -22,8 +22,9 @@ from tiswarm.compute.backend import Backend
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.records.io import read_json, write_json
 from tiswarm.records.messages import counted
+from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
-from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, structures
+from tiswarm.study.cases import ROBOTS_AT_ONCE, structure_kind
 from tiswarm.version import __version__, code_digest
 
 CODE = code_digest()
@@ -164,17 +165,20 @@ class Forecast(NamedTuple):
         )
 
 
-def forecast(cases: Sequence[Case]) -> Forecast:
-    """Estimate the cost of cases, to a factor of about three; machines differ."""
-    robots = [case.settings.robots for case in cases]
-    at_once = max(min(sum(robots), ROBOTS_AT_ONCE), *robots, 0)
+def forecast(scenario: Scenario) -> Forecast:
+    """Estimate the cost of a run, to a factor of about three; machines differ."""
+    seeds, points = len(scenario.seed_list), [point.settings for point in variants(scenario)]
+    robots = seeds * sum(settings.robots for settings in points)
+    largest = max(settings.robots for settings in points)
+    at_once = max(min(robots, ROBOTS_AT_ONCE), largest)
+    grown = {structure_kind(settings): settings for settings in points}
     return Forecast(
-        cases=len(cases),
-        robots=sum(robots),
-        grow_s=sum(_grow_s(group[0].settings) for group in structures(cases)),
-        localize_s=sum(_localize_s(case.settings) for case in cases),
-        rest_s=_START_S + _REST_S * sum(robots),
-        memory_mb=_BASE_MB + _ROBOT_MB * at_once + _SOLVE_MB * max(robots, default=0) ** 2,
+        cases=seeds * len(points),
+        robots=robots,
+        grow_s=seeds * sum(map(_grow_s, grown.values())),
+        localize_s=seeds * sum(map(_localize_s, points)),
+        rest_s=_START_S + _REST_S * robots,
+        memory_mb=_BASE_MB + _ROBOT_MB * at_once + _SOLVE_MB * largest**2,
     )
 
 
