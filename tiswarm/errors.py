@@ -2,11 +2,22 @@
 
 from pathlib import Path
 
+_LONGEST = 1000
+"""Characters of the longest message."""
+
 
 class TiswarmError(Exception):
     """Base of all errors that users see in one line, without a traceback."""
 
     exit_status = 1
+
+    def __init__(self, message: str = "") -> None:
+        """Escape what a terminal would obey instead of printing it, and cut a long middle out."""
+        letters = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in message)
+        line = "".join(letters)
+        if len(line) > _LONGEST:  # its end says what to do
+            line = f"{line[: _LONGEST - 205]} ... {line[-200:]}"
+        super().__init__(line)
 
 
 class InputError(TiswarmError):
