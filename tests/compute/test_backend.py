@@ -1,10 +1,12 @@
 """The backend is the one asked for, or an error."""
 
 import gc
+import math
 import os
 import subprocess
 import sys
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +56,19 @@ def test_a_start_that_failed_is_not_taken_for_running():
     probe_arithmetic(value)
 
     np.testing.assert_allclose(value, 1.0)
+
+
+def test_a_start_leaves_the_arithmetic_of_python_alone():
+    """The kernel library makes subnormal numbers 0, in a notebook and its later threads too."""
+    smallest, largest = float("1e-310"), float("1e308")
+
+    backend.start(threads=1)
+    backend.start(threads=2)
+
+    assert smallest / 2.0 == 5e-311
+    assert math.hypot(largest, largest) == math.sqrt(2.0) * largest
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(lambda: smallest / 2.0).result() == 5e-311
 
 
 @pytest.mark.parametrize(("arch", "threads"), [("abacus", None), ("cpu", 0), ("cpu", -2)])

@@ -6,6 +6,7 @@ change of device.
 
 import atexit
 import contextlib
+import ctypes
 import gc
 import io
 import os
@@ -135,7 +136,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         "debug": os.environ.get("TISWARM_DEBUG") == "1",
     }
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), _float_state_kept():
             ti.init(arch=wanted, log_level=ti.ERROR, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
@@ -146,6 +147,23 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         raise EnvironmentTroubleError(
             f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
         )
+
+
+@contextlib.contextmanager
+def _float_state_kept() -> Iterator[None]:
+    """Undo that `ti.init` makes subnormal results 0, which would hold for all of Python.
+
+    The kernels' own threads, which it starts, keep that state. Without POSIX nothing is undone.
+    """
+    math = ctypes.CDLL(None) if os.name == "posix" else None
+    state = ctypes.create_string_buffer(256)  # at least the size of any system's fenv_t
+    if math:
+        math.fegetenv(state)
+    try:
+        yield
+    finally:
+        if math:
+            math.fesetenv(state)
 
 
 def faulty_driver() -> EnvironmentTroubleError:
