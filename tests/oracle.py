@@ -30,92 +30,117 @@ def matrix(wxyz):
 
 
 def localize(log, params):
-    """Algorithm 1, robot by robot, dock by dock; everything in units of the dock radius.
+    """Algorithm 1, line by line as the paper lists it; everything in units of the dock radius.
+
+    Beside the listing: the ramp and the capped step, rounds of back-propagation, and the torque.
 
     Returns:
-        Positions, and how far robots were turned about the vertical [rad].
+        Positions, turns about the vertical [rad], and steps until each robot stopped.
     """
     turn = [matrix(q) for q in log.orientation_wxyz]
     dock = [[r @ b for b in log.dock_offset_body] for r in turn]
-    position = [np.array(log.anchor_position)]
-    yaw = np.zeros(log.robot_count)
-    rows = {tuple(row) for row in log.contacts}
-    rows |= {(j, b, i, a) for i, a, j, b in rows}
+    connected = {tuple(row) for row in log.contacts}
+    connected |= {(j, b, i, a) for i, a, j, b in connected}
+    place = {0: np.array(log.anchor_position)}
+    yaw, steps = np.zeros(log.robot_count), np.zeros(log.robot_count, int)
     rounds = params.back_propagation
-    for j in range(1, log.robot_count):
-        neighbors = sorted({i for i, _, other, _ in rows if other == j and i < j})
-        start = np.mean([position[i] for i in neighbors], axis=0)
-        up = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[j][:, 2]
-        position.append(start + params.initial_offset * up)
-        for t in range(1, params.iterations + 1):
-            ramp = t / params.iterations
-            move, angle = step(log, params, position, dock, rows, j, ramp, yaw[j])
-            position[j] = position[j] + move
-            turn_docks(dock, yaw, j, angle)
-        if rounds and (j + 1 == log.robot_count or (j + 1) % rounds.every == 0):
+    for r in range(1, log.robot_count):  # foreach new robot r joining the structure
+        own_z = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[r][:, 2]
+        around = [n for n in place if touches(connected, r, n)]
+        place[r] = np.mean([place[n] for n in around], axis=0) + params.initial_offset * own_z
+        for t in range(1, params.iterations + 1):  # repeat
+            force, torque = dock_forces(params, connected, place, dock, r, t / params.iterations)
+            update(log, params, place, dock, yaw, r, force, torque)
+            steps[r] = t
+            if misfit(log, params, connected, place, dock, r) < params.stop_error:
+                break
+        if rounds and (r + 1 == log.robot_count or (r + 1) % rounds.every == 0):
+            recent = list(place)[-rounds.recent :] if rounds.recent else list(place)
             for t in range(1, rounds.sweeps + 1):
                 ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
-                for i in range(j + 1):
-                    move, angle = step(
-                        log, params, position, dock, rows, i, ramp, yaw[i], rounds.gain, taut=True
-                    )
-                    position[i] = position[i] + (move if i else 0.0)
-                    turn_docks(dock, yaw, i, angle)
-    return np.array(position), yaw
+                for i in recent:
+                    force, torque = dock_forces(params, connected, place, dock, i, ramp, taut=True)
+                    update(log, params, place, dock, yaw, i, force, torque, rounds.gain)
+    return np.array(list(place.values())), yaw, steps
 
 
-def turn_docks(dock, yaw, robot, angle):
-    """Turn the docks of a robot about the vertical, and count the angle."""
-    yaw[robot] += angle
-    dock[robot] = [turned(arm, np.array([0, 0, 1.0]), angle) for arm in dock[robot]]
+def touches(connected, r, n):
+    """Whether any dock of robot r is connected to any of robot n."""
+    return any((r, a, n, b) in connected for a in range(3) for b in range(3))
 
 
-def step(log, params, position, dock, rows, robot, ramp, yaw, gain=1.0, *, taut=False):
-    """A share of the forces on a robot by all that have a position, no longer than the cap.
+def dock_forces(params, connected, place, dock, r, ramp, *, taut=False):
+    """Force on robot r, and its torque about the vertical: foreach neighbor, foreach dock pair.
 
-    And of their torque about the vertical, against the pull of the yaw that is sensed.
+    In rounds of back-propagation contacts are taut: docks that are too near part as firmly as
+    attraction pulls.
     """
     force, torque = np.zeros(3), 0.0
-    for i, other_position in enumerate(position):
-        if i == robot:
+    for n in place:
+        if n == r:
             continue
-        near = any((i, b, robot, a) in rows for a in range(3) for b in range(3))
-        for a, own in enumerate(dock[robot]):
-            for b, other in enumerate(dock[i]):
-                offset = other_position + other - position[robot] - own
-                pull = pair_force(offset, (i, b, robot, a) in rows, near, params, ramp, taut)
-                force += pull
-                torque += np.cross(own, pull)[2]
-    if params.z_correction:
-        force[2] += params.height_gain * (log.flip_height[robot] - position[robot][2])
-    force = gain * force
-    length = np.linalg.norm(force)
-    move = force * min(1.0, params.max_step / length if length else 1.0)
+        for a in range(3):
+            for b in range(3):
+                offset = place[n] + dock[n][b] - place[r] - dock[r][a]
+                distance = np.linalg.norm(offset)
+                push = np.zeros(3)
+                if (r, a, n, b) in connected:  # if docks are connected
+                    push = dock_pair_force(
+                        offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp
+                    )
+                    if taut and distance < 2.0:
+                        push += params.attraction_gain * ramp * (distance - 2.0) * offset / distance
+                elif distance < 2.0 and (
+                    params.undocked_repulsion
+                    or (params.neighbor_repulsion and touches(connected, r, n))
+                ):
+                    push = dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)
+                force += push
+                torque += np.cross(dock[r][a], push)[2]
+    return force, torque
+
+
+def update(log, params, place, dock, yaw, r, force, torque, share=1.0):
+    """Update P_r by the cumulative forces, and then by the height; the anchor stays."""
+    height = known_height(log, params, dock, r)
+    missing = 0.0 if np.isnan(height) else params.height_gain * (height - place[r][2])
+    if params.height_order == "with-docks":
+        force = force + np.array([0, 0, missing])
+    step = share * force
+    if np.linalg.norm(step) > params.max_step:
+        step *= params.max_step / np.linalg.norm(step)
+    if r > 0:
+        place[r] = place[r] + step
+    if r > 0 and params.height_order == "after-docks" and not np.isnan(height):
+        place[r] = place[r] + [0, 0, share * params.height_gain * (height - place[r][2])]
     law = params.virtual_torque
-    if not law:
-        return move, 0.0
-    sd = np.radians(np.hypot(log.noise.yaw_deg, log.noise.yaw_bias_deg))
-    hold = params.attraction_gain * law.tolerance**2 / sd**2
-    turn = gain * law.gain * (torque - hold * yaw) / (1.0 + gain * law.gain * hold)
-    return move, np.clip(turn, -np.radians(law.max_turn_deg), np.radians(law.max_turn_deg))
+    if law:
+        sd = np.radians(np.hypot(log.noise.yaw_deg, log.noise.yaw_bias_deg))
+        hold = params.attraction_gain * law.tolerance**2 / sd**2
+        angle = share * law.gain * (torque - hold * yaw[r]) / (1.0 + share * law.gain * hold)
+        angle = np.clip(angle, -np.radians(law.max_turn_deg), np.radians(law.max_turn_deg))
+        yaw[r] += angle
+        dock[r] = [turned(arm, np.array([0, 0, 1.0]), angle) for arm in dock[r]]
 
 
-def pair_force(offset, connected, near, params, ramp, taut):
-    """Eq. (1) for connected docks, Eq. (2) for others closer than D, of robots near or anywhere.
+def known_height(log, params, dock, r):
+    """Height of a robot's center: by docks on the ground, else by its flips; NaN if unknown."""
+    standing = [a for robot, a in log.ground_docks if robot == r]
+    if params.ground and standing:
+        return np.mean([log.ground_z + 1.0 - dock[r][a][2] for a in standing])
+    return log.flip_height[r] if params.z_correction else np.nan
 
-    Where contacts are taut, docks that are too near part by attraction's gain.
-    """
-    distance = np.linalg.norm(offset)
-    if connected:
-        spring = (
-            params.attraction_gain * ramp * (distance - 2.0) if taut and distance < 2.0 else 0.0
-        )
-        force = dock_pair_force(offset, params.attraction_gain, params.repulsion_gain, 2.0, ramp)
-        return force + spring * offset / distance
-    wanted = params.undocked_repulsion or (params.neighbor_repulsion and near)
-    if wanted and np.linalg.norm(offset) < 2.0:
-        return dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)
-    return np.zeros(3)
+
+def misfit(log, params, connected, place, dock, r):
+    """Root mean square by which contacts with earlier robots miss D, and the center its height."""
+    missed = [
+        np.linalg.norm(place[n] + dock[n][b] - place[r] - dock[r][a]) - 2.0
+        for mine, a, n, b in connected
+        if mine == r and n < r
+    ]
+    height = known_height(log, params, dock, r)
+    missed += [] if np.isnan(height) else [height - place[r][2]]
+    return np.sqrt(np.mean(np.square(missed)))
 
 
 def turned(vector, axis, angle):

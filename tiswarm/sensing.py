@@ -148,14 +148,16 @@ def _spawn_position(history: History, params: SensingParams) -> Reals:
 def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
     """Return the height of each robot's center that its own flips imply, shape (N,).
 
-    A robot starts flat on the ground. A flip about the dock at b moves its center by
-    (R - R') b, where R and R' are the orientations sensed before and after.
+    A robot starts on the ground, with its center above the docks that stand there. A flip about the
+    dock at b moves its center by (R - R') b, where R and R' are the orientations sensed before and
+    after. NaN for a robot that starts without a dock on the ground.
     """
     dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]
-    start_height = history.ground_z + history.robot.dock_radius
-    height = np.full(len(end), start_height)
+    height = np.full(len(end), history.ground_z + history.robot.dock_radius)
     for j, walk in enumerate(history.walks):
         rows = dock_height[end[j] - walk.stance_count : end[j]]
+        standing = walk.ground_docks[walk.ground_docks[:, 0] == 0, 1]
+        height[j] -= rows[0, standing].mean() if len(standing) else np.nan
         step = np.arange(walk.stance_count - 1)
         height[j] += np.sum(rows[step, walk.pivot_dock] - rows[step + 1, walk.pivot_dock])
     return height

@@ -34,8 +34,16 @@ CUES = [
         SHORT, z_correction=False, undocked_repulsion=False, neighbor_repulsion=True
     ),
     dataclasses.replace(SHORT, initial_offset_axis="body", initial_offset=1.0, max_step=0.3),
+    dataclasses.replace(SHORT, z_correction=False, ground=False),
+    dataclasses.replace(SHORT, height_order="after-docks"),
+    dataclasses.replace(SHORT, stop_error=0.1),
     dataclasses.replace(
         SHORT, back_propagation=BackPropagation(every=5, sweeps=12, repulsion_share=0.7)
+    ),
+    dataclasses.replace(
+        SHORT,
+        height_order="after-docks",
+        back_propagation=BackPropagation(every=5, sweeps=12, recent=4, repulsion_share=0.7),
     ),
     dataclasses.replace(SHORT, virtual_torque=VirtualTorque(tolerance=0.03, max_turn_deg=0.3)),
     dataclasses.replace(
@@ -73,8 +81,9 @@ def test_algorithm_1_matches_the_paper_written_out_slowly(log, params):
     estimate = localize(log, params)
 
     # Docks that just overlap or just do not make rounding grow, to some 1e-8 by robot 11.
-    place, yaw = oracle.localize(log, params)
+    place, yaw, steps = oracle.localize(log, params)
     np.testing.assert_allclose(estimate.position, place, atol=1e-6)
+    np.testing.assert_array_equal(estimate.steps, steps)
     if params.virtual_torque:
         np.testing.assert_allclose(estimate.yaw, yaw, atol=1e-6)
         assert np.abs(yaw).max() > 0.01
@@ -92,9 +101,12 @@ def test_a_wrong_reference_would_be_noticed(log):
 @settings(deadline=None, max_examples=20)
 @given(shift=vectors)
 def test_moving_the_anchor_moves_the_estimate(log, shift):
-    """Nothing but the anchor and the heights says where the world's origin is."""
+    """Nothing but the anchor, the ground and the heights says where the world's origin is."""
     moved = dataclasses.replace(
-        log, anchor_position=log.anchor_position + shift, flip_height=log.flip_height + shift[2]
+        log,
+        anchor_position=log.anchor_position + shift,
+        ground_z=log.ground_z + shift[2],
+        flip_height=log.flip_height + shift[2],
     )
 
     estimate = localize(moved, SHORT).position - shift
@@ -106,7 +118,9 @@ def test_moving_the_anchor_moves_the_estimate(log, shift):
 @given(turn=rotations)
 def test_turning_the_world_turns_the_estimate(log, turn):
     """Without a height and with a body-fixed start no direction is special."""
-    params = dataclasses.replace(SHORT, z_correction=False, initial_offset_axis="body")
+    params = dataclasses.replace(
+        SHORT, z_correction=False, ground=False, initial_offset_axis="body"
+    )
     rotation = Rotation.from_quat(turn, scalar_first=True)
     orientation = rotation * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
     turned = dataclasses.replace(
@@ -242,6 +256,34 @@ def test_the_trace_ends_at_the_estimate(log, rounds, frames):
         estimate.trace[:, 0], np.tile(log.anchor_position, (len(frames), 1))
     )
     assert np.isfinite(estimate.residual).all()
+
+
+def test_robots_that_a_round_leaves_alone_keep_their_place(log):
+    """A round of the last four moves no other robot, in the estimate or in its trace."""
+    rounds = BackPropagation(every=100, sweeps=8, recent=4)
+    params = dataclasses.replace(SHORT, iterations=11, trace_every=4, back_propagation=rounds)
+
+    estimate = localize(log, params)
+
+    alone = localize(log, dataclasses.replace(params, back_propagation=None))
+    for frame in estimate.trace[len(alone.iteration) :]:
+        np.testing.assert_array_equal(frame[:-4], alone.position[:-4])
+        assert np.abs(frame[-4:] - alone.position[-4:]).max() > 1e-3
+
+
+def test_a_robot_that_fits_stops_early(log):
+    """It takes fewer steps, and its misfit is below the threshold."""
+    params = dataclasses.replace(SHORT, iterations=400, undocked_repulsion=False, stop_error=0.02)
+
+    estimate = localize(log, params)
+
+    assert 1 <= estimate.steps[1:].min() < 400
+    stopped = np.flatnonzero(estimate.steps[1:] < 400) + 1
+    dock = estimate.position[:, None] + dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    i, a, j, b = log.contacts.T
+    gap = np.linalg.norm(dock[j, b] - dock[i, a], axis=1) - log.spacing
+    for robot in stopped:
+        assert np.abs(gap[j == robot]).max(initial=0.0) < 0.02 * np.sqrt((j == robot).sum() + 1)
 
 
 def test_later_robots_correct_earlier_ones(log):

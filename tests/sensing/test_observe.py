@@ -31,6 +31,36 @@ def test_noiseless_flips_imply_the_true_height(towers):
         np.testing.assert_array_equal(log.orientation_wxyz, history.orientation_wxyz)
 
 
+def test_a_robot_may_start_in_any_stance_on_the_ground(towers):
+    """Docks on the ground at first give the height, whether the robot lies flat or stands."""
+    history = towers[0]
+    starts = [max(walk.ground_docks[:, 0], default=0) for walk in history.walks]
+    cut = dataclasses.replace(history, walks=tuple(map(_begun_later, history.walks, starts)))
+    turn = Rotation.from_quat([w.orientation_wxyz[0] for w in cut.walks], scalar_first=True)
+    assert (turn.apply([0, 0, 1])[:, 2] < 0.9).any()  # some do not lie flat
+
+    log = observe(cut, SensingParams())
+
+    np.testing.assert_allclose(log.flip_height, history.position[:, 2], atol=1e-11)
+
+
+def _begun_later(walk, stance):
+    """The walk from a stance on."""
+
+    def later(rows):
+        return rows[rows[:, 0] >= stance] - np.eye(1, rows.shape[1], dtype=np.int32) * stance
+
+    return dataclasses.replace(
+        walk,
+        center=walk.center[stance:],
+        orientation_wxyz=walk.orientation_wxyz[stance:],
+        pivot_dock=walk.pivot_dock[stance:],
+        contacts=later(walk.contacts),
+        ground_docks=later(walk.ground_docks),
+        edge_docks=later(walk.edge_docks),
+    )
+
+
 def test_the_flip_history_leads_from_the_spawn_to_the_final_place(towers):
     """Odometry along the stances and pivots ends at the true position."""
     history = towers[0]

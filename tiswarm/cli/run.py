@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from typer import Argument, Option
@@ -96,6 +96,9 @@ def tune(
     condition: Annotated[
         list[str], Option(help="Condition to include (repeatable; default: all).")
     ] = [],  # noqa: B006 - typer never changes it
+    objective: Annotated[
+        Literal["sse", "rmse"], Option(help="Error to minimize, in the mean over structures.")
+    ] = "sse",
     out: Annotated[Path, Option(help="Record of the fit to write or continue.")] = Path("fit.json"),
     arch: OneArch = "cpu",
     threads: Threads = None,
@@ -112,7 +115,7 @@ def tune(
     record = study.tune(
         load_scenario(scenario, overrides), out,
         trials=trials, training_seeds=training_seeds, conditions=condition,
-        progress=ConsoleProgress(quiet=quiet), arch=arch, threads=threads,
+        progress=ConsoleProgress(quiet=quiet), objective=objective, arch=arch, threads=threads,
     )  # fmt: skip
     if not quiet:
         for name in ("best", "chosen"):

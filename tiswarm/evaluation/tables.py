@@ -50,6 +50,7 @@ def score(
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
+        **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[1:])}),
         **_calibration(truth, estimate),
     }
 

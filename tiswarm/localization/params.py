@@ -29,6 +29,9 @@ class BackPropagation:
     every: Annotated[int, Field(ge=1)] = 10
     """Joins between two rounds; the last join is followed by one too."""
 
+    recent: Annotated[int, Field(ge=1)] | None = None
+    """Robots that a round moves, those that joined last, as the paper proposes; all if null."""
+
     sweeps: Annotated[int, Field(ge=0, le=1_000_000)] = 2000
     """Steps that every robot takes in a round; 0 switches rounds off."""
 
@@ -75,6 +78,13 @@ class VirtualForceParams:
     z_correction: bool = True
     """Pull each robot toward the height that its flips imply, Eq. (3)."""
 
+    ground: bool = True
+    """Pull each robot that stands on flat ground toward the height that this implies, Eq. (3)."""
+
+    height_order: Literal["with-docks", "after-docks"] = "with-docks"
+    """Whether Eq. (3) adds to the forces at the docks, or moves the robot after they did, in a step
+    that nothing caps, as in the listing of Algorithm 1."""
+
     undocked_repulsion: bool = True
     """Push apart docks that overlap though they are not in contact, Eq. (2)."""
 
@@ -108,7 +118,11 @@ class VirtualForceParams:
     useful gains diverge."""
 
     iterations: Annotated[int, Field(ge=1, le=1_000_000)] = 300
-    """T: refinement steps of each robot."""
+    """T: most refinement steps of each robot."""
+
+    stop_error: Annotated[float, Field(ge=0.0)] = 0.0
+    """A robot stops early once its misfit is below this [R]: the root mean square by which its
+    contacts miss D and its center its height; 0 never stops it."""
 
     trace_every: Annotated[int, Field(ge=1)] = 5
     """The trace keeps every so many iterations, and the last."""
@@ -120,6 +134,7 @@ class VirtualForceParams:
             "contacts": True,
             "non_overlap": self.undocked_repulsion,
             "height": self.z_correction,
+            "ground": self.ground,
         }
         return tuple(cue for cue, is_used in chosen.items() if is_used)
 

@@ -1,9 +1,10 @@
 """The paper's method, Algorithm 1: robots in join order, each refined by virtual forces.
 
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
-linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; a
-robot stops after T steps, since the error that the paper's loop tests is unknown to it. The paper
-says only that back-propagation would follow every ten joins, and that a virtual torque would align
+linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; the error
+that the paper's loop tests is what a robot misses its measurements by, since its true error is
+unknown to it; a robot that touches no earlier one starts from the anchor. The paper says only that
+back-propagation would revisit recent robots every ten joins, and that a virtual torque would align
 yaw by dock geometry and neighbors.
 
 `localize_batch` places the robots of whole logs, `Localizer` each robot as it joins.
@@ -32,8 +33,8 @@ from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_file import SensingLogBuilder
-from tiswarm.records.sensing_format import parse_header, parse_robot
+from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
+from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
@@ -47,7 +48,7 @@ Line = str | Mapping[str, object]
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
     rounds = params.back_propagation or _NO_SWEEPS
-    schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps)
+    schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps, rounds.recent)
     return (len(log.dock_offset_body), *schedule)
 
 
@@ -71,7 +72,7 @@ def localize_batch(
     start = np.cumsum([0, *(log.robot_count for log in logs)]).astype(np.int32)
     both = list(zip(logs, params, strict=True))
     direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
-    height = np.concatenate([log.flip_height / log.dock_radius for log in logs])
+    height = np.concatenate([_heights(log, p) for log, p in both])
     measured = LogArrays(*_contacts_by_robot(logs), direction.astype(dtype), height.astype(dtype))
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
@@ -79,10 +80,13 @@ def localize_batch(
     placed = _robots(np.concatenate(offsets).astype(dtype))
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
     shape = (len(frames), len(placed.yaw))
-    trace = Trace(np.empty((*shape, 3), dtype), np.empty(shape, dtype))
+    trace = Trace(
+        np.empty((*shape, 3), dtype), np.empty(shape, dtype), np.empty(shape[1], np.int32)
+    )
+    recent = rounds.recent or len(placed.yaw)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     kernels.localize_in_join_order(
-        iterations, rounds.every, rounds.sweeps, every,
+        iterations, rounds.every, rounds.sweeps, recent, every,
         np.array([_gains(p, log.noise) for log, p in both], dtype), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
         *trace,
@@ -91,6 +95,9 @@ def localize_batch(
         raise backend.faulty_driver()
     estimates = []
     for (log, p), a, b in zip(both, start[:-1], start[1:], strict=True):
+        older = slice(a, max(a, b - recent))  # robots that the last round left where they were
+        trace.position[frames > iterations, older] = placed.position[older]
+        trace.step_length[frames > iterations, older] = 0.0
         scaled = trace.position[:, a:b].astype(np.float64) * log.dock_radius
         steps = trace.step_length[:, a:b].astype(np.float64) * log.dock_radius
         turns = bool(_torque(p, log.noise).gain)
@@ -103,6 +110,7 @@ def localize_batch(
                 iteration=frames,
                 trace=scaled,
                 residual=np.sqrt(np.mean(steps**2, axis=1)),
+                steps=trace.steps[a:b],
             )
         )
     return estimates
@@ -157,7 +165,7 @@ class Localizer:
         self._params = chosen
         self._unit = head.dock_radius
         self._builder = SensingLogBuilder(head)
-        self._noise = head.noise
+        self._head = head
         self._dock_body = np.array(head.dock_offsets, np.float64) / self._unit
         docks, dtype = len(self._dock_body), backend.current().dtype
         self._count = 0
@@ -199,15 +207,32 @@ class Localizer:
             )
         line = parse_robot(_text(robot))
         stance = self._builder.add(line)
-        n, orientation = self._count, np.array([stance.orientation_wxyz])
-        self._robots.dock_offset[n] = dock_offsets(orientation, self._dock_body)[0]
-        self._direction[n] = _directions(orientation, self._params)[0]
-        height = np.nan if line.flip_height is None else line.flip_height - self._anchor[2]
-        self._height[n] = height / self._unit
+        n, alone = self._count, self._alone(line, stance)
+        self._robots.dock_offset[n] = dock_offsets(alone.orientation_wxyz, self._dock_body)[0]
+        self._direction[n] = _directions(alone.orientation_wxyz, self._params)[0]
+        self._height[n] = _heights(alone, self._params)[0]
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         placed: Reals = self.positions[n]
         return placed
+
+    def _alone(self, line: RobotLine, stance: SensedStance) -> SensingLog:
+        """Make a log of one robot, without contacts, relative to the anchor."""
+        level, up = self._head.ground_z, self._anchor[2]
+        height = np.nan if line.flip_height is None else line.flip_height - up
+        docks = [(0, *dock) for dock in stance.lists["ground_docks"]]
+        return SensingLog(
+            robot_id=np.zeros(1, np.int64),
+            dock_radius=self._unit,
+            dock_offset_body=np.array(self._head.dock_offsets),
+            anchor_position=np.zeros(3),
+            orientation_wxyz=np.array([stance.orientation_wxyz]),
+            contacts=np.empty((0, 4), np.int32),
+            ground_z=None if level is None else level - up,
+            ground_docks=np.array(docks, np.int32).reshape(-1, 2),
+            flip_height=np.array([height]),
+            spawn_position=np.full((1, 3), np.nan),
+        )
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
@@ -215,9 +240,13 @@ class Localizer:
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(self._contact_start, contact, self._direction, self._height)
         capacity = len(self._height)
-        trace = Trace(np.empty((2, capacity, 3), dtype), np.empty((2, capacity), dtype))
+        trace = Trace(
+            np.empty((2, capacity, 3), dtype),
+            np.empty((2, capacity), dtype),
+            np.empty(capacity, np.int32),
+        )
         kernels.localize_in_join_order(
-            every, 1, 0, every, np.array([_gains(self._params, self._noise)], dtype),
+            every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)], dtype),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
         )  # fmt: skip
@@ -244,7 +273,7 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
     return Gains(
         attraction_gain=params.attraction_gain,
         repulsion_gain=params.repulsion_gain,
-        height_gain=params.height_gain if params.z_correction else 0.0,
+        height_gain=params.height_gain,
         initial_offset=params.initial_offset,
         max_step=params.max_step,
         sweep_gain=rounds.gain,
@@ -254,7 +283,19 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
         torque_gain=torque.gain,
         hold=params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
         max_turn=float(np.radians(torque.max_turn_deg)),
+        height_last=float(params.height_order == "after-docks"),
+        stop_error=params.stop_error,
     )
+
+
+def _heights(log: SensingLog, params: VirtualForceParams) -> Reals:
+    """Heights of centers by contact with the ground, else by flips [R], NaN if unknown, (N,)."""
+    flips: Reals = log.flip_height / log.dock_radius
+    height = flips if params.z_correction else np.full_like(flips, np.nan)
+    rows = measure(log, ["ground"] if params.ground else [])
+    count = np.bincount(rows.robot, minlength=log.robot_count)
+    total = np.bincount(rows.robot, rows.places.value - rows.arm[:, 2], log.robot_count)
+    return np.where(count > 0, total / np.maximum(count, 1), height)
 
 
 def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:

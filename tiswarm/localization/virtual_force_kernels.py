@@ -54,6 +54,12 @@ class Gains(NamedTuple):
     max_turn: float
     """Largest turn of a robot in a step [rad]."""
 
+    height_last: float
+    """1 where Eq. (3) is a step of its own, after that of the docks."""
+
+    stop_error: float
+    """Misfit of a robot below which it stops [R]."""
+
 
 class LogArrays(NamedTuple):
     """Logs of N robots of all structures, end to end."""
@@ -67,8 +73,8 @@ class LogArrays(NamedTuple):
     initial_direction: Reals2
     """Unit vector of the initial offset, shape (N, 3)."""
 
-    flip_height: Reals1
-    """Height from the flips [R], NaN where unknown, shape (N,)."""
+    height: Reals1
+    """Measured height of each center [R], NaN where unknown, shape (N,)."""
 
 
 class Robots(NamedTuple):
@@ -92,6 +98,9 @@ class Trace(NamedTuple):
 
     step_length: Reals2
     """Last step before each frame [R], shape (F, N)."""
+
+    steps: Ints1
+    """Steps that each robot took before the next one joined, shape (N,)."""
 
 
 @ti.func
@@ -196,10 +205,37 @@ def virtual_force(
     force = _connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
     if gains.undocked != NO_DOCKS:
         force += _undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
-    if not ti.math.isnan(measured.flip_height[robot]):
-        lift = measured.flip_height[robot] - robots.position[robot, 2]
-        force[2] += gains.height_gain * lift
+    if gains.height_last == 0.0:
+        force[2] += gains.height_gain * _height_missing(measured, robot, robots.position[robot, 2])
     return force
+
+
+@ti.func
+def _height_missing(measured: Ref, robot, z):
+    """Compute how far below its measured height a robot is at `z`; 0 where that is unknown."""
+    missing = measured.height[robot] - z
+    return ti.select(ti.math.isnan(missing), 0.0, missing)
+
+
+@ti.func
+def _misfit(gains: Ref, robot, base, measured: Ref, robots: Ref):
+    """Root mean square of what a robot misses: D by its contacts with earlier ones, its height.
+
+    Infinite where it measures neither.
+    """
+    total = 0.0 * robots.position[robot, 2]
+    count = 0
+    for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
+        partner = measured.contact[row, 1]
+        if partner < robot - base:
+            own = dock_at(robots, robot, measured.contact[row, 0])
+            other = dock_at(robots, base + partner, measured.contact[row, 2])
+            total += ((other - own).norm() - gains.spacing) ** 2
+            count += 1
+    if not ti.math.isnan(measured.height[robot]):
+        total += _height_missing(measured, robot, robots.position[robot, 2]) ** 2
+        count += 1
+    return ti.select(count > 0, ti.sqrt(total / ti.max(count, 1)), ti.math.inf)
 
 
 @ti.func
@@ -241,9 +277,13 @@ def record(trace: Ref, frame, robot, place, moved):
 
 
 @ti.func
-def _step_of(gains: Ref, force, share):
-    """Step by a share of a force, no farther than the longest step."""
-    return capped(share * ti.Vector([force[0], force[1], force[2]]), gains.max_step)
+def _step_of(gains: Ref, robot, force, share, measured: Ref, robots: Ref):
+    """Step by a share of a force, no farther than the longest step; then lift, if that is last."""
+    step = capped(share * ti.Vector([force[0], force[1], force[2]]), gains.max_step)
+    if gains.height_last == 1.0:
+        missing = _height_missing(measured, robot, robots.position[robot, 2] + step[2])
+        step[2] += share * gains.height_gain * missing
+    return step
 
 
 @ti.func
@@ -270,17 +310,17 @@ def move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref
 
 @ti.kernel
 def localize_in_join_order(
-    iterations: I32, sweep_every: I32, sweeps: I32, trace_every: I32, gains_table: Reals2,
-    start: Ints1, placed_before: Ints1,
+    iterations: I32, sweep_every: I32, sweeps: I32, recent: I32, trace_every: I32,
+    gains_table: Reals2, start: Ints1, placed_before: Ints1,
     # LogArrays
-    contact_start: Ints1, contact: Ints2, initial_direction: Reals2, flip_height: Reals1,
+    contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
     head: Ints2, following: Ints2,  # CellList of the robots placed before
     dock_offset: Reals3, yaw: Reals1, position: Reals2,  # Robots, read and written
-    trace_position: Reals3, step_length: Reals2,  # Trace, written
+    trace_position: Reals3, step_length: Reals2, steps: Ints1,  # Trace, written
 ):  # fmt: skip
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
 
-    In back-propagation, all robots that have been placed step one after the other, in join
+    In back-propagation, robots that have been placed step one after the other, in join
     order, each by its contacts with all others; the next one sees where it went. Attraction then
     also parts docks: at the end of its ramp Eq. (1) alone would let them stay too near.
 
@@ -288,16 +328,17 @@ def localize_in_join_order(
         iterations: T, refinement steps of each robot.
         sweep_every: Joins between two rounds of back-propagation; the last join has one too.
         sweeps: Steps of every robot in a round, 0 without back-propagation.
+        recent: Robots that a round moves, those that joined last.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 12).
+        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 14).
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
-    measured = ti.static(LogArrays(contact_start, contact, initial_direction, flip_height))
+    measured = ti.static(LogArrays(contact_start, contact, initial_direction, height))
     cells = ti.static(CellList(head, following))
     robots = ti.static(Robots(dock_offset, yaw, position))
-    trace = ti.static(Trace(trace_position, step_length))
+    trace = ti.static(Trace(trace_position, step_length, steps))
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:
             gains = _gains_of(gains_table, s)
@@ -308,23 +349,31 @@ def localize_in_join_order(
                     here = _initial_position(gains, robot, base, measured, robots)
                 moved = 0.0
                 frame = 0
+                taken = 0
+                is_moving = robot > base
                 for t in range(iterations + 1):
                     _write_position(robots, robot, here)
                     if t % trace_every == 0 or t == iterations:
                         record(trace, frame, robot, here, moved)
                         frame += 1
-                    if robot > base and t < iterations:
+                    if gains.stop_error > 0.0 and is_moving and taken > 0:
+                        misfit = _misfit(gains, robot, base, measured, robots)
+                        is_moving = misfit >= gains.stop_error
+                    moved = 0.0
+                    if is_moving and t < iterations:
+                        taken += 1
                         force = virtual_force(
                             gains, robot, base, s, robot - base, (t + 1.0) / iterations, 0.0,
                             measured, robots, cells,
                         )  # fmt: skip
-                        step = _step_of(gains, force, 1.0)
+                        step = _step_of(gains, robot, force, 1.0, measured, robots)
                         turn = _turn_of(gains, force[3], 1.0, yaw[robot])
                         moved = step.norm()
                         here += step
                         yaw[robot] += turn
                         for k in range(dock_offset.shape[1]):
                             turn_dock(turn, robot, k, dock_offset)
+                steps[robot] = taken
                 for k in range(dock_offset.shape[1]):
                     item = (robot - base) * dock_offset.shape[1] + k
                     link(cells, s, item, cube_of(dock_at(robots, robot, k), 1.0 / gains.spacing))
@@ -333,13 +382,12 @@ def localize_in_join_order(
                     for sweep in range(sweeps):
                         left = 1.0 - (sweep + 1.0) / sweeps
                         ramp = 1.0 - gains.sweep_repulsion * left
-                        for j in range(base, base + placed):
+                        for j in range(ti.max(base, base + placed - recent), base + placed):
                             force = virtual_force(
                                 gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
                             )
-                            step = _step_of(
-                                gains, force, ti.select(j > base, gains.sweep_gain, 0.0)
-                            )
+                            share = ti.select(j > base, gains.sweep_gain, 0.0)
+                            step = _step_of(gains, j, force, share, measured, robots)
                             turn = _turn_of(gains, force[3], gains.sweep_gain, yaw[j])
                             move(gains, j, base, s, step, turn, robots, cells)
                             there = vector_at(position, j)

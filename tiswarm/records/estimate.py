@@ -137,6 +137,9 @@ class Estimate:
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""
 
+    steps: Ints | None = None
+    """Refinement steps of each robot, shape (N,); None where the method has none."""
+
     residual: Reals
     """Quantity that the method minimizes, at each iteration of the trace, shape (K,).
 

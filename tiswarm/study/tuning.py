@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -50,10 +50,24 @@ GAINS = {
 _ROUND_GAINS = {"repulsion_share": (0.001, 1.0)}
 """Ranges of the gains of `BackPropagation`, where a condition has it."""
 
-_AS_GOOD = 1.02
-"""Error relative to the least, up to which a trial counts as equally good: other seeds would rank
-such trials otherwise. Of these the trial with the weakest repulsion is chosen, since rounding
-errors grow with it."""
+Objective = Literal["sse", "rmse"]
+
+
+class _Score(NamedTuple):
+    """A quantity that a fit minimizes."""
+
+    column: str  # of a trial
+    text: str
+    as_good: float
+    """Value relative to the least, up to which a trial counts as equally good: other seeds would
+    rank such trials otherwise. Of these the trial with the weakest repulsion is chosen, since
+    rounding errors grow with it."""
+
+
+_SCORES: Mapping[Objective, _Score] = {
+    "sse": _Score("sse_R2", "mean SSE over structures [R^2]", 1.02**2),
+    "rmse": _Score("rmse_R", "mean RMSE over structures [R]", 1.02),
+}
 
 
 class _TrainingCase(NamedTuple):
@@ -73,10 +87,11 @@ def tune(
     training_seeds: int,
     conditions: Sequence[str],
     progress: Progress,
+    objective: Objective = "sse",
     arch: Arch = "cpu",
     threads: int | None = None,
 ) -> dict[str, Any]:
-    """Fit gains to the least mean RMSE over training structures, one set for all conditions.
+    """Fit gains to the least error over training structures, one set for all conditions.
 
     Args:
         scenario: What to grow and how to localize it; its own seeds are excluded.
@@ -85,6 +100,7 @@ def tune(
         training_seeds: Structures of each sweep point, from seed 1000 on.
         conditions: Conditions to include; all if empty.
         progress: Receives progress reports.
+        objective: What to minimize: the mean of the SSE, as the paper does, or of the RMSE.
         arch: Device.
         threads: CPU threads; all if None.
 
@@ -96,6 +112,7 @@ def tune(
             of another fit.
         EnvironmentTroubleError: the sampler is not installed.
     """
+    score = _SCORES[objective]
     seeds = _training_seeds(scenario, training_seeds)
     points = _points(scenario, conditions)
     start = _current_gains(points)
@@ -107,13 +124,13 @@ def tune(
         "points": [point.label for point in points],
         "robots": [point.settings.robots for point in points],
         "training_seeds": seeds,
-        "objective": "mean RMSE over structures [R]",
+        "objective": score.text,
         "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {_SAMPLER_SEED}",
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
     done = _read_trials(path, record)
     first = {name: done[0][name] for name in ranges} if done else start
-    study = _replayed_study(first, done, ranges, path)
+    study = _replayed_study(first, done, ranges, score, path)
     backend.start(arch, threads=threads)
     if len(done) < trials:
         cases = _training_cases(points, seeds, progress)
@@ -122,10 +139,10 @@ def tune(
                 trial = study.ask()
                 values = _suggested(trial, ranges)
                 done.append(values | _errors(cases, values))
-                study.tell(trial, done[-1]["rmse_R"])
-                _write(path, record | _outcome(done), done)
+                study.tell(trial, done[-1][score.column])
+                _write(path, record | _outcome(done, score), done)
                 advance(1)
-    return record | _outcome(done)
+    return record | _outcome(done, score)
 
 
 def _training_seeds(scenario: Scenario, count: int) -> list[int]:
@@ -188,15 +205,21 @@ def _training_cases(
 
 
 def _errors(cases: Sequence[_TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
-    """Return the mean RMSE with such gains, over all cases and over those of each label [R]."""
+    """Return the mean errors with such gains, over all cases and over those of each label."""
     params = [_with_gains(case.params, values) for case in cases]
     estimates = localize_many([case.log for case in cases], params)
     of_point: dict[str, list[float]] = {}
+    sse = []
     for case, estimate in zip(cases, estimates, strict=True):
+        sse.append(metrics.sse(estimate.position, case.true))
         of_point.setdefault(case.label, []).append(metrics.rmse(estimate.position, case.true))
     every = np.concatenate(list(of_point.values()))
     means = [round(float(np.mean(errors)), 4) for errors in of_point.values()]
-    return {"rmse_R": round(float(every.mean()), 6), "by_point_R": means}
+    return {
+        "sse_R2": round(float(np.mean(sse)), 4),
+        "rmse_R": round(float(every.mean()), 6),
+        "by_point_R": means,
+    }
 
 
 def _with_gains(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
@@ -218,7 +241,11 @@ def _optuna_version() -> str:
 
 
 def _replayed_study(
-    first: dict[str, float], done: Sequence[Mapping[str, Any]], ranges: _Ranges, path: Path
+    first: dict[str, float],
+    done: Sequence[Mapping[str, Any]],
+    ranges: _Ranges,
+    score: _Score,
+    path: Path,
 ) -> "Study":
     """Make a sampler that starts with the gains `first`, and bring it past the trials done."""
     import optuna  # noqa: PLC0415 - slow to import, and an extra
@@ -230,7 +257,7 @@ def _replayed_study(
         trial = study.ask()
         if _suggested(trial, ranges) != {name: row[name] for name in ranges}:
             raise InputError("its trials do not repeat here; give another --out", path=path)
-        study.tell(trial, row["rmse_R"])
+        study.tell(trial, row[score.column])
     return study
 
 
@@ -254,10 +281,11 @@ def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
     return trials
 
 
-def _outcome(done: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _outcome(done: Sequence[dict[str, Any]], score: _Score) -> dict[str, Any]:
     """Return the best trial, and the chosen one."""
-    best = min(done, key=lambda row: row["rmse_R"])
-    as_good = [row for row in done if row["rmse_R"] <= _AS_GOOD * best["rmse_R"]]
+    best = min(done, key=lambda row: row[score.column])
+    limit = score.as_good * best[score.column]
+    as_good = [row for row in done if row[score.column] <= limit]
     return {"best": best, "chosen": min(as_good, key=lambda row: row["repulsion_gain"])}
 
 
