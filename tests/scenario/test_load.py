@@ -323,6 +323,8 @@ def test_a_sound_scenario_has_no_mistakes(scenario):
         ("robots=7", lambda s: s.robots, 7),
         ("structure.goal_height=1e1", lambda s: s.structure.goal_height, 10.0),
         ("structure.climb.patience=9", lambda s: s.structure.climb.patience, 9),
+        ("structure.climb.settle=true", lambda s: s.structure.climb.settle, 1.0),
+        ("structure.climb.settle=0.3", lambda s: s.structure.climb.settle, 0.3),
         ("seeds=[3,4]", lambda s: s.seed_list, (3, 4)),
         ("description=a = b", lambda s: s.description, "a = b"),
         ("localization={iterations: 5}", lambda s: s.localization.iterations, 5),

@@ -9,7 +9,9 @@ from scipy.sparse.csgraph import connected_components
 
 from tests import frames, oracle
 from tiswarm.compute import backend
+from tiswarm.compute.math import uniform
 from tiswarm.robot import TANGENT_RHO, RobotGeometry
+from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow, recruit, relay
 from tiswarm.world.history import History
 from tiswarm.world.params import (
@@ -169,29 +171,28 @@ def test_every_kind_grows_soundly(kind):
     assert any(history.robot_count == 25 or history.crossed for history in histories)
 
 
-OUTWARD = {
-    "tower": lambda point: np.hypot(point[..., 0], point[..., 1]),
-    "cantilever": lambda point: -point[..., 0],
-    "bridge": lambda point: np.abs(point[..., 0] - 6.0) - 6.0,
-    "chain": lambda point: -point[..., 0],
-}
-"""How far out toward where robots start a point lies [R]; of a bridge, on the nearer side."""
+def _outward(kind: str, point: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """How far points lie behind the edge or from the axis [R], on the side of a robot's start."""
+    if kind == "tower":
+        return np.hypot(point[..., 0], point[..., 1])
+    return point[..., 0] - 12.0 if start[0] > 6.0 else -point[..., 0]
 
 
+@pytest.mark.parametrize("rule", ["rear", "placed", "leading"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_robots_start_behind_all_that_stands(kind):
-    """From spawn_min to spawn_max behind the outermost robot on their side at that time."""
-    history = grow(KINDS[kind], robots=25, seeds=[4], robot=FIREANT)[0]
+def test_robots_start_behind_the_dock_of_their_rule(kind, rule):
+    """From spawn_min to spawn_max behind the rear-most or leading dock at that time."""
+    params = dataclasses.replace(KINDS[kind], spawn_behind=rule)
+    history = grow(params, robots=25, seeds=[4], robot=FIREANT)[0]
     turns = [oracle.matrix(q) for q in history.orientation_wxyz]
     arms = np.array([FIREANT.dock_offset_body @ turn.T for turn in turns])
     docks = history.position[:, None] + arms
 
     for j, walk in enumerate(history.walks):
-        start, standing = walk.center[0], docks[:j].reshape(-1, 3)
-        if kind == "bridge":
-            standing = standing[(standing[:, 0] > 6.0) == (start[0] > 6.0)]
-        rim = max(0.0, OUTWARD[kind](standing).max(initial=-1.0) + 1.0)
-        assert rim + 3.0 - 1e-9 <= OUTWARD[kind](start) <= rim + 10.0 + 1e-9
+        start, standing = walk.center[0], docks[rule == "placed" : j].reshape(-1, 3)
+        behind = _outward(kind, standing, start).tolist() or [-1.0]
+        rim = max(0.0, 1.0 + (min(behind) if rule == "leading" else max(behind)))
+        assert rim + 3.0 - 1e-9 <= _outward(kind, start, start) <= rim + 10.0 + 1e-9
 
 
 def test_structures_at_an_edge_go_where_they_should(cantilevers, bridges, chains):
@@ -323,19 +324,84 @@ def test_threads_do_not_change_a_structure_at_an_edge(kind):
         assert repr(one.loads) == repr(two.loads)
 
 
+def _settling(share: float, robots: int = 40) -> History:
+    """A tower in which this share of the robots settle."""
+    params = TowerParams(climb=ClimbParams(settle=share))
+    return grow(params, robots=robots, seeds=[7], robot=FIREANT)[0]
+
+
 def test_settled_robots_touch_with_all_docks():
     """Robots that turn about two docks until the third touches gain a contact, and stay sound."""
-    settled = TowerParams(climb=ClimbParams(settle=True))
-    free = grow(TowerParams(), robots=40, seeds=[7], robot=FIREANT)[0]
-    history = grow(settled, robots=40, seeds=[7], robot=FIREANT)[0]
 
-    def touching(walk):
-        return len({own for own, *_ in walk.at_rest(walk.contacts)} | set(_grounded(walk)))
+    def touching(history):
+        docks = [
+            {own for own, *_ in walk.at_rest(walk.contacts)} | set(_grounded(walk))
+            for walk in history.walks
+        ]
+        return np.mean([len(own) == 3 for own in docks])
 
-    assert find_fault(history, contact_gap=0.02) == ""
-    assert np.mean([touching(walk) == 3 for walk in history.walks]) > 0.8
-    assert np.mean([touching(walk) == 3 for walk in free.walks]) < 0.3
+    none, half, every = (_settling(share) for share in (0.0, 0.5, 1.0))
+
+    assert touching(none) < 0.3 < touching(half) < 0.8 < touching(every)
+    assert find_fault(half, contact_gap=0.02) == find_fault(every, contact_gap=0.02) == ""
+
+
+@pytest.mark.parametrize("share", [0, 1])
+def test_a_share_of_none_or_all_is_what_the_switch_was(share):
+    """The key was true or false before it was a share, and may still be."""
+    assert ClimbParams(settle=bool(share)) == ClimbParams(settle=share)
+    assert _same(_settling(bool(share), 12), _settling(share, 12))
+
+
+def test_a_greater_share_settles_more_robots_and_the_same_ones():
+    """Half of the robots settle, by a draw for each; up to the first that differs, all is alike."""
+    none, half, every = (_settling(share, 20) for share in (0.0, 0.5, 1.0))
+
+    def first_difference(a, b):
+        pairs = zip(a.walks, b.walks, strict=True)
+        return next(j for j, (x, y) in enumerate(pairs) if len(x.center) != len(y.center))
+
+    drawn = uniform(7, "settle", np.arange(20), 0) < 0.5
+    settled = [w.stance_count for w in every.walks] != [w.stance_count for w in none.walks]
+    assert settled
+    assert drawn[first_difference(half, none)]
+    assert not drawn[first_difference(half, every)]
 
 
 def _grounded(walk):
     return walk.at_rest(walk.ground_docks)[:, 0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_anchor_that_is_put_stays_there(kind):
+    """It does not climb; the log, and with it every estimate, has it at that place."""
+    climb = dataclasses.replace(KINDS[kind].climb, settle=1.0)
+    params = dataclasses.replace(KINDS[kind], anchor=3.5, founders=2, climb=climb)
+
+    for history in grow(params, robots=8, seeds=[4, 5], robot=FIREANT):
+        assert history.walks[0].stance_count == 1
+        assert observe(history, SensingParams()).anchor_position.tolist() == [-3.5, 0.0, 1.0]
+        assert find_fault(history, contact_gap=0.02) == ""
+        assert history.robot_count == 8
+
+
+def test_an_anchor_at_the_very_edge_does_not_move():
+    """Not even where one of its docks is over the edge and others settle."""
+    params = CantileverParams(anchor=0.0, climb=ClimbParams(settle=1.0))
+
+    history = grow(params, robots=3, seeds=[0], robot=FIREANT)[0]
+
+    assert np.array_equal(history.walks[0].center, [[0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(("kind", "sides"), [("cantilever", 1), ("bridge", 2)])
+@pytest.mark.parametrize("founders", [1, 2])
+def test_only_founders_stay_alone(kind, sides, founders):
+    """The first robots of each side may stay without a neighbor, and some do."""
+    params = dataclasses.replace(KINDS[kind], anchor=9.0, founders=founders, spawn_behind="placed")
+    alone = set()
+    for history in grow(params, robots=12, seeds=range(8), robot=FIREANT):
+        touching = set(history.contacts[:, 2].tolist())
+        alone |= set(range(history.robot_count)) - touching
+
+    assert alone == set(range(founders * sides))

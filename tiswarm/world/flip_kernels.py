@@ -26,7 +26,6 @@ from tiswarm.compute.lang import (  # fmt: skip
     Reals2,
     Reals3,
     Ref,
-    Static,
     Vec3,
     Vec4,
     kernel_struct,
@@ -78,7 +77,6 @@ class ClimbLimits:
     reach: F64
     inverse_edge: F64
     twists: I32
-    patience: I32
 
 
 class StructureArrays(NamedTuple):
@@ -108,6 +106,12 @@ class Climbers(NamedTuple):
 
     goal: Reals2
     """Goal of each [R], shape (slots, 3)."""
+
+    patience: Ints1
+    """Steps in a row without a new best with which each gives up; 0 to stay where it starts."""
+
+    settles: Ints1
+    """Whether each turns, where it stays, until all its docks touch."""
 
     dock_offset_body: Reals2
     """Center to dock in the body frame [R], shape (3, 3)."""
@@ -415,11 +419,12 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, settles: Static, movers: Ints1, state: Ints1,
+    limits: ClimbLimits, movers: Ints1, state: Ints1,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # Climbers
-    structure: Ints1, first_stance: Ints1, goal: Reals2, dock_offset_body: Reals2, near: Reals3,
+    structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
+    dock_offset_body: Reals2, near: Reals3,
     # WalkArrays, written from the first stance on
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
     last: Ints1, best: Ints1, stay: Ints1,
@@ -428,17 +433,18 @@ def climb(
 
     Of all flips about all attached docks the one that ends nearest to the goal is taken,
     unless the walk has been there before. A robot that is recruited stops where it is. Else
-    the walk ends after `limits.patience` steps without a new best, or when no flip is left, and
+    the walk ends after `patience` steps without a new best, or when no flip is left, and
     the caller lets the robot walk back to its best stance.
 
     Args:
         limits: Terrain, distances and limits.
-        settles: Whether robots that stay turn until all their docks touch.
         movers: Slots of the robots that move, shape (M,).
         state: Written: how each walk ended, shape (slots,).
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
-    climbers = ti.static(Climbers(structure, first_stance, goal, dock_offset_body, near))
+    climbers = ti.static(
+        Climbers(structure, first_stance, goal, patience, settles, dock_offset_body, near)
+    )
     walks = ti.static(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
     )
@@ -467,7 +473,7 @@ def climb(
                 if called:
                     state[m] = RECRUITED
                     best_stance = stance
-                elif stance - best_stance < limits.patience:
+                elif stance - best_stance < patience[m]:
                     for k in range(DOCKS):
                         if _is_attached(walks, m, stance, k):
                             other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
@@ -488,5 +494,5 @@ def climb(
             last[m] = stance
             best[m] = best_stance
             stay[m] = best_stance
-            if ti.static(settles):
+            if settles[m]:
                 settle(limits, structures, climbers, walks, m)

@@ -29,7 +29,7 @@ from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frame, StructureFailure
 from tiswarm.world.params import KINDS, RecruitParams, StructureParams
-from tiswarm.world.walks import Walks, climb_limits
+from tiswarm.world.walks import Spawn, Walks, climb_limits
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
@@ -95,9 +95,9 @@ class GrowthBatch:
             # Founders come one by one, since they found what the others climb.
             is_crowded = structure.founding and climbing > 0
             if not (self.moving[slot] or is_crowded or structure.ended or is_complete):
-                start = structure.spawn(self.arrays.dock[structure.number])
-                if start is not None:
-                    self.walks.start(slot, *start)
+                spawn = structure.spawn(self.arrays.dock[structure.number])
+                if spawn is not None:
+                    self.walks.start(slot, spawn)
                     self.moving[slot] = True
         return bool(self.moving.any())
 
@@ -146,9 +146,11 @@ class GrowingStructure:
         self.kind = KINDS[params.kind]
         self.terrain = self.kind.terrain(params)
         self.frame = Frame(params.mechanics, robot.dock_offset_body)
+        self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
         self.clearance = robot.rho + robot.spacing
-        self.rim = [0.0] * self.kind.sides
+        self.leads = params.spawn_behind == "leading"
+        self.rim = [np.inf if self.leads else -robot.dock_radius] * self.kind.sides
         self.low_docks: Reals = np.empty((0, 3))
         self.surveyed = 0
         self.walks: list[Walk] = []
@@ -162,9 +164,9 @@ class GrowingStructure:
     @property
     def founding(self) -> bool:
         """Whether the next robot may stay without touching another."""
-        return len(self.walks) < self.kind.sides
+        return len(self.walks) < self.params.founders * self.kind.sides
 
-    def spawn(self, docks: Reals) -> tuple[Reals, Reals, Reals] | None:
+    def spawn(self, docks: Reals) -> Spawn | None:
         """Lay the next robot flat on the ground, turned at random.
 
         Draws depend on the seed and the number of robots spawned before alone.
@@ -173,29 +175,44 @@ class GrowingStructure:
             docks: Dock centers [R], those that have joined first, shape (n, 3).
 
         Returns:
-            Center [R], orientation wxyz and goal [R]; None where every place was taken.
+            None where every place was taken.
         """
-        level = self.terrain.ground_z + self.robot.dock_radius
-        new = docks[self.surveyed : DOCK_COUNT * len(self.walks)]
-        self.surveyed += len(new)
-        for side, rim in enumerate(self.rim):
-            self.rim[side] = max(rim, self.kind.rim(self.params, side, new))
-        is_low = np.abs(new[:, 2] - level) <= self.clearance
-        self.low_docks = np.concatenate([self.low_docks, new[is_low]])
+        self._survey(docks)
+        params, climb = self.params, self.params.climb
+        put = None if self.walks else params.anchor
         index = self.spawned
         self.spawned += 1
         side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
+        rim = max(0.0, self.rim[side] + self.robot.dock_radius) if self.walks else 0.0
+        settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
-            x, y = self.kind.start(self.params, side, self.rim[side], draw[:2])
-            center = np.array([x, y, level])
+            x, y = self.kind.start(params, side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
+            center = np.array([x, y, self.level])
             distance = np.linalg.norm(self.low_docks - center, axis=1)
             if distance.min(initial=np.inf) > self.clearance:
                 half = np.pi * draw[2]
                 orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-                return center, orientation, self.kind.goal(self.params, side)
+                return Spawn(
+                    center=center,
+                    orientation_wxyz=orientation,
+                    goal=self.kind.goal(params, side),
+                    patience=climb.patience if put is None else 0,
+                    settles=settles and put is None,
+                )
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
+
+    def _survey(self, docks: Reals) -> None:
+        """Note where the robots stand that have joined since the last spawn."""
+        new = docks[self.surveyed : DOCK_COUNT * len(self.walks)]
+        skipped = DOCK_COUNT * (self.surveyed == 0 and self.params.spawn_behind == "placed")
+        self.surveyed += len(new)
+        for side, rim in enumerate(self.rim):
+            behind = [rim, *self.kind.behind(self.params, side, new[skipped:]).tolist()]
+            self.rim[side] = min(behind) if self.leads else max(behind)
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance
+        self.low_docks = np.concatenate([self.low_docks, new[is_low]])
 
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth after too many in a row."""

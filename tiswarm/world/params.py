@@ -5,13 +5,18 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
 from tiswarm.world.mechanics import MechanicsParams
 from tiswarm.world.terrain import EDGE_RADIUS, Terrain
+
+
+def _share(value: object) -> object:
+    """Accept what `settle` was before it was a share."""
+    return float(value) if isinstance(value, bool) else value
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -38,9 +43,9 @@ class ClimbParams:
     """Steps in a row without a new best distance to the goal with which the robot gives up,
     walks back to its best stance and stays."""
 
-    settle: bool = False
-    """Whether a robot that stays with two docks touching turns about these until the third
-    touches too."""
+    settle: Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(_share)] = 0.0
+    """Share of the robots that settle: one that stays with two docks touching turns about these
+    until the third touches too. Drawn for each robot; true and false stand for 1 and 0."""
 
     max_flips: Annotated[int, Field(ge=1)] = 400
     """A walk is cut off after this many flips."""
@@ -86,12 +91,39 @@ class GrowthParams(RecruitParams):
         int, Field(ge=1, description="Joins between two solves of the structure's mechanics.")
     ] = 1
 
+    anchor: Annotated[
+        float | None,
+        Field(
+            ge=0.0,
+            description="Distance behind the edge, or from a tower's axis, at which the anchor is "
+            "put, and stays [R]; null for an anchor that starts and climbs like the others.",
+        ),
+    ] = None
+
+    founders: Annotated[
+        int,
+        Field(
+            ge=1,
+            description="Robots of each side, the anchor included, that may stay on the ground "
+            "without touching another.",
+        ),
+    ] = 1
+
+    spawn_behind: Annotated[
+        Literal["rear", "placed", "leading"],
+        Field(
+            description="Dock behind which robots start: the one farthest behind the edge or from "
+            "a tower's axis (rear), the same without the anchor's (placed), or the one that is "
+            "farthest ahead (leading), as far as there is ground."
+        ),
+    ] = "rear"
+
     spawn_min: Annotated[
-        float, Field(ge=0.0, description="Robots start at least this far behind the structure [R].")
+        float, Field(ge=0.0, description="Robots start at least this far behind that dock [R].")
     ] = 3.0
 
     spawn_max: Annotated[
-        float, Field(gt=0.0, description="Robots start at most this far behind the structure [R].")
+        float, Field(gt=0.0, description="Robots start at most this far behind that dock [R].")
     ] = 10.0
 
     climb: Annotated[ClimbParams, Field(description="How robots walk.")] = ClimbParams()
@@ -176,58 +208,50 @@ class Kind(NamedTuple):
     goal: Callable[[Any, int], Reals]
     """Goal of robots that come from a side [R], shape (3,)."""
 
-    rim: Callable[[Any, int, Reals], float]
-    """Extent of docks, shape (n, 3), toward the spawns of a side [R], at least 0."""
+    behind: Callable[[Any, int, Reals], Reals]
+    """Distance of docks, shape (n, 3), behind the edge of a side, or from a tower's axis [R],
+    shape (n,)."""
 
     start: Callable[[Any, int, float, Reals], Reals]
-    """Spawn of a robot from a side, on the ground [R], shape (2,), given the extent of the whole
-    structure there and two random numbers in [0, 1)."""
+    """Spawn of a robot from a side, on the ground [R], shape (2,), given the distance behind the
+    edge or from the axis that its own is counted from and two random numbers in [0, 1)."""
 
     sides: int = 1
     """Sides that robots come from, in turn; the first robot of each founds the structure there."""
 
 
-def _radius(_params: TowerParams, _side: int, docks: Reals) -> float:
-    """Radius of the disc about the z axis that holds all docks."""
-    return _greatest(np.hypot(docks[:, 0], docks[:, 1]))
-
-
 def _around(params: TowerParams, _side: int, rim: float, draw: Reals) -> Reals:
-    """Anywhere around the disc that holds the whole structure."""
+    """Anywhere around the disc of radius `rim`."""
     angle = 2.0 * np.pi * draw[0]
     distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
     place: Reals = distance * np.array([np.cos(angle), np.sin(angle)])
     return place
 
 
-def _back(params: BridgeParams, side: int, docks: Reals) -> float:
-    """Distance from the edge to the farthest dock; only a bridge has a side 1 beyond its gap."""
-    return _greatest(docks[:, 0] - params.gap if side else -docks[:, 0])
+def _back(params: BridgeParams, side: int, docks: Reals) -> Reals:
+    """Distance behind the edge; only a bridge has a side 1, beyond its gap."""
+    back: Reals = docks[:, 0] - params.gap if side else -docks[:, 0]
+    return back
 
 
 def _behind(params: BridgeParams, side: int, rim: float, draw: Reals) -> Reals:
-    """Behind the dock that is farthest from the edge; side 1 of a bridge mirrors side 0."""
+    """At least `rim` behind the edge; side 1 of a bridge mirrors side 0."""
     y = params.spawn_width * (2.0 * draw[0] - 1.0)
     back = rim + (params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min))
     return np.array([params.gap + back if side else -back, y])
-
-
-def _greatest(distance: Reals) -> float:
-    """Greatest distance to the rim of a dock [R], at least 0."""
-    return float(distance.max(initial=-1.0)) + 1.0
 
 
 KINDS = {
     "tower": Kind(
         terrain=lambda _params: Terrain(),
         goal=lambda params, _side: np.array([0.0, 0.0, params.goal_height]),
-        rim=_radius,
+        behind=lambda _params, _side, docks: np.hypot(docks[:, 0], docks[:, 1]),
         start=_around,
     ),
     "cantilever": Kind(
         terrain=lambda _params: Terrain(left_edge=0.0),
         goal=lambda params, _side: np.array([params.goal_reach, 0.0, params.goal_height]),
-        rim=_back,
+        behind=_back,
         start=_behind,
     ),
     "bridge": Kind(
@@ -235,14 +259,14 @@ KINDS = {
         goal=lambda params, side: np.array(
             [-params.goal_beyond if side else params.gap + params.goal_beyond, 0.0, EDGE_RADIUS]
         ),
-        rim=_back,
+        behind=_back,
         start=_behind,
         sides=2,
     ),
     "chain": Kind(
         terrain=lambda _params: Terrain(left_edge=0.0),
         goal=lambda params, _side: np.array([EDGE_RADIUS, 0.0, -params.goal_depth]),
-        rim=_back,
+        behind=_back,
         start=_behind,
     ),
 }

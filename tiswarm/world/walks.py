@@ -1,6 +1,7 @@
 """Structures and the walks of robots on them, as kernels see them."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +46,26 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
         reach=reach,
         inverse_edge=1.0 / reach,
         twists=climb.twists,
-        patience=climb.patience,
     )
+
+
+class Spawn(NamedTuple):
+    """How a robot starts."""
+
+    center: Reals
+    """Center [R], shape (3,)."""
+
+    orientation_wxyz: Reals
+    """Body to world, shape (4,)."""
+
+    goal: Reals
+    """Place that it climbs toward [R], shape (3,)."""
+
+    patience: int
+    """Steps in a row without a new best with which it gives up; 0 to stay where it starts."""
+
+    settles: bool
+    """Whether it turns, where it stays, until all its docks touch."""
 
 
 class Walks:
@@ -62,11 +81,13 @@ class Walks:
         slots, stances = len(structure_of), climb.max_flips + 2
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near = math.ceil((limits.reach + robot.dock_radius) ** 3)
-        self.limits, self.settles = limits, climb.settle
+        self.limits = limits
         self.climbers = Climbers(
             structure=structure_of,
             first_stance=np.zeros(slots, np.int32),
             goal=np.zeros((slots, 3)),
+            patience=np.zeros(slots, np.int32),
+            settles=np.zeros(slots, np.int32),
             dock_offset_body=robot.dock_offset_body,
             near=np.empty((slots, near, 3)),
         )
@@ -83,19 +104,20 @@ class Walks:
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
 
-    def start(self, slot: int, center: Reals, orientation_wxyz: Reals, goal: Reals) -> None:
-        """Put a new robot in a slot, with its center [R], orientation and goal [R]."""
-        self.stances.center[slot, 0] = center
-        self.stances.orientation[slot, 0] = orientation_wxyz
-        self.climbers.goal[slot] = goal
+    def start(self, slot: int, spawn: Spawn) -> None:
+        """Put a new robot in a slot."""
+        self.stances.center[slot, 0] = spawn.center
+        self.stances.orientation[slot, 0] = spawn.orientation_wxyz
+        self.climbers.goal[slot] = spawn.goal
+        self.climbers.patience[slot] = spawn.patience
+        self.climbers.settles[slot] = spawn.settles
         self.climbers.first_stance[slot] = 0
 
     def climb(self, structures: StructureArrays, movers: Slots) -> None:
         """Let the robots in the slots `movers` walk on from their first stance."""
         cells, *docks = structures
         flip_kernels.climb(
-            self.limits, self.settles, movers, self.state, *cells, *docks, *self.climbers,
-            *self.stances,
+            self.limits, movers, self.state, *cells, *docks, *self.climbers, *self.stances,
         )  # fmt: skip
         if (self.state[movers] == SCRATCH_FULL).any():
             raise TiswarmError(
