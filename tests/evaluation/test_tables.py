@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from tiswarm.errors import InputError
-from tiswarm.evaluation.tables import score, score_files
+from tiswarm.evaluation.tables import by_join, score, score_files, totals
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN
 from tiswarm.records.positions import Truth, write_positions
+from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import BridgeParams, CantileverParams
 
 SHAPE = np.random.default_rng(1).normal(size=(6, 3)) * [1.0, 2.0, 6.0]
 
@@ -34,6 +37,41 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     assert "coverage_50" not in silent
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
+
+
+def _connected(history, count):
+    """Robots that contacts of the first `count` connect to robot 0, by following them."""
+    pairs = {(i, j) for i, _, j, _ in history.contacts.tolist() if j < count}
+    pairs |= {(j, i) for i, j in pairs}
+    found, new = {0}, {0}
+    while new := {j for i, j in pairs if i in new} - found:
+        found |= new
+    return found
+
+
+@pytest.mark.parametrize("kind", ["cantilever", "bridge"])
+def test_tables_state_which_robots_touch_the_anchor(kind):
+    """By slow recount; before a bridge meets, the far side is not connected to the anchor."""
+    params = {
+        "cantilever": CantileverParams(anchor=3.5, founders=2, spawn_behind="placed"),
+        "bridge": BridgeParams(),
+    }[kind]
+    gaps = 0
+    for history in grow(params, robots=60, seeds=[0, 3], robot=RobotGeometry()):
+        on_anchor = [j for j in range(60) if [0, j] in history.contacts[:, [0, 2]].tolist()]
+        table, counts = by_join(history), range(1, history.robot_count + 1)
+
+        assert table["on_anchor"].tolist() == [sum(j < n for j in on_anchor) for n in counts]
+        assert table["anchored"].tolist() == [len(_connected(history, n)) for n in counts]
+        found = totals(history)
+        indices = [found[f"{place}_on_anchor"] for place in ("first", "second", "third")]
+        np.testing.assert_equal(indices, [*on_anchor, np.nan, np.nan, np.nan][:3])
+        gaps += (table["anchored"] < table["robots"]).sum()
+        if kind == "bridge":
+            near = history.position[:, 0] < 0.5 * params.gap
+            assert table["anchored"].iloc[-2] == near[:-1].sum()
+            assert table["anchored"].iloc[-1] == history.robot_count
+    assert gaps > 10
 
 
 def test_robots_are_matched_by_name(tmp_path):

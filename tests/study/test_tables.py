@@ -17,6 +17,7 @@ from tiswarm.study.runner import failure
     [
         ("description=the same", [1.64, 1.84, 2.36, 2.36, np.nan, 3.91, 5.26, 5.12, 5.12, np.nan]),
         ("structure.climb.settle=true", [1.64]),  # the paper leaves open how flips end
+        ("structure.anchor=1", [1.64]),
         ("robots=99", [np.nan]),
         ("structure.movers=2", [np.nan]),
         ("sensing.yaw_noise_deg=1", [np.nan]),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 
 from tiswarm.aliases import AnyInts, Ints, Reals
 from tiswarm.errors import InputError
@@ -135,6 +136,11 @@ def by_join(history: History) -> pd.DataFrame:
     """
     walks, loads, terrain = history.walks, history.loads, history.terrain
     (x, _, z), joined = history.position.T, np.arange(1, len(walks) + 1)
+    parts, anchored = DisjointSet([*range(len(walks))]), []
+    for j, walk in enumerate(walks):
+        for i in walk.at_rest(walk.contacts)[:, 1]:
+            parts.merge(int(i), j)
+        anchored.append(parts.subset_size(0))
     return pd.DataFrame(
         {
             "robots": joined,
@@ -151,6 +157,8 @@ def by_join(history: History) -> pd.DataFrame:
                 len(walk.at_rest(walk.ground_docks)) + len(walk.at_rest(walk.edge_docks))
                 for walk in walks
             ],
+            "on_anchor": np.cumsum(np.isin(joined - 1, _on_anchor(history))),
+            "anchored": anchored,
             "least_support": [s.least_support for s in loads],
             "overhang_R": np.nan if terrain.is_plane else np.cumsum(x) / joined - terrain.left_edge,
         }
@@ -160,6 +168,7 @@ def by_join(history: History) -> pd.DataFrame:
 def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
     last, (x, _, z) = history.loads[-1], history.position.T
+    first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
         "height_R": float(z.max() - history.ground_z),
         "reach_R": float(x.max()),
@@ -169,7 +178,16 @@ def totals(history: History) -> dict[str, float | int]:
         "recruited": sum(walk.recruited for walk in history.walks),
         "spawns": history.spawns,
         "crossed": int(history.crossed),
+        "first_on_anchor": first,
+        "second_on_anchor": second,
+        "third_on_anchor": third,
     }
+
+
+def _on_anchor(history: History) -> NDArray[np.int32]:
+    """List the robots that touch the anchor, in join order."""
+    touching: NDArray[np.int32] = np.unique(history.contacts[history.contacts[:, 0] == 0, 2])
+    return touching
 
 
 def score_files(truth: Path, estimate: Path) -> tuple[str, dict[str, float]]:

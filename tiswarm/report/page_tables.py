@@ -36,6 +36,11 @@ _CALIBRATION = [
     ("recall of outliers", "outlier_recall", 2),
     ("converged estimates", "converged", 2),
 ]
+_ANCHOR = [
+    ("first robot", "first_on_anchor", 1),
+    ("second robot", "second_on_anchor", 1),
+    ("third robot", "third_on_anchor", 1),
+]
 _PUBLISHED = [
     ("published RMSE [robot radii]", "paper_rmse_radii", 2),
     ("published disparity", "paper_procrustes_disparity", 3),
@@ -47,6 +52,7 @@ _CASE = [
     ("rigidly aligned [R]", "rmse_rigid_aligned_R", 2),
     *_ACCURACY[2:],
     *_LIMITS,
+    *[(f"{label} on the anchor", name, 0) for label, name, _ in _ANCHOR],
     ("height [R]", "height_R", 1),
     ("peak stress", "peak_stress", 0),
 ]
@@ -74,6 +80,12 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
     )
     aligned = _labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note)
     tables = [_localization(table), aligned]
+    if anchor := _means(table, _ANCHOR):
+        note = (
+            "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
+            "Means are over structures in which so many robots touch it."
+        )
+        tables.append(_labeled(words, anchor, "Robots on the anchor", note))
     if calibration := _means(table, _CALIBRATION):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "

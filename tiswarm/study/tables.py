@@ -40,7 +40,8 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
-    "coverage_90", "outlier_precision", "outlier_recall", "converged", *_ACCURACY,
+    "coverage_90", "outlier_precision", "outlier_recall", "converged", "first_on_anchor",
+    "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _SCALED = ("rmse_R", "procrustes_disparity")
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
@@ -78,12 +79,13 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
 
 
 def _published(setting: Scenario) -> Published | None:
-    """Return the paper's numbers; it leaves open all gains, how flips end and how robots walk."""
+    """Return the paper's numbers; it leaves open all gains, and how robots start and walk."""
     method, structure = setting.localization, setting.structure
-    usual = type(structure)()
+    open_keys = ("anchor", "climb", "founders", "spawn_behind")
+    usual = replace(type(structure)(), **{key: getattr(structure, key) for key in open_keys})
     if (
         setting.robots != PAPER_ROBOTS
-        or replace(structure, climb=usual.climb) != usual
+        or structure != usual
         or (setting.robot, setting.sensing) != (RobotGeometry(), SensingParams())
         or not isinstance(method, VirtualForceParams)
         or method.back_propagation
