@@ -8,7 +8,7 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, write_case, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.report import figures
+from tiswarm.report import figures, table_figures
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
 from tiswarm.report.run_data import load_run
@@ -218,6 +218,23 @@ def test_a_damaged_run_is_refused_by_name(run_folder, damage):
 
     with pytest.raises(InputError, match=r"0-no-z.robots\.csv: cannot be read"):
         draw_figures(load_run(run_folder), Progress())
+
+
+def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):
+    """Only an unknown value of the sweep is left out; a condition may be called `nan`."""
+    drawn = []
+    monkeypatch.setattr(
+        table_figures.figure_style, "png", lambda figure: drawn.append(figure) or b""
+    )
+    header = "run,condition,yaw,cases,rmse_R_mean,rmse_R_ci95"
+    header += ",procrustes_disparity_mean,procrustes_disparity_ci95"
+    rows = [["a", "nan", 5, 2, 1, 0.1, 0.1, 0.1], ["b", "none", "", 2, 1, 0.1, 0.1, 0.1]]
+    write_table(tmp_path / "comparison.csv", header, rows)
+
+    table_figures.draw_comparison(tmp_path, Progress())
+
+    labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
+    assert labels == ["5.0, nan", "none"]
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path):

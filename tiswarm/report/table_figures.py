@@ -105,8 +105,9 @@ def draw_comparison(folder: Path, progress: Progress) -> None:
 def _comparison(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each row with its confidence interval, one color a run."""
     shown = table.head(_MOST_ROWS)
-    swept = swept_words(shown).iloc[:, 1:].to_dict("records")
-    labels = [", ".join(v for v in reversed(row.values()) if v != "nan") for row in swept]
+    words = swept_words(shown).iloc[:, ::-1].iloc[:, :-1]
+    words = words.where(shown[words.columns].notna(), "")
+    labels = [", ".join(filter(None, row)) for row in words.to_numpy()]
     height = 0.9 + 0.17 * len(shown)
     figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
     for axes, name in zip(panels, _MEASURES, strict=True):
