@@ -79,6 +79,20 @@ def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, 
     assert record.read_bytes() == before
 
 
+def test_a_record_of_an_older_version_is_not_continued(tmp_path):
+    """The shipped record has no digest of its code, so other code may have made its trials."""
+    record = tmp_path / "virtual-force.json"
+    record.write_bytes((REPOSITORY / "docs" / "fits" / record.name).read_bytes())
+
+    with pytest.raises(
+        InputError, match=r"is the record of a fit with .* other code; give another"
+    ):
+        tune(
+            load_scenario(PAPER), record, trials=500, training_seeds=12, conditions=[],
+            progress=Progress(),
+        )  # fmt: skip
+
+
 def test_a_fit_analyzes_no_rigidity(tmp_path, monkeypatch):
     """A trial needs positions; what a log determines does not depend on the gains."""
 

@@ -272,7 +272,7 @@ def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
     try:
         earlier = json.loads(path.read_text(encoding="utf-8"))
         trials: list[dict[str, Any]] = earlier["trials"]
-        same = all(earlier[name] == value for name, value in record.items())
+        same = all(earlier.get(name) == value for name, value in record.items())
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError("is no record of a fit; give another --out", path=path) from error
     if not same:
