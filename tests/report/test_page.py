@@ -7,6 +7,7 @@ import pytest
 from tests.report.conftest import write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
+from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import page
 from tiswarm.report.page import build_view, write_page
 from tiswarm.report.page_tables import case_table, result_tables, warnings_of
@@ -100,7 +101,8 @@ def test_warnings_count_what_limits_a_run():
             "disconnected": [0.0, 3.0, None],
         }
     )
-    manifest = {"renders": {"structure.png": {"renderer": "taichi", "reason": "open3d: died"}}}
+    origin = Origin(renderer="taichi", reason="open3d: died")
+    manifest = Manifest(renders={"structure.png": origin})
 
     warnings = " ".join(warnings_of(summary, manifest))
 
@@ -117,12 +119,12 @@ def test_cases_that_did_not_converge_are_named():
     summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "status": "done", "reason": None})
     lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])
 
-    warnings = warnings_of(lost, {})
+    warnings = warnings_of(lost, Manifest())
 
     assert warnings[0].startswith("1 of 3 cases did not converge (0-a). The misfit")
     assert "148 sd" in warnings[0]
-    assert warnings_of(lost.assign(converged=[True, True, None]), {}) == []
-    assert warnings_of(summary, {}) == []
+    assert warnings_of(lost.assign(converged=[True, True, None]), Manifest()) == []
+    assert warnings_of(summary, Manifest()) == []
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():

@@ -32,6 +32,24 @@ def test_the_first_of_the_largest_cases_is_chosen(run_folder):
     assert run.note == "1 of 4 cases failed and are left out"
 
 
+@pytest.mark.parametrize("name", ["../0-baseline", "..", ".", "/etc", "0-baseline/..", "linked"])
+def test_cases_are_in_the_run_alone(run_folder, name):
+    """A name in the summary that leads elsewhere is refused, and so is a link."""
+    (run_folder / "cases" / "linked").symlink_to(run_folder / "cases" / "0-baseline")
+    write_table(run_folder / "summary.csv", "case,status,series", [[name, "done", "baseline"]])
+
+    with pytest.raises(InputError, match=f"case '{name}' leads out of the run"):
+        load_run(run_folder).choose(None)
+
+
+def test_a_run_with_a_linked_folder_is_refused(run_folder, tmp_path_factory):
+    """Pictures would be written through the link."""
+    (run_folder / "renders").symlink_to(tmp_path_factory.mktemp("elsewhere"))
+
+    with pytest.raises(InputError, match="renders: is a link"):
+        load_run(run_folder)
+
+
 def test_a_missing_table_may_be_empty(run_folder):
     """A table that not every run has is empty; others are an error."""
     run = load_run(run_folder)

@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from tests.runs import REPOSITORY, assert_same_bytes
-from tiswarm import study
+from tiswarm import drawing, study
 from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
+from tiswarm.study.run import RunResult
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
@@ -175,8 +176,11 @@ def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
     assert (tmp_path / "blind.csv").read_bytes() == (case / "estimate.csv").read_bytes()
 
 
-def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):
-    """Tables, figures and renders come back from the stored cases, byte for byte."""
+def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path, monkeypatch):
+    """Tables, figures and renders come back from the stored cases, byte for byte.
+
+    A run finds nothing to draw afterwards.
+    """
     run = tmp_path / "moved"
     shutil.copytree(small_run, run)
     for name in ("summary.csv", "table.csv"):
@@ -194,6 +198,9 @@ def test_report_and_render_need_the_folder_alone(tiswarm, small_run, tmp_path):
     assert {path.name for path in (run / "renders").iterdir()} == {
         path.name for path in (small_run / "renders").iterdir()
     }
+    monkeypatch.delattr(drawing, "draw")
+    whole = RunResult(folder=run, computed=0, found=6, failed=(), missing=0)
+    drawing.draw_all(whole, Progress())
 
 
 def test_failed_cases_are_reported(tiswarm, tmp_path):

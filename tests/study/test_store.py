@@ -3,12 +3,16 @@
 import dataclasses
 import json
 import shutil
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.recorder import Recorder
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
+from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, store
@@ -74,6 +78,148 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     assert_same_bytes(run, small_run)
     assert not (run / "report.html").exists()  # it showed another state
     assert not [*run.rglob(".*.part"), *run.rglob(".*.tmp")]
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    """A tower of five robots under one condition."""
+    tower = REPOSITORY / "scenarios" / "tower.yaml"
+    return load_scenario(tower, ["robots=5", "seeds=3", "conditions={a: {}}"])
+
+
+@pytest.fixture(scope="module")
+def tiny_run(tiny, tmp_path_factory):
+    """Folder of its run, without pictures."""
+    return study.run(tiny, tmp_path_factory.mktemp("tiny"), progress=Progress()).folder
+
+
+@pytest.fixture
+def damaged(tiny_run, tmp_path):
+    """A copy of that folder."""
+    return Path(shutil.copytree(tiny_run, tmp_path / tiny_run.name))
+
+
+def test_no_damage_of_a_record_goes_unseen(damaged):
+    """After a flipped bit or another byte, a record is the same or is not read."""
+    folder, path = RunFolder(damaged), damaged / "cases" / "1-a" / "case.json"
+    record, whole = folder.read_case("1-a"), path.read_bytes()
+    random = np.random.default_rng(0)
+
+    believed = []
+    for _ in range(400):
+        data = np.frombuffer(whole, np.uint8).copy()
+        data[random.integers(data.size)] ^= random.choice([1 << random.integers(8), 255])
+        path.write_bytes(data.tobytes())
+        believed.append(folder.read_case("1-a"))
+
+    assert record.is_current
+    assert believed.count(None) > 380
+    assert [read for read in believed if read and read != record] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "believed"),
+    [
+        ({"reason": "the gap is bridged"}, True),
+        ({"files": [1]}, False),
+        ({"files": {"robots.csv": 1}}, False),
+        ({"scores": [1]}, False),
+        ({"scores": {"rmse_R": "<b>1"}}, False),
+        ({"point": [1]}, False),
+        ({"seed": "1"}, False),
+        ({"status": "fine"}, False),
+        ({"color": "red"}, False),
+        ({"case": "../../../escaped"}, False),
+        ({"case": "0-a"}, False),
+    ],
+)
+def test_a_record_has_its_types_and_the_name_of_its_folder(damaged, change, believed):
+    """A digest alone does not make a record."""
+    path = damaged / "cases" / "1-a" / "case.json"
+    content = json.loads(path.read_text()) | change | {"digest": ""}
+    content["digest"] = sha256(json.dumps(content).encode()).hexdigest()
+    path.write_text(json.dumps(content))
+
+    assert (RunFolder(damaged).read_case("1-a") is not None) == believed
+
+
+def test_a_record_without_a_digest_is_one_of_other_code(tiny, damaged):
+    """Older versions wrote none: a report reads it, but a run computes the case again."""
+    path = damaged / "cases" / "1-a" / "case.json"
+    content = json.loads(path.read_text())
+    del content["digest"]
+    path.write_text(json.dumps(content))
+
+    read = RunFolder(damaged).read_case("1-a")
+
+    assert (read.case, read.is_current) == ("1-a", False)
+    assert study.run(tiny, damaged.parent, progress=Progress()).computed == 1
+    assert RunFolder(damaged).read_case("1-a").is_current
+
+
+def test_what_is_no_folder_of_a_case_is_replaced(tiny, tiny_run, damaged, tmp_path):
+    """A file and a link to a folder do not count as cases; nothing is written through the link."""
+    cases, other = damaged / "cases", tmp_path / "other"
+    (cases / "1-a").rename(other)
+    (cases / "1-a").symlink_to(other)
+    shutil.rmtree(cases / "0-a")
+    (cases / "0-a").write_text("stray")
+    (other / "cost.json").unlink()
+    (cases / "2-a" / "truth.csv").unlink()
+    (cases / "2-a" / "truth.csv").symlink_to(tiny_run / "cases" / "2-a" / "truth.csv")
+
+    again = study.run(tiny, tmp_path, progress=Progress())
+
+    assert again.computed == 3
+    assert not (other / "cost.json").exists()
+    assert_same_bytes(damaged, tiny_run)
+    assert not [path for path in damaged.rglob("*") if path.is_symlink()]
+    assert not [*cases.glob(".*")]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[]", "null", '{"grow": 5}', '{"grow": {"wall_s": 1}}',
+     '{"grow": {"wall_s": NaN, "cpu_s": 1, "peak_memory_MB": 1}}'],
+)  # fmt: skip
+def test_a_damaged_cost_is_unknown(tiny, damaged, text):
+    """It neither stops a run nor makes it compute the case again."""
+    (damaged / "cases" / "1-a" / "cost.json").write_text(text)
+    (damaged / "manifest.json").write_text("[]")
+
+    again = study.run(tiny, damaged.parent, progress=Progress())
+
+    assert again.computed == 0
+    assert RunFolder(damaged).read_cost("1-a") == {}
+    assert json.loads((damaged / "manifest.json").read_text())["stages"]["grow"]["wall_s"] > 0.0
+
+
+def test_nothing_is_locked_through_a_link(damaged, tmp_path):
+    """Opening a lock would make the file that its link names."""
+    (damaged / ".lock").unlink()
+    (damaged / ".lock").symlink_to(tmp_path / "made")
+
+    with pytest.raises(EnvironmentTroubleError, match="cannot be locked"):
+        RunFolder(damaged).locked().__enter__()
+
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_report_names_what_it_lacks(damaged):
+    """Tables without damaged cases say so, and are not emptied if all are damaged."""
+    progress = Recorder()
+    (damaged / "cases" / "1-a" / "case.json").write_text("{}")
+
+    study.tabulate(damaged, progress)
+
+    assert progress.lines == [
+        "without 1 case, missing or damaged; run the scenario again to restore"
+    ]
+    summary = (damaged / "summary.csv").read_bytes()
+    shutil.rmtree(damaged / "cases")
+    with pytest.raises(InputError, match="no case of this run is intact; run the scenario again"):
+        study.tabulate(damaged, progress)
+    assert (damaged / "summary.csv").read_bytes() == summary
 
 
 def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):

@@ -15,15 +15,12 @@ from tiswarm.progress import Progress
 def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
     """Redraw all tables, figures and report.html of a run from its stored data."""
     from tiswarm import study
-    from tiswarm.report.figures import draw_figures
-    from tiswarm.report.page import write_page
+    from tiswarm.drawing import draw
     from tiswarm.report.run_data import load_run
 
     progress = ConsoleProgress(quiet=quiet)
-    study.tabulate(run)
-    data = load_run(run)
-    draw_figures(data, progress, vector=pdf)
-    write_page(data, progress)
+    study.tabulate(run, progress)
+    draw(load_run(run), progress, figures=True, pdf=pdf)
     if not quiet:
         typer.echo(study.headline(run))
 
@@ -41,17 +38,13 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Draw 3D pictures of a run from its stored data, and add them to report.html."""
-    from tiswarm.drawing import draw_renders
-    from tiswarm.report.page import write_page
-    from tiswarm.report.render.animation import animate_run
+    from tiswarm.drawing import draw
     from tiswarm.report.run_data import load_run
 
-    progress = ConsoleProgress(quiet=quiet)
-    data = load_run(run)
-    draw_renders(data, progress, renderer=renderer, case=case)
-    if animate:
-        animate_run(data, movie, progress=progress, renderer=renderer, case=case)
-    write_page(data, progress)
+    draw(
+        load_run(run), ConsoleProgress(quiet=quiet),
+        renders=True, movie=movie if animate else None, renderer=renderer, case=case,
+    )  # fmt: skip
 
 
 @app.command(epilog="Example: tiswarm compare reports/tower-1a2b3c4d reports/joint-5e6f7a8b")

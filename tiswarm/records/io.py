@@ -9,13 +9,20 @@ from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_Content = TypeVar("_Content")
 
 MAX_LINE_BYTES = 64 * 2**20
 """Longest line that is read [byte]."""
@@ -188,13 +195,41 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; empty where the file is missing or damaged."""
+def read_json(path: Path, kind: TypeAdapter[_Content]) -> _Content | None:
+    """Read JSON of some kind; None where the file is missing, damaged, a link or no file."""
     try:
-        content = json.loads(path.read_text())
+        return kind.validate_json(path.read_bytes()) if _is_plain(path) else None
     except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
+        return None
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file; empty where it is missing, unreadable, a link or no file."""
+    try:
+        return sha256(path.read_bytes()).hexdigest() if _is_plain(path) else ""
+    except OSError:
+        return ""
+
+
+def _is_plain(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
+
+
+def write_frame(table: "pd.DataFrame", path: Path) -> None:
+    """Write a CSV whose numbers read back to the same bits."""
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def read_frame(path: Path) -> "pd.DataFrame":
+    """Read a CSV; only empty cells are unknown, for a condition may be called `NA` or `null`.
+
+    Raises:
+        OSError: the file is missing or unreadable.
+        ValueError: it is no table.
+    """
+    import pandas as pd  # noqa: PLC0415 - slow to import
+
+    return pd.read_csv(path, keep_default_na=False, na_values=[""])
 
 
 def make_folder(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 import base64
 import io
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,10 +9,10 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
 from tiswarm.report.page_tables import case_table, machine_table, result_tables, warnings_of
 from tiswarm.report.render.pictures import CaseView, read_case_view
@@ -85,15 +84,9 @@ def write_page(run: RunData, progress: Progress) -> Path:
 def _gather(run: RunData) -> dict[str, Any]:
     """Gather what the template shows, except for the pictures."""
     scenario = _read(run.folder / "scenario.yaml")
-    manifest: dict[str, Any] = {}
-    if (path := run.folder / "manifest.json").exists():
-        try:
-            manifest = json.loads(_read(path))
-        except ValueError as error:
-            problem = f"is not JSON: {error}; run the scenario again to restore it"
-            raise InputError(problem, path=path) from error
+    manifest = read_manifest(run.folder)
     stated = yaml.safe_load(scenario)
-    arch = manifest.get("backend", {}).get("arch", "cpu")
+    arch = manifest.backend.get("arch", "cpu")
     return {
         "name": stated.get("name", run.folder.name),
         "description": stated.get("description", ""),
@@ -105,14 +98,14 @@ def _gather(run: RunData) -> dict[str, Any]:
         "figures": [],
         "renders": [],
         "cases": case_table(run.summary),
-        "version": manifest.get("tiswarm", "of the same version"),
+        "version": manifest.tiswarm or "of the same version",
         "command": f"tiswarm run scenario.yaml --out again --arch {arch}",
         "machine": machine_table(manifest),
         "scenario": scenario,
     }
 
 
-def _in_words(run: RunData, manifest: dict[str, Any]) -> str:
+def _in_words(run: RunData, manifest: Manifest) -> str:
     """State in a line what was computed, and in what time."""
     counts = [counted(len(run.summary), "case")]
     counts += [counted(run.summary[noun].nunique(), noun) for noun in ("seed", "condition")]
@@ -120,7 +113,7 @@ def _in_words(run: RunData, manifest: dict[str, Any]) -> str:
         least, most = run.summary["robots"].min(), run.summary["robots"].max()
         equal = counted(int(least), "robot") if least == most else ""
         counts += [equal or f"{least:g} to {most:g} robots"]
-    spent = sum(stage["wall_s"] for stage in manifest.get("stages", {}).values())
+    spent = sum(stage.wall_s for stage in manifest.stages.values())
     time = f", computed in {spent:.1f} s" if spent else ""
     each = " each" if len(run.summary) > 1 else ""
     return f"{', '.join(counts)}{each}{time}."

@@ -1,12 +1,12 @@
 """The tables and warnings of a run's page: chosen columns, formatted, with units."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import pandas as pd
 
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import Manifest
 from tiswarm.report.run_data import swept_words
 
 _MOST_CASES = 2_000  # rows of the table of cases; `summary.csv` has all
@@ -143,20 +143,21 @@ def case_table(summary: pd.DataFrame) -> Table:
     return replace(_labeled(words, numbers | reason, "", note), words=[*words, "reason"])
 
 
-def machine_table(manifest: Mapping[str, Any]) -> Table:
+def machine_table(manifest: Manifest) -> Table:
     """Format the machine, the versions and the computing times."""
     facts = {
-        **manifest.get("machine", {}),
-        **manifest.get("backend", {}),
-        **{key: manifest.get(key, "") for key in ("peak_memory_MB", "python")},
-        **manifest.get("libraries", {}),
+        **manifest.machine,
+        **manifest.backend,
+        "peak_memory_MB": manifest.peak_memory_MB,
+        "python": manifest.python,
+        **manifest.libraries,
     }
-    for name, spent in manifest.get("stages", {}).items():
-        facts[f"{name} [s wall, s CPU]"] = f"{spent['wall_s']}, {spent['cpu_s']}"
+    for name, spent in manifest.stages.items():
+        facts[f"{name} [s wall, s CPU]"] = f"{spent.wall_s}, {spent.cpu_s}"
     rows = [
         (name.replace("_MB", " [MB]").replace("_", " "), str(value))
         for name, value in facts.items()
-        if value != ""
+        if value not in {"", None}
     ]
     frame = pd.DataFrame(rows, columns=["item", "value"])
     return Table(frame=frame, words=["item", "value"], title="Machine and versions")
@@ -189,7 +190,7 @@ def _numbers(values: pd.Series, digits: int, *, sign: str = "") -> "pd.Series[st
     return values.astype(float).map(lambda v: "" if pd.isna(v) else f"{v:{sign}.{digits}f}")
 
 
-def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]:
+def warnings_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
     """List what limits the results of a run."""
     done = summary[summary["status"] == "done"]
     failed = summary[summary["status"] != "done"]
@@ -215,8 +216,7 @@ def warnings_of(summary: pd.DataFrame, manifest: Mapping[str, Any]) -> list[str]
             f"The measurements that the method uses leave {count} floppy modes a case: motions "
             "that change no measurement. No method can remove errors along them."
         )
-    renders = manifest.get("renders", {}).values()
-    reasons = sorted({str(picture["reason"]) for picture in renders if picture["reason"]})
+    reasons = sorted({origin.reason for origin in manifest.renders.values() if origin.reason})
     return found + [f"A simpler renderer drew the pictures: {reason}." for reason in reasons]
 
 

@@ -12,6 +12,8 @@ import pandas as pd
 
 from tiswarm.aliases import Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.records.io import read_frame
+from tiswarm.records.run_folder import case_folder, check_folders
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +54,7 @@ class RunData:
         return [
             Case(
                 name=str(row["case"]),
-                folder=self.folder / "cases" / str(row["case"]),
+                folder=case_folder(self.folder, str(row["case"])),
                 done=row["status"] == "done",
                 robots=int(row["robots"]),
                 **{word: str(row[word]) for word in words},
@@ -119,8 +121,9 @@ def load_run(folder: Path) -> RunData:
     """Read the summary of a run.
 
     Raises:
-        InputError: the folder is not one of a run.
+        InputError: the folder is not one of a run, or a part of it is a link.
     """
+    check_folders(folder)
     try:
         return RunData(folder, read_table(folder / "summary.csv", ["case", "status"]))
     except InputError as error:
@@ -133,9 +136,7 @@ def read_table(
 ) -> pd.DataFrame:
     """Read a table with columns that it must have; empty cells of `numbers` become NaN."""
     try:
-        # Only empty cells are unknown: a condition may be called `NA` or `null`.
-        table = pd.read_csv(path, keep_default_na=False, na_values=[""])
-        table = table.astype(dict.fromkeys(numbers, float))
+        table = read_frame(path).astype(dict.fromkeys(numbers, float))
         table[list(columns)]
     except (OSError, ValueError, KeyError) as error:
         raise damaged(path, error) from error

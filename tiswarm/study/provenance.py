@@ -14,14 +14,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import psutil
+from pydantic import Field
 
 from tiswarm.compute.backend import Backend
 from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.records.io import read_json, write_json
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, structure_kind
@@ -30,13 +31,13 @@ from tiswarm.version import __version__, code_digest
 CODE = code_digest()
 """Digest of the code that computes in this process."""
 
-MANIFEST = "manifest.json"
 _LIBRARIES = (
     "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
     "taichi",
 )  # fmt: skip
 
-Cost = Mapping[str, float]
+_Unit = Annotated[str, Field(pattern="^(wall_s|cpu_s|peak_memory_MB)$")]
+Cost = Annotated[Mapping[_Unit, float], Field(min_length=3)]
 """Share of a case in a stage, `wall_s` and `cpu_s`, and `peak_memory_MB` of its whole batch."""
 
 
@@ -78,7 +79,7 @@ def peak_memory_mb() -> int:
     return peak_bytes // (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str, object]:
+def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> Manifest:
     """Gather what a reader needs to judge or repeat a run; costs are by case and stage."""
     stages: dict[str, dict[str, float]] = {}
     peak = 0
@@ -88,22 +89,23 @@ def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> dict[str,
         for unit in total:
             total[unit] += cost[unit]
     installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
-    return {
-        "tiswarm": __version__,
-        "code": CODE,
-        "backend": {key: value for key, value in asdict(backend).items() if key != "cache"},
-        "machine": machine(),
-        "python": platform.python_version(),
-        "libraries": {name: installed[name] for name in _LIBRARIES if name in installed},
-        "stages": {
-            name: {unit: round(value, 3) for unit, value in total.items()}
+    return Manifest(
+        tiswarm=__version__,
+        code=CODE,
+        backend={key: value for key, value in asdict(backend).items() if key != "cache"},
+        machine=machine(),
+        python=platform.python_version(),
+        libraries={name: installed[name] for name in _LIBRARIES if name in installed},
+        stages={
+            name: Spent(wall_s=round(total["wall_s"], 3), cpu_s=round(total["cpu_s"], 3))
             for name, total in stages.items()
         },
-        "peak_memory_MB": peak,
-    }
+        peak_memory_MB=peak,
+        cases=len(costs),
+    )
 
 
-def machine() -> dict[str, object]:
+def machine() -> dict[str, str | int | None]:
     """Return system, processor, cores and memory of this machine."""
     return {
         "system": platform.platform(),
@@ -120,11 +122,6 @@ def _processor() -> str:
                 return line.partition(":")[2].strip()
         return platform.machine()
     return platform.processor()
-
-
-def write_manifest(folder: Path, content: dict[str, object]) -> None:
-    """Write the manifest, keeping entries of an earlier one that `content` does not name."""
-    write_json(folder / MANIFEST, read_json(folder / MANIFEST) | content)
 
 
 # --- forecast --------------------------------------------------------------------------------

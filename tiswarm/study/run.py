@@ -10,15 +10,17 @@ from tiswarm.compute import backend
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
+from tiswarm.records.io import write_frame
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import read_manifest, write_manifest
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import Scenario
 from tiswarm.study import tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, shard, structures
 from tiswarm.study.executors import Execution, Executor, open_executor, reason
-from tiswarm.study.provenance import MANIFEST, manifest, write_manifest
+from tiswarm.study.provenance import manifest
 from tiswarm.study.runner import Job, Outcome, failure
-from tiswarm.study.store import CaseRecord, RunFolder, write_table
+from tiswarm.study.store import CaseRecord, RunFolder, remove
 
 _HERE = Execution()
 _BATCHES_EACH = 4
@@ -85,8 +87,8 @@ def run(
             progress.info(f"{many} {were} computed by other code; computing {them} again")
         used = None
         if missing:
-            for name in (MANIFEST, "report.html"):  # they describe a complete run
-                (folder.path / name).unlink(missing_ok=True)
+            for name in ("manifest.json", "report.html"):  # they describe a complete run
+                remove(folder.path / name)
             with open_executor(execution, threads, progress) as executor:
                 for outcome in _compute(missing, folder, executor, arch, execution, progress):
                     records |= {record.case: record for record in outcome.records}
@@ -102,14 +104,20 @@ def run(
             missing=len(cases) - len(records),
         )
         if not result.missing:
-            if used is not None or not (folder.path / MANIFEST).exists():
+            if not _has_manifest(folder.path):
                 costs = [folder.read_cost(case.name) for case in cases]
-                content = manifest(used or backend.current(), costs)
-                write_manifest(folder.path, content | {"cases": len(cases)})
+                write_manifest(folder.path, manifest(used or backend.current(), costs))
             _write_tables(folder, cases, [records[case.name] for case in cases])
             if all(record.is_done for record in records.values()):
                 folder.remove_structures()
     return result
+
+
+def _has_manifest(run: Path) -> bool:
+    try:
+        return bool(read_manifest(run).tiswarm)
+    except InputError:
+        return False
 
 
 def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
@@ -124,11 +132,15 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
     if len({setting.robots for setting in settings}) > 1:
         written["scaling"] = tables.scaling(cases, records, costs)
     for name, content in written.items():
-        write_table(content, folder.path / f"{name}.csv")
+        write_frame(content, folder.path / f"{name}.csv")
 
 
-def tabulate(path: Path) -> None:
-    """Write the tables of a run folder again, from its stored cases."""
+def tabulate(path: Path, progress: Progress) -> None:
+    """Write the tables of a run folder again, from its stored cases.
+
+    Raises:
+        InputError: it is no folder of a run, or no case is intact.
+    """
     resolved = path / "scenario.yaml"
     if not resolved.is_file():
         msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
@@ -136,6 +148,12 @@ def tabulate(path: Path) -> None:
     folder, cases = RunFolder(path), plan(load_scenario(resolved))
     stored = folder.read_cases(cases)
     kept = [case for case in cases if case.name in stored]
+    if not kept:
+        problem = "no case of this run is intact; run the scenario again to restore them"
+        raise InputError(problem, path=path)
+    if lost := len(cases) - len(kept):
+        many = counted(lost, "case")
+        progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
     _write_tables(folder, kept, [stored[case.name] for case in kept])
 
 

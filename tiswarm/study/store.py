@@ -1,21 +1,27 @@
 """The run folder: cases appear whole or not at all, and are identified by their content."""
 
 import fcntl
-import hashlib
+import json
+import os
 import secrets
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
+from pydantic import ConfigDict, TypeAdapter
+from pydantic.dataclasses import dataclass
 
 from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.params import STRICT
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import make_folder, read_json, write_json, write_text
+from tiswarm.records.io import digest, make_folder, read_json, write_frame, write_json, write_text
 from tiswarm.records.positions import Truth, write_estimate, write_positions
+from tiswarm.records.run_folder import check_folders
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
@@ -29,8 +35,11 @@ _STRUCTURES = "structures"
 _TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case; a case without one of them was stored by an older version."""
 
+_COST_KIND = TypeAdapter(Cost, config=STRICT)
+_COSTS_KIND = TypeAdapter(Mapping[str, Cost], config=STRICT)
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, config=ConfigDict(strict=True, extra="forbid"))
 class CaseRecord:
     """Content of `case.json`; nothing in it depends on the machine or the clock."""
 
@@ -40,10 +49,11 @@ class CaseRecord:
     point: Mapping[str, Any]  # values of the swept keys
     status: Literal["done", "failed"]
     reason: str = ""  # reason of the failure, or of the early end of growth
-    scores: Mapping[str, float | int | None] = field(default_factory=dict)  # None where unknown
+    scores: Mapping[str, float | int | bool | None] = field(default_factory=dict)  # None: unknown
     version: str = __version__  # version of the package that computed the case
     code: str = field(default_factory=lambda: CODE)  # digest of the code that computed the case
     files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of all others but the cost
+    digest: str = ""  # SHA-256 of the record without it; older versions wrote none
 
     @property
     def series(self) -> str:
@@ -60,12 +70,25 @@ class CaseRecord:
         """Whether the code of this process computed the case, or failed to."""
         return self.code == CODE
 
+    def sealed(self) -> "CaseRecord":
+        """Return the record with its digest."""
+        content = json.dumps(asdict(replace(self, digest="")))
+        return replace(self, digest=sha256(content.encode()).hexdigest())
+
+
+_RECORD_KIND = TypeAdapter(CaseRecord)
+
 
 class RunFolder:
     """Folder of one run, named after the scenario and its content."""
 
     def __init__(self, path: Path) -> None:
-        """Take an existing or future folder at `path`."""
+        """Take an existing or future folder at `path`.
+
+        Raises:
+            InputError: a link or file is where the run has a folder.
+        """
+        check_folders(path)
         self.path = path
         self.cases = path / "cases"
 
@@ -97,7 +120,8 @@ class RunFolder:
     def _lock(self, locks: ExitStack, name: str, kind: int) -> None:
         path = self.path / name
         try:
-            fcntl.flock(locks.enter_context(path.open("a+")), kind | fcntl.LOCK_NB)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            fcntl.flock(locks.enter_context(os.fdopen(descriptor)), kind | fcntl.LOCK_NB)
         except BlockingIOError as error:
             msg = f"{self.path}: another run is at work here; wait for it, or choose another --out"
             raise EnvironmentTroubleError(msg) from error
@@ -107,21 +131,20 @@ class RunFolder:
 
     def _remove_partial_files(self) -> None:
         for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
-            if partial.is_dir():
-                shutil.rmtree(partial, ignore_errors=True)
-            else:
-                partial.unlink(missing_ok=True)
+            remove(partial)
 
     def read_case(self, name: str) -> CaseRecord | None:
-        """Read a case, finished or failed; None where a file is missing or has another digest."""
+        """Read a case, finished or failed; None where a file is missing or damaged, or a link."""
         folder = self.cases / name
-        try:
-            old = {"version": "", "code": ""}
-            record = CaseRecord(**old | read_json(folder / "case.json"))
-            intact = all(_digest(folder / file) == sha for file, sha in record.files.items())
-        except (OSError, TypeError):
+        record = read_json(folder / "case.json", _RECORD_KIND)
+        if record is None or record.case != name or folder.is_symlink():
+            return None
+        if not record.digest:
+            record = replace(record, code="")  # an older version stored it
+        elif record.digest != record.sealed().digest:
             return None
         complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
+        intact = all(digest(folder / file) == sha for file, sha in record.files.items())
         return record if intact and complete else None
 
     def read_cases(self, cases: Sequence[Case]) -> dict[str, CaseRecord]:
@@ -149,8 +172,8 @@ class RunFolder:
         write_positions(folder / "truth.csv", truth.robot_id, truth.position)
         write_estimate(folder / "estimate.csv", estimate)
         for name in _TABLES:
-            write_table(tables[name], folder / f"{name}.csv")
-        files = {path.name: _digest(path) for path in sorted(folder.iterdir())}
+            write_frame(tables[name], folder / f"{name}.csv")
+        files = {path.name: digest(path) for path in sorted(folder.iterdir())}
         write_json(folder / _COST, cost)
         complete = replace(record, files=files)
         self._publish(complete, folder)
@@ -163,20 +186,20 @@ class RunFolder:
         return folder
 
     def _publish(self, record: CaseRecord, folder: Path) -> None:
-        write_json(folder / "case.json", asdict(record))
+        write_json(folder / "case.json", asdict(record.sealed()))
         target = self.cases / record.case
-        shutil.rmtree(target, ignore_errors=True)
+        remove(target)
         try:
             folder.rename(target)
         except OSError:
             if not target.is_dir():
                 raise
             # A worker that outlived its run has stored the same case a moment ago.
-            shutil.rmtree(folder, ignore_errors=True)
+            remove(folder)
 
     def read_cost(self, name: str) -> Mapping[str, Cost]:
         """Read the cost of a case by stage; empty where it is unknown."""
-        return read_json(self.cases / name / _COST)
+        return read_json(self.cases / name / _COST, _COSTS_KIND) or {}
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
@@ -185,9 +208,11 @@ class RunFolder:
     def read_structure(self, case: Case) -> tuple[History, Cost] | None:
         """Read the structure of a case, and the cost of growing it; None where it is not kept."""
         path = self._structure_path(case)
-        cost = read_json(path.with_suffix(".json"))
+        cost = read_json(path.with_suffix(".json"), _COST_KIND)
+        if cost is None:
+            return None
         history = read_history(path, case.settings.structure, case.settings.robot)
-        return (history, cost) if history is not None and cost else None
+        return None if history is None else (history, cost)
 
     def keep_structure(self, case: Case, history: History, cost: Cost) -> None:
         """Keep a structure that took long to grow until all cases of the run are done."""
@@ -198,17 +223,16 @@ class RunFolder:
 
     def remove_structures(self) -> None:
         """Remove all structures that were kept."""
-        shutil.rmtree(self.path / _STRUCTURES, ignore_errors=True)
+        remove(self.path / _STRUCTURES)
 
     def _structure_path(self, case: Case) -> Path:
-        digest = hashlib.sha256(repr((structure_key(case), CODE)).encode()).hexdigest()[:12]
-        return self.path / _STRUCTURES / f"seed{case.seed}-{digest}.npz"
+        key = sha256(repr((structure_key(case), CODE)).encode()).hexdigest()[:12]
+        return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
 
 
-def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write a CSV whose numbers read back to the same bits."""
-    write_text(path, table.to_csv(index=False, lineterminator="\n"))
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def remove(path: Path) -> None:
+    """Remove a folder with its content, a file, or a link itself; nothing where there is none."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

@@ -25,14 +25,14 @@ from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference, power_l
 from tiswarm.evaluation.paper import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.io import make_folder
+from tiswarm.records.io import make_folder, read_frame, write_frame
 from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.study.cases import Case, point_text, series_text, structures
 from tiswarm.study.provenance import Cost
-from tiswarm.study.store import CaseRecord, RunFolder, write_table
+from tiswarm.study.store import CaseRecord, RunFolder
 
 _ACCURACY = (
     "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
@@ -275,14 +275,13 @@ def compare(runs: Sequence[Path], out: Path) -> None:
             pair = dict(zip(_COMPARED, (*other, *one), strict=False))
             rows += _differences(pair, before, after)
     make_folder(out)
-    write_table(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
-    write_table(pd.DataFrame(rows, columns=None if rows else _COMPARED), out / "paired.csv")
+    write_frame(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
+    write_frame(pd.DataFrame(rows, columns=None if rows else _COMPARED), out / "paired.csv")
 
 
 def _read_table(run: Path) -> pd.DataFrame:
     try:
-        # only empty cells are unknown: a condition may be called `NA` or `null`
-        return pd.read_csv(run / "table.csv", keep_default_na=False, na_values=[""])
+        return read_frame(run / "table.csv")
     except (OSError, ValueError) as error:
         msg = "has no table.csv; give a folder that `tiswarm run` made"
         raise InputError(msg, path=run) from error

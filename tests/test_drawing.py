@@ -1,0 +1,92 @@
+"""Drawings of a run: drawn once, and again where one is missing, damaged or outdated."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.runs import assert_same_results
+from tiswarm import drawing
+from tiswarm.drawing import draw_all
+from tiswarm.progress import Progress
+from tiswarm.records.run_folder import read_manifest
+from tiswarm.report.render.pictures import Rendered
+from tiswarm.study.run import RunResult
+
+
+@pytest.fixture
+def result(small_run, tmp_path):
+    """A finished and drawn run, as the same command finds it."""
+    folder = Path(shutil.copytree(small_run, tmp_path / small_run.name))
+    return RunResult(folder=folder, computed=0, found=6, failed=(), missing=0)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Gathers the options of each call that draws."""
+    calls = []
+    monkeypatch.setattr(drawing, "draw", lambda _run, _progress, **options: calls.append(options))
+    return calls
+
+
+def test_a_whole_run_is_not_drawn_again(result, drawn):
+    """Digests in the manifest show that nothing is missing."""
+    draw_all(result, Progress())
+
+    assert drawn == []
+
+
+@pytest.mark.parametrize(
+    "name", ["figures/accuracy.png", "renders/error.png", "report.html", "table.csv"]
+)
+@pytest.mark.parametrize("damage", ["delete", "cut", "link"])
+def test_a_damaged_run_is_drawn_again(result, drawn, name, damage):
+    """One missing, damaged or linked file is enough, and so is a table that was written anew."""
+    path = result.folder / name
+    data = path.read_bytes()
+    path.unlink()
+    if damage == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif damage == "link":
+        path.with_name("other").write_bytes(data)
+        path.symlink_to("other")
+
+    draw_all(result, Progress())
+
+    assert [(call["figures"], call["renders"]) for call in drawn] == [(True, True)]
+
+
+def test_a_run_that_was_only_animated_is_drawn(result, drawn):
+    """`--no-pictures --animate` writes a page, which lacks the pictures."""
+    manifest = json.loads((result.folder / "manifest.json").read_text())
+    page = {"report.html": manifest["drawn"]["report.html"]}
+    (result.folder / "manifest.json").write_text(json.dumps(manifest | {"drawn": page}))
+
+    draw_all(result, Progress(), pictures=False)
+    assert drawn == []
+    draw_all(result, Progress())
+    assert len(drawn) == 1
+
+
+def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
+    """All return to the same bytes; afterwards nothing is drawn. Copies stand for renders."""
+
+    def render(run, **_):
+        paths = [run.subfolder("renders") / path.name for path in small_run.glob("renders/*")]
+        for path in paths:
+            shutil.copy(small_run / "renders" / path.name, path)
+        return [Rendered(path=path, renderer="open3d", reason="") for path in paths]
+
+    monkeypatch.setattr(drawing, "render_run", render)
+    (result.folder / "figures" / "accuracy.png").unlink()
+    (result.folder / "renders" / "error.png").write_bytes(b"\x89PNG")
+    (result.folder / "report.html").write_text("<html>")
+
+    draw_all(result, Progress())
+
+    assert_same_results(result.folder, small_run)
+    assert "renders/error.png" in (result.folder / "report.html").read_text()
+    assert len(read_manifest(result.folder).renders) == 5
+    monkeypatch.delattr(drawing, "draw")
+    draw_all(result, Progress())

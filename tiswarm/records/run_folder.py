@@ -1,0 +1,98 @@
+"""What all rooms know of the folder of a run: its folders and its manifest."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, field
+from pathlib import Path
+
+from pydantic import ConfigDict, TypeAdapter
+from pydantic.dataclasses import dataclass
+
+from tiswarm.errors import InputError
+from tiswarm.records.io import read_json, write_json
+
+_FOLDERS = ("cases", "structures", "figures", "renders", "export")
+_MANIFEST = "manifest.json"
+
+_TOLERANT = ConfigDict(strict=True, allow_inf_nan=False)  # of entries of other versions
+
+_Facts = Mapping[str, str | int | None]
+
+
+@dataclass(frozen=True, kw_only=True, config=_TOLERANT)
+class Spent:
+    """Time of all cases in a stage [s]."""
+
+    wall_s: float
+    cpu_s: float
+
+
+@dataclass(frozen=True, kw_only=True, config=_TOLERANT)
+class Origin:
+    """Renderer of a picture, and why a better one failed."""
+
+    renderer: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, config=_TOLERANT)
+class Manifest:
+    """Content of `manifest.json`: what differs between machines, and what was drawn."""
+
+    tiswarm: str = ""  # version of the package; empty until the run is complete
+    code: str = ""  # digest of the code that computed the cases
+    backend: _Facts = field(default_factory=dict)
+    machine: _Facts = field(default_factory=dict)
+    python: str = ""
+    libraries: Mapping[str, str] = field(default_factory=dict)  # versions
+    stages: Mapping[str, Spent] = field(default_factory=dict)
+    peak_memory_MB: int | None = None  # noqa: N815 - a key of the file
+    cases: int = 0
+    renders: Mapping[str, Origin] = field(default_factory=dict)  # by file name
+    drawn: Mapping[str, str] = field(default_factory=dict)  # SHA-256 by path within the folder
+
+
+_KIND = TypeAdapter(Manifest)
+
+
+def read_manifest(run: Path) -> Manifest:
+    """Read the manifest of a run; an empty one where it is missing.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    path = run / _MANIFEST
+    found = read_json(path, _KIND) if path.exists() else Manifest()
+    if found is None:
+        raise InputError("is damaged; run the scenario again to restore it", path=path)
+    return found
+
+
+def write_manifest(run: Path, manifest: Manifest) -> None:
+    """Write the manifest of a run."""
+    write_json(run / _MANIFEST, asdict(manifest))
+
+
+def check_folders(run: Path) -> None:
+    """Refuse a run whose folders are links or files, since links may lead anywhere.
+
+    Raises:
+        InputError: with the place to remove.
+    """
+    for place in (run / name for name in _FOLDERS):
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            problem = "is a link or a file in place of a folder; remove it"
+            raise InputError(problem, path=place)
+
+
+def case_folder(run: Path, name: str) -> Path:
+    """Return the folder of a case.
+
+    Raises:
+        InputError: it is a link, or the name leads to another place.
+    """
+    cases = run / "cases"
+    folder = cases / name
+    if name == ".." or folder.parent != cases or folder.is_symlink():
+        problem = f"case {name!r} leads out of the run; run the scenario again to restore it"
+        raise InputError(problem, path=run)
+    return folder
