@@ -88,20 +88,20 @@ $(installed_dev): $(inputs) | $(bin)/python
 	$(call install,'.[dev]',tiswarm and the developers' tools)
 	@touch $(installed) $@
 
-# Open3d draws with libraries that pip cannot bring; without them pictures are simpler.
+# Taichi and open3d need libraries that pip cannot bring.
 .venv/.system-checked: $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \
 		:; \
 	elif ! command -v apt-get >/dev/null; then \
-		echo "for the better renderer: install what Debian calls $$missing"; \
+		echo "for taichi and open3d: install what Debian calls $$missing"; \
 	elif test "$$(id -u)" -ne 0; then \
-		echo "for the better renderer: sudo apt-get install $$missing"; \
+		echo "for taichi and open3d: sudo apt-get install $$missing"; \
 	else \
-		echo "installing system libraries for the better renderer: $$missing"; \
+		echo "installing system libraries for taichi and open3d: $$missing"; \
 		{ apt-get update && DEBIAN_FRONTEND=noninteractive \
 			apt-get install -y --no-install-recommends $$missing; } > .venv/.apt-log 2>&1 \
-		|| echo "warning: that failed (see .venv/.apt-log); a simpler renderer will draw" >&2; \
+		|| echo "warning: that failed (see .venv/.apt-log); pictures will be simpler" >&2; \
 	fi; \
 	touch $@

@@ -1,6 +1,7 @@
 """The doctor names what to install."""
 
 import builtins
+import sys
 
 import pytest
 
@@ -36,6 +37,24 @@ def test_no_packages_are_named_off_linux(bare_machine, monkeypatch):
     monkeypatch.setattr(doctor.sys, "platform", "darwin")
 
     assert missing_packages() == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="wheels for other systems contain the library")
+def test_a_machine_without_the_library_of_taichi_gets_the_name_of_its_package(tmp_path, tiswarm):
+    """A file that is no library stands for it: what to install is said, and nothing else runs."""
+    pytest.importorskip("taichi")
+    (tmp_path / "libX11.so.6").write_text("broken")
+    broken = {"LD_LIBRARY_PATH": str(tmp_path), "TISWARM_BACKEND": "taichi"}
+
+    asked = tiswarm("doctor", "--missing-packages", **broken)
+    planned = tiswarm("run", "scenarios/tower.yaml", "--plan", **broken)
+
+    assert (asked.returncode, asked.stderr) == (0, "")
+    assert asked.stdout.split()[0] == "libx11-6"  # other libraries that load this one follow
+    assert (planned.returncode, planned.stdout) == (1, "")
+    [line] = planned.stderr.splitlines()
+    assert line.startswith("tiswarm: error: taichi cannot be imported: ")
+    assert line.endswith("; on Debian, run: apt-get install libx11-6")
 
 
 def test_the_test_picture_of_our_own_renderer_works():

@@ -1,4 +1,7 @@
-"""Examines devices and renderers of this machine, and lists missing system packages."""
+"""Examines devices and renderers of this machine, and lists missing system packages.
+
+It works without the kernel language, which only the children import that examine devices.
+"""
 
 import ctypes
 import importlib.util
@@ -11,15 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiswarm.child import child_command
-from tiswarm.compute import backend
+from tiswarm.compute.machine import machine
 from tiswarm.params import ARCHS, Arch
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
 from tiswarm.report.render.scene import Look, Robots, build_scene
 from tiswarm.robot import RobotGeometry
-from tiswarm.study.provenance import machine
 
 _PROBE_SECONDS = 60
-_OPEN3D_LIBRARIES = {
+_LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -29,6 +31,8 @@ _OPEN3D_LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
 }
 """Shared libraries that `import open3d` loads, and the Debian packages that contain them."""
+
+_TAICHI_LIBRARIES = frozenset({"libX11.so.6"})
 
 _PROBE = """
 import sys
@@ -60,7 +64,7 @@ def examine() -> Iterator[Finding]:
     for renderer in TRACERS:
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
-        detail = f"for open3d: apt-get install {' '.join(packages)}"
+        detail = f"apt-get install {' '.join(packages)}"
         yield Finding("system packages", works=False, detail=detail)
 
 
@@ -79,6 +83,8 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
 
 def start_backend(arch: Arch) -> str:
     """Start a backend; return its library and number of threads."""
+    from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
+
     found = backend.start(arch)
     return f"{found.library}, {found.threads} threads"
 
@@ -94,14 +100,18 @@ def draw_test_picture(renderer: str) -> str:
 
 
 def missing_packages() -> list[str]:
-    """List missing Debian packages that open3d needs; none on other systems than Linux."""
-    if sys.platform != "linux" or importlib.util.find_spec("open3d") is None:
+    """List missing Debian packages of taichi and open3d; none on other systems than Linux."""
+    if sys.platform != "linux":
         return []
-    try:
-        import_open3d()
-    except (ImportError, OSError):
-        return [package for library, package in _OPEN3D_LIBRARIES.items() if not _loads(library)]
-    return []
+    needed = set(_TAICHI_LIBRARIES) if importlib.util.find_spec("taichi") else set()
+    if importlib.util.find_spec("open3d"):
+        try:
+            import_open3d()
+        except (ImportError, OSError):
+            needed |= _LIBRARIES.keys()
+    return [
+        name for library, name in _LIBRARIES.items() if library in needed and not _loads(library)
+    ]
 
 
 def _loads(library: str) -> bool:

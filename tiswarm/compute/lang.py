@@ -2,7 +2,7 @@
 
 Every kernel file says `from tiswarm.compute.lang import ti`. The language has two
 implementations: taichi, and its maintained fork quadrants, which also runs where taichi has no
-wheel. The variable TISWARM_BACKEND names one; without it, the first installed one is used.
+wheel. The variable TISWARM_BACKEND names one; without it, the first that can be imported is used.
 
 Arrays that belong together form a bundle, a `NamedTuple` that documents each of them. The host
 allocates it and spreads it over the arguments of a kernel; the first lines of the kernel bind
@@ -19,37 +19,56 @@ them again, inside `ti.static`, and hand the bundle on:
     fill(8, *rows)
 """
 
+import io
 import os
 import sys
+from contextlib import redirect_stdout
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.errors import EnvironmentTroubleError
 
-LIBRARIES = ("taichi", "quadrants")
+LIBRARIES = {"taichi": "TI", "quadrants": "QD"}
+"""The implementations, best first, with the prefix of their environment variables."""
 
 
-def _library() -> str:
+def load_library() -> tuple[str, Any]:
+    """Import the library that is asked for, or the first that can be; return its name and it.
+
+    Raises:
+        EnvironmentTroubleError: none is installed, or none can be imported.
+    """
     asked = os.environ.get("TISWARM_BACKEND")
     if asked is not None and asked not in LIBRARIES:
         raise EnvironmentTroubleError(
             f"TISWARM_BACKEND={asked}: unknown; set it to {' or '.join(LIBRARIES)}"
         )
-    for name in LIBRARIES if asked is None else (asked,):
-        if find_spec(name):
-            return name
+    if "HOME" not in os.environ:  # the library aborts the process at import without one
+        os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
+    trouble, flags = "", sys.getdlopenflags()
+    notebook = "0" if sys.stdout is sys.__stdout__ else "1"
+    for name in filter(find_spec, LIBRARIES if asked is None else (asked,)):
+        os.environ.setdefault(f"ENABLE_{name.upper()}_HEADER_PRINT", "0")
+        os.environ.setdefault(f"{LIBRARIES[name]}_ENABLE_PYBUF", notebook)
+        try:
+            with redirect_stdout(io.StringIO()):  # a failed import prints; a notebook looks alike
+                library = import_module(name)
+        except (ImportError, OSError) as error:
+            trouble = f"{name} cannot be imported: {' '.join(str(error).split())}"
+            sys.setdlopenflags(flags)  # the library leaves its own
+        else:
+            if trouble:
+                sys.stderr.write(f"tiswarm: warning: {trouble}; computing with {name}\n")
+            return name, library
+    if trouble:
+        raise EnvironmentTroubleError(f"{trouble}; on Debian, run: apt-get install libx11-6")
     raise EnvironmentTroubleError(
         f"{asked or ' and '.join(LIBRARIES)} not installed; run: pip install {asked or 'taichi'}"
     )
 
 
-LIBRARY = _library()
-os.environ.setdefault(f"ENABLE_{LIBRARY.upper()}_HEADER_PRINT", "0")
-if "HOME" not in os.environ:  # the library aborts the process at import without one
-    os.environ["HOME"] = os.path.expanduser("~").replace("~", "/nonexistent")  # noqa: PTH111
-
-ti: Any = import_module(LIBRARY)
+LIBRARY, ti = load_library()
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct

@@ -5,7 +5,6 @@ between repetitions; all other files of a run are the same to the byte.
 """
 
 import importlib.metadata
-import os
 import platform
 import resource
 import sys
@@ -16,10 +15,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import psutil
 from pydantic import Field
 
 from tiswarm.compute.backend import Backend
+from tiswarm.compute.machine import machine
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, Spent
@@ -103,25 +102,6 @@ def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> Manifest:
         peak_memory_MB=peak,
         cases=len(costs),
     )
-
-
-def machine() -> dict[str, str | int | None]:
-    """Return system, processor, cores and memory of this machine."""
-    return {
-        "system": platform.platform(),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "memory_MB": psutil.virtual_memory().total // 2**20,
-    }
-
-
-def _processor() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-        return platform.machine()
-    return platform.processor()
 
 
 # --- forecast --------------------------------------------------------------------------------
