@@ -1,5 +1,6 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
+import signal
 import sys
 import warnings
 from pathlib import Path
@@ -14,7 +15,7 @@ from tiswarm.console import fail
 from tiswarm.errors import InputError, TiswarmError
 from tiswarm.params import Arch
 
-_INTERRUPTED = 130
+_INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _PYTHON = warnings.showwarning
 
 app = typer.Typer(
@@ -69,6 +70,7 @@ def main() -> None:
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     warnings.showwarning = _show_warning
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         status: Any = app(arguments, standalone_mode=False)
     except TiswarmError as error:
@@ -77,10 +79,8 @@ def _status(arguments: list[str]) -> int:
     except TyperException as error:
         fail(" ".join(error.format_message().split()))
         return InputError.exit_status
-    except (KeyboardInterrupt, typer.Abort):
+    except SystemExit as end:  # of SIGTERM, or because nobody reads the output
+        status = end.code
+    if status in _INTERRUPTED:
         fail("interrupted; finished results are kept, and the same command continues from there")
-        return _INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 1
     return status if isinstance(status, int) else 0

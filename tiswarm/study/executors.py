@@ -65,6 +65,7 @@ def open_executor(
         EnvironmentTroubleError: Dask is not installed, or no scheduler answers.
     """
     limit = execution.case_limit_s
+    _ending.clear()
     if execution.scheduler is not None:
         with _connected(execution.scheduler) as client:
             remote = client.get_executor(pure=False)
@@ -122,6 +123,7 @@ def reason(error: BaseException) -> str:
 # --- processes -------------------------------------------------------------------------------
 
 _running: set["_Process"] = set()
+_ending = threading.Event()  # set once processes of this run are to end
 _own = threading.local()
 
 
@@ -152,6 +154,8 @@ class _Process:
         )  # fmt: skip
         theirs.close()
         _running.add(self)
+        if _ending.is_set():
+            self.end()
 
     def run(self, job: Job, limit_s: float | None) -> Outcome:
         """Run a job, unless it takes longer than allowed for all of its cases."""
@@ -196,6 +200,7 @@ class _Process:
 
 
 def _end_all() -> None:
+    _ending.set()
     for process in list(_running):
         process.end()
 

@@ -104,7 +104,8 @@ class RunFolder:
     def locked(self, shard: str = "") -> Iterator[None]:
         """Keep other runs out of the folder, except those of other shards, which have names.
 
-        The system releases a lock when its process ends, in any way.
+        The system releases a lock when its process ends, in any way. Partial files are removed
+        at both ends of the block, as a process that is killed leaves some.
 
         Raises:
             EnvironmentTroubleError: another run computes here.
@@ -115,6 +116,7 @@ class RunFolder:
                 self._lock(locks, f".lock-{shard}", fcntl.LOCK_EX)
             else:
                 self._remove_partial_files()
+                locks.callback(self._remove_partial_files)
             yield
 
     def _lock(self, locks: ExitStack, name: str, kind: int) -> None:
