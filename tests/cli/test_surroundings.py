@@ -1,5 +1,6 @@
 """Signals and broken surroundings end a command in one line, with nothing left behind."""
 
+import errno
 import fcntl
 import os
 import signal
@@ -12,6 +13,7 @@ import psutil
 import pytest
 
 from tests.runs import REPOSITORY
+from tiswarm.cli import main
 
 LONG = ("robots=60", "seeds=40", "localization.iterations=100000", "conditions={a: {}, b: {}}")
 """Settings of a study of many minutes."""
@@ -63,3 +65,52 @@ def test_a_signal_ends_a_study_in_one_line(tmp_path, number, options):
     with lock.open() as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     assert not [*tmp_path.rglob(".*.part"), *tmp_path.rglob(".*.tmp")]
+
+
+def _said(monkeypatch, capsys, *arguments: str) -> tuple[int, str]:
+    """Run a command in this process; return its status and what it wrote to standard error."""
+    monkeypatch.setattr(sys, "argv", ["tiswarm", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code, capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no device that is full")
+def test_a_full_disk_behind_standard_output_is_one_line(tmp_path):
+    """No second complaint follows as the process ends."""
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "tiswarm", "--version"],
+            cwd=REPOSITORY,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+
+    what = "cannot read or write: No space left on device; check the disk and its permissions"
+    assert (done.returncode, done.stderr) == (1, f"tiswarm: error: {what}\n")
+
+
+@pytest.mark.parametrize("name", ["getcwd", "chdir"])
+def test_a_working_folder_that_is_gone_or_closed_is_one_line(monkeypatch, capsys, name):
+    """The kernel library and open3d would end in a traceback, or abort the process."""
+
+    def refuse(*_):
+        raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+
+    monkeypatch.setattr(os, name, refuse)
+
+    status, said = _said(monkeypatch, capsys, "schema")
+
+    what = "the working folder cannot be used: No such file or directory; change to another one"
+    assert (status, said) == (1, f"tiswarm: error: {what}\n")
+
+
+def test_figures_ask_for_no_window_system(monkeypatch, capsys):
+    """Matplotlib refuses to be imported where the variable names nothing that it knows."""
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+
+    assert _said(monkeypatch, capsys, "--version") == (0, "")
+
+    assert os.environ["MPLBACKEND"] == "agg"

@@ -121,6 +121,7 @@ TRIANGLE = [[0, 0, 0, 0, 0], [0, 1, 2.6, 0, 0], [0, 2, 0, 2.6, 0]]
         (POSES, [[0, 0, 0, 0, 1, 0, 0, 0, 9]], {}, "poses.csv:2: has 9 cells; 8 are needed"),
         (POSES, [[0, 0, 0, 0, 1, 0, 0, 0], [1.5, *"0001000"]], {}, "poses.csv:3: robot: '1.5' is"),
         (POSES, [["a", 0, "b", 0, 1, 0, 0, 0]], {}, "poses.csv:2: robot: 'a' is not a whole"),
+        (POSES, [[0, 0, -1e308, 0, 1, 0, 0, 0]], {}, "poses.csv:2: y: -1e+308 is too far out"),
         (POSES, [[0, 0, 0, 0, 1, 1, 0, 0]], {}, "poses.csv:2: qw: the quaternion has length 1.41"),
         (POSES, [[0, 0, 0, 0, 1, 0, 0, 0]] * 2, {}, "poses.csv:3: robot 0 has a row already"),
         (POSES, [[2**62 + 1, 0, 0, 0, 1, 0, 0, 0]] * 2, {}, "robot 4611686018427387905 has a row"),

@@ -1,5 +1,6 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
+import os
 import signal
 import sys
 import warnings
@@ -12,7 +13,7 @@ from typer.exceptions import TyperException
 
 import tiswarm
 from tiswarm.console import fail
-from tiswarm.errors import InputError, TiswarmError
+from tiswarm.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.params import Arch
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
@@ -50,6 +51,17 @@ def _options(
         typer.echo(f"tiswarm {tiswarm.__version__}")
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
+    else:
+        _enter_working_folder()
+
+
+def _enter_working_folder() -> None:
+    """Raise EnvironmentTroubleError in a folder that is gone or closed; libraries cannot load."""
+    try:
+        os.chdir(Path.cwd())
+    except OSError as error:
+        msg = f"the working folder cannot be used: {error.strerror}; change to another one"
+        raise EnvironmentTroubleError(msg) from error
 
 
 def _show_warning(
@@ -70,6 +82,7 @@ def main() -> None:
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     warnings.showwarning = _show_warning
+    os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
         status: Any = app(arguments, standalone_mode=False)
@@ -79,6 +92,10 @@ def _status(arguments: list[str]) -> int:
     except TyperException as error:
         fail(" ".join(error.format_message().split()))
         return InputError.exit_status
+    except OSError as error:
+        what = error.filename or "cannot read or write"
+        fail(f"{what}: {error.strerror or error}; check the disk and its permissions")
+        return EnvironmentTroubleError.exit_status
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code
     if status in _INTERRUPTED:

@@ -24,6 +24,8 @@ from tiswarm.records.sensing_log import SensingLog, canonical_contacts
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _WHOLE = ["robot", "sphere", "join"]
+_FARTHEST = 1e12
+"""Largest coordinate [dock radii]; to 1e-4 of a radius, numbers still resolve it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,7 @@ def import_poses(
         InputError: the table is malformed or does not contain the anchor.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
-    poses = _read_poses(path, dock_offset_body, assumed.tolerance)
+    poses = _read_poses(path, dock_offset_body, assumed)
     unit = poses.length_unit or assumed.length_unit
     assumed = replace(assumed, length_unit=unit)
     docks = poses.position[:, None] + dock_offsets(poses.orientation_wxyz, poses.dock_offset_body)
@@ -86,20 +88,25 @@ def import_poses(
         progress.info(f"{counted(too_close, 'overlap')} of two docks {by}")
 
 
-def _read_poses(path: Path, dock_offset_body: Reals, tolerance: float) -> _Poses:
+def _read_poses(path: Path, dock_offset_body: Reals, assumed: Assumptions) -> _Poses:
     text = Table(path)
     columns, unit = _columns(text.columns, path)
     numbers = {
         name: text.integers(column) if name in _WHOLE else text.numbers(column)
         for name, column in columns.items()
     }
+    for axis in "xyz":
+        far = np.flatnonzero(np.abs(numbers[axis]) > _FARTHEST * assumed.dock_radius)
+        if len(far):
+            problem = f"{numbers[axis][far[0]]:g} is too far out; move the origin to the robots"
+            raise InputError(problem, path=path, line=text.line(far[0]), key=columns[axis])
     table = _by_robot(pd.DataFrame(numbers | {"line": list(text.rows)}), path)
     first = table.drop_duplicates("robot")
     place = table[[*"xyz"]].to_numpy(float).reshape(len(first), -1, 3)
     position = place.mean(axis=1)
     if "sphere" in table:
         dock_offset_body = place[0] - position[0]
-        orientation = _align(place - position[:, None], first, path, tolerance)
+        orientation = _align(place - position[:, None], first, path, assumed.tolerance)
     else:
         orientation = _unit_quaternions(first, path)
     return _Poses(
