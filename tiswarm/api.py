@@ -67,10 +67,10 @@ class Run:
         Raises:
             InputError: the run has no table of that name.
         """
-        from tiswarm.report.run_data import read_table  # noqa: PLC0415 - slow to import
+        from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
 
         folder = self.folder if case is None else self.folder / "cases" / case
-        return read_table(folder / f"{name}.csv")
+        return read_frame(folder / f"{name}.csv", empty=True)
 
     @property
     def figures(self) -> dict[str, Figure]:

@@ -69,12 +69,22 @@ def write_case(folder, *, seed, last_iteration=40):
     return rmse
 
 
+def write_summary(folder, header, rows):
+    """Write the summary of a run; columns that the header lacks are empty, but for the seed."""
+    first = "case,seed,series,condition,point,kind,status,reason"
+    names = header.split(",")
+    rows = [{"seed": 0} | dict(zip(names, row, strict=True)) for row in rows]
+    columns = [*first.split(","), *(name for name in names if name not in first.split(","))]
+    table = [[row.get(name, "") for name in columns] for row in rows]
+    write_table(folder / "summary.csv", ",".join(columns), table)
+
+
 @pytest.fixture
 def run_folder(tmp_path):
     """Two seeds under two conditions, one of them failed."""
     names = ["0-baseline", "1-baseline", "0-no-z", "1-no-z"]
     for name in names[:3]:
         write_case(tmp_path / "cases" / name, seed=int(name[0]))
-    rows = [[name, "failed" if name == "1-no-z" else "done", name[2:]] for name in names]
-    write_table(tmp_path / "summary.csv", "case,status,series", rows)
+    rows = [[name, "failed" if name == "1-no-z" else "done", name[2:], ROBOTS] for name in names]
+    write_summary(tmp_path, "case,status,series,robots", rows)
     return tmp_path

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tests.recorder import Recorder
-from tests.report.conftest import is_blank, write_case, write_table
+from tests.report.conftest import is_blank, write_case, write_summary, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.report import figures, table_figures
@@ -64,7 +64,7 @@ def test_failed_cases_are_left_out_and_counted_on_each_figure(run_folder, monkey
 
 def test_a_run_without_results_has_no_figures(tmp_path):
     """If every case failed, nothing is written, and progress says so."""
-    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "failed"]])
+    write_summary(tmp_path, "case,status", [["0-baseline", "failed"]])
     progress = Recorder()
 
     assert draw_figures(load_run(tmp_path), progress) == []
@@ -79,7 +79,7 @@ def test_one_case_of_two_robots_is_enough(tmp_path):
     lost = robots[1].split(",")
     lost[8:11], lost[-1] = ["", "", ""], ""
     (folder / "robots.csv").write_text("\n".join([header, robots[0], ",".join(lost)]) + "\n")
-    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
+    write_summary(tmp_path, "case,status", [["0-baseline", "done"]])
 
     assert len(draw_figures(load_run(tmp_path), Progress())) == len(FIGURES)
 
@@ -89,7 +89,7 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
     long = write_case(tmp_path / "cases" / "0-baseline", seed=0, last_iteration=40)
     short = write_case(tmp_path / "cases" / "1-baseline", seed=1, last_iteration=20)
     rows = [["0-baseline", "done"], ["1-baseline", "done"]]
-    write_table(tmp_path / "summary.csv", "case,status", rows)
+    write_summary(tmp_path, "case,status", rows)
 
     figure = draw_convergence(load_run(tmp_path))
 
@@ -103,7 +103,7 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
     for name, iteration in last.items():
         write_case(tmp_path / "cases" / f"0-{name}", seed=0, last_iteration=iteration)
     rows = [[f"0-{name}", "done", name, name] for name in last]
-    write_table(tmp_path / "summary.csv", "case,status,condition,series", rows)
+    write_summary(tmp_path, "case,status,condition,series", rows)
 
     figure = draw_convergence(load_run(tmp_path))
 
@@ -123,7 +123,7 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     ]
     for name, *_ in rows:
         write_case(tmp_path / "cases" / name, seed=0)
-    write_table(tmp_path / "summary.csv", COLUMNS, rows)
+    write_summary(tmp_path, COLUMNS, rows)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
@@ -152,7 +152,7 @@ def test_many_points_and_conditions_have_room(tmp_path):
     ]
     for name, *_ in rows:
         write_case(tmp_path / "cases" / name, seed=0)
-    write_table(tmp_path / "summary.csv", COLUMNS, rows)
+    write_summary(tmp_path, COLUMNS, rows)
 
     figure = draw_convergence(load_run(tmp_path))
 
@@ -171,7 +171,7 @@ def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
     for name in names:
         write_case(tmp_path / "cases" / name, seed=0)
     rows = [[name, "done", name[2:], name[-2:], name[2:10]] for name in names]
-    write_table(tmp_path / "summary.csv", "case,status,series,condition,point", rows)
+    write_summary(tmp_path, "case,status,series,condition,point", rows)
 
     figure = draw_error_against_height(load_run(tmp_path))
 
@@ -191,7 +191,7 @@ def test_published_numbers_stand_beside_ours(tmp_path):
         ["back-propagation", "tower", 25, 2.4, 0.2, 0.04, 0.01, "", ""],
     ]
     write_table(tmp_path / "table.csv", header, rows)
-    write_table(tmp_path / "summary.csv", "case,status", [["0-baseline", "done"]])
+    write_summary(tmp_path, "case,status", [["0-baseline", "done"]])
 
     figure = draw_accuracy(load_run(tmp_path))
 
@@ -205,19 +205,6 @@ def test_published_numbers_stand_beside_ours(tmp_path):
     assert disparity.get_xlabel() == "Procrustes disparity"
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["tower", "published (robot radii)"]
-
-
-@pytest.mark.parametrize("damage", ["missing", "half"])
-def test_a_damaged_run_is_refused_by_name(run_folder, damage):
-    """The message names the file, not a column index."""
-    table = run_folder / "cases" / "0-no-z" / "robots.csv"
-    if damage == "missing":
-        table.unlink()
-    else:
-        table.write_text("robot,x_R\n0,1.0\n")
-
-    with pytest.raises(InputError, match=r"0-no-z.robots\.csv: cannot be read"):
-        draw_figures(load_run(run_folder), Progress())
 
 
 def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):

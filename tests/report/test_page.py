@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.report.conftest import write_table
+from tests.report.conftest import write_summary, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
@@ -21,7 +21,7 @@ SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: t
 def odd_run(tmp_path):
     """A run whose only case failed, and whose texts contain HTML."""
     row = ["0-baseline", 0, "baseline", "failed", "no <b>robot</b> came", "", "", ""]
-    write_table(tmp_path / "summary.csv", SUMMARY, [row])
+    write_summary(tmp_path, SUMMARY, [row])
     write_table(tmp_path / "table.csv", "condition,cases,failed,paper_rmse_radii,"
                 "paper_procrustes_disparity", [["baseline", 0, 1, "", ""]])  # fmt: skip
     (tmp_path / "scenario.yaml").write_text(SCENARIO)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.report.conftest import write_table
+from tests.report.conftest import write_summary
 from tiswarm.errors import InputError
 from tiswarm.report.run_data import load_run
 
@@ -10,7 +10,7 @@ from tiswarm.report.run_data import load_run
 def test_a_condition_may_have_any_name(tmp_path):
     """Names such as `null` are words, not missing values."""
     rows = [[f"0-{name}", "done", name, name, 8] for name in ("null", "NA", "none")]
-    write_table(tmp_path / "summary.csv", "case,status,series,condition,robots", rows)
+    write_summary(tmp_path, "case,status,series,condition,robots", rows)
 
     run = load_run(tmp_path)
 
@@ -21,7 +21,7 @@ def test_a_condition_may_have_any_name(tmp_path):
 def test_the_first_of_the_largest_cases_is_chosen(run_folder):
     """A failed case cannot be chosen, nor one that does not exist."""
     rows = [["0-a", "done", 5], ["1-a", "done", 9], ["2-a", "done", 9], ["3-a", "failed", ""]]
-    write_table(run_folder / "summary.csv", "case,status,robots", rows)
+    write_summary(run_folder, "case,status,robots", rows)
     run = load_run(run_folder)
 
     assert run.choose(None).name == "1-a"
@@ -32,13 +32,15 @@ def test_the_first_of_the_largest_cases_is_chosen(run_folder):
     assert run.note == "1 of 4 cases failed and are left out"
 
 
-@pytest.mark.parametrize("name", ["../0-baseline", "..", ".", "/etc", "0-baseline/..", "linked"])
+@pytest.mark.parametrize(
+    "name", ["../0-baseline", "..", ".", "", "/etc", "0-baseline/..", "linked"]
+)
 def test_cases_are_in_the_run_alone(run_folder, name):
     """A name in the summary that leads elsewhere is refused, and so is a link."""
     (run_folder / "cases" / "linked").symlink_to(run_folder / "cases" / "0-baseline")
-    write_table(run_folder / "summary.csv", "case,status,series", [[name, "done", "baseline"]])
+    write_summary(run_folder, "case,status,series", [[name, "done", "baseline"]])
 
-    with pytest.raises(InputError, match=f"case '{name}' leads out of the run"):
+    with pytest.raises(InputError, match=f"case '{name}' has no folder in the run"):
         load_run(run_folder).choose(None)
 
 
@@ -54,6 +56,6 @@ def test_a_missing_table_may_be_empty(run_folder):
     """A table that not every run has is empty; others are an error."""
     run = load_run(run_folder)
 
-    assert run.table("paired.csv", optional=True).empty
+    assert run.table("paired.csv", [], [], after="measure", optional=True).empty
     with pytest.raises(InputError, match=r"table\.csv: cannot be read"):
-        run.table("table.csv")
+        run.table("table.csv", [], [], after="cases")

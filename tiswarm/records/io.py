@@ -5,13 +5,14 @@ import json
 import math
 import os
 import secrets
+import stat
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -19,13 +20,16 @@ from pydantic import TypeAdapter
 from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 _Content = TypeVar("_Content")
 
 MAX_LINE_BYTES = 64 * 2**20
 """Longest line that is read [byte]."""
+
+MAX_FILE_BYTES = 2**30
+"""Largest file of a run that is read into memory [byte]; tables of a million robots are smaller."""
+
+MAX_LOG_BYTES = 2**33
+"""Largest file of a run that is read piece by piece [byte]."""
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -67,6 +71,32 @@ def unreadable(path: Path, error: OSError) -> InputError:
         return InputError("this is a folder; name a file", path=path)
     reason = error.strerror or str(error)
     return InputError(f"cannot be read: {reason}; check its permissions", path=path)
+
+
+def run_file(path: Path, most: int = MAX_FILE_BYTES) -> Path:
+    """Return the path of a file of a run once it is safe to read, since anybody may have made it.
+
+    A link may lead to private files, a pipe blocks, a device or a sparse file may never end.
+
+    Raises:
+        InputError: the file is missing, larger than `most` [byte], or not a regular file.
+    """
+    try:
+        found = path.lstat()
+    except OSError as error:
+        raise damaged(path, error.strerror) from error
+    if not stat.S_ISREG(found.st_mode):
+        raise damaged(path, "it is a link or no regular file")
+    if found.st_size > most:
+        raise damaged(path, f"it is larger than {most // 2**30} GiB")
+    if not path.name.isprintable():
+        raise damaged(path, "its name is not printable")
+    return path
+
+
+def damaged(path: Path, reason: object) -> InputError:
+    """Explain why a file of a run cannot be read."""
+    return InputError(f"cannot be read: {reason}; run the scenario again to restore it", path=path)
 
 
 @contextmanager
@@ -196,40 +226,23 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path, kind: TypeAdapter[_Content]) -> _Content | None:
-    """Read JSON of some kind; None where the file is missing, damaged, a link or no file."""
+    """Read JSON of some kind; None where the file is missing or damaged."""
     try:
-        return kind.validate_json(path.read_bytes()) if _is_plain(path) else None
-    except (OSError, ValueError):
+        return kind.validate_json(run_file(path).read_bytes())
+    except (InputError, OSError, ValueError):
         return None
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a file; empty where it is missing, unreadable, a link or no file."""
+    """Return the SHA-256 of a file; empty where it is missing or unreadable."""
+    summed = sha256()
     try:
-        return sha256(path.read_bytes()).hexdigest() if _is_plain(path) else ""
-    except OSError:
+        with run_file(path, MAX_LOG_BYTES).open("rb") as file:
+            while piece := file.read(2**20):
+                summed.update(piece)
+    except (InputError, OSError):
         return ""
-
-
-def _is_plain(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
-
-
-def write_frame(table: "pd.DataFrame", path: Path) -> None:
-    """Write a CSV whose numbers read back to the same bits."""
-    write_text(path, table.to_csv(index=False, lineterminator="\n"))
-
-
-def read_frame(path: Path) -> "pd.DataFrame":
-    """Read a CSV; only empty cells are unknown, for a condition may be called `NA` or `null`.
-
-    Raises:
-        OSError: the file is missing or unreadable.
-        ValueError: it is no table.
-    """
-    import pandas as pd  # noqa: PLC0415 - slow to import
-
-    return pd.read_csv(path, keep_default_na=False, na_values=[""])
+    return summed.hexdigest()
 
 
 def make_folder(folder: Path) -> None:

@@ -1,5 +1,6 @@
 """What all rooms know of the folder of a run: its folders and its manifest."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, field
 from pathlib import Path
@@ -61,7 +62,7 @@ def read_manifest(run: Path) -> Manifest:
         InputError: it is damaged.
     """
     path = run / _MANIFEST
-    found = read_json(path, _KIND) if path.exists() else Manifest()
+    found = read_json(path, _KIND) if os.path.lexists(path) else Manifest()
     if found is None:
         raise InputError("is damaged; run the scenario again to restore it", path=path)
     return found
@@ -88,11 +89,12 @@ def case_folder(run: Path, name: str) -> Path:
     """Return the folder of a case.
 
     Raises:
-        InputError: it is a link, or the name leads to another place.
+        InputError: it is a link, or the name cannot be that of a folder there.
     """
     cases = run / "cases"
     folder = cases / name
-    if name == ".." or folder.parent != cases or folder.is_symlink():
-        problem = f"case {name!r} leads out of the run; run the scenario again to restore it"
+    is_within = name != ".." and name.isprintable() and folder.parent == cases
+    if not is_within or folder.is_symlink():
+        problem = f"case {name!r} has no folder in the run; run the scenario again to restore it"
         raise InputError(problem, path=run)
     return folder

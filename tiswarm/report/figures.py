@@ -69,7 +69,8 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
                     written.append(path)
     folder = run.folder / "figures"
     for path in {*folder.glob("*.png"), *folder.glob("*.pdf")} - {*written}:
-        path.unlink()
+        if not path.is_dir():
+            path.unlink()
     return written
 
 
@@ -158,7 +159,8 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
 
 def _traces(cases: list[Case]) -> tuple[Reals, Reals]:
     """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
-    tables = [case.columns("convergence.csv", ["iteration", "rmse_R"]) for case in cases]
+    names = ["iteration", "rmse_R"]
+    tables = [case.columns("convergence.csv", names, empty=True) for case in cases]
     tables = [table for table in tables if len(table)]
     iteration = np.unique(np.concatenate([np.empty(0), *(table[:, 0] for table in tables)]))
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
@@ -223,7 +225,8 @@ def _first_by_kind(series: Series) -> Series:
 
 def _errors_at(cases: list[Case], column: str) -> Reals:
     """Gather a column, error and join index of all robots with an error, shape (robots, 3)."""
-    tables = [case.columns("robots.csv", [column, "error_R"]) for case in cases]
+    names = [column, "error_R"]
+    tables = [case.columns("robots.csv", names, gaps=names) for case in cases]
     table = np.concatenate([np.column_stack([t, np.arange(len(t))]) for t in tables])
     finite: Reals = table[np.isfinite(table).all(axis=1)]
     return finite

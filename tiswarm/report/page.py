@@ -2,21 +2,29 @@
 
 import base64
 import io
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from PIL import Image
 
+from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.records.io import write_text
+from tiswarm.records.io import damaged, run_file, write_text
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
-from tiswarm.report.page_tables import case_table, machine_table, result_tables, warnings_of
+from tiswarm.report.page_tables import (
+    PUBLISHED,
+    case_table,
+    machine_table,
+    result_tables,
+    warnings_of,
+)
 from tiswarm.report.render.pictures import CaseView, read_case_view
-from tiswarm.report.run_data import RunData, damaged
+from tiswarm.report.run_data import RunData
+from tiswarm.scenario.yaml_source import read_yaml
 
 _LARGEST = 7_900_000  # largest page [bytes]; pictures beyond it remain in files of their own
 _MOST_CASES = 12  # in the 3D view
@@ -72,9 +80,9 @@ def write_page(run: RunData, progress: Progress) -> Path:
     template = environment.get_template("report.html")
     page = _gather(run)
     room = _LARGEST - len(template.render(page=page).encode())
-    page["figures"] = _pictures(run.folder / "figures", room, lossless=True)
+    page["figures"] = _pictures(run.folder / "figures", room)
     room -= sum(len(picture.source) for picture in page["figures"])
-    page["renders"] = _pictures(run.folder / "renders", room, lossless=False)
+    page["renders"] = _pictures(run.folder / "renders", room)
     path = run.folder / "report.html"
     write_text(path, template.render(page=page) + "\n")
     progress.info(path.name)
@@ -83,16 +91,22 @@ def write_page(run: RunData, progress: Progress) -> Path:
 
 def _gather(run: RunData) -> dict[str, Any]:
     """Gather what the template shows, except for the pictures."""
-    scenario = _read(run.folder / "scenario.yaml")
+    path = run_file(run.folder / "scenario.yaml")
+    stated = read_yaml(path).data
+    if not isinstance(stated, dict):
+        raise damaged(path, "it is no mapping of keys to values")
     manifest = read_manifest(run.folder)
-    stated = yaml.safe_load(scenario)
+    numbers = ["cases", *(name for _, name, _ in PUBLISHED)]
+    table = run.table("table.csv", ["condition"], numbers, after="cases")
+    words = ["condition", "against", "measure"]
+    paired = run.table("paired.csv", words, [], after="measure", optional=True)
     arch = manifest.backend.get("arch", "cpu")
     return {
         "name": stated.get("name", run.folder.name),
         "description": stated.get("description", ""),
         "what": _in_words(run, manifest),
         "warnings": warnings_of(run.summary, manifest),
-        "tables": result_tables(run.table("table.csv"), run.table("paired.csv", optional=True)),
+        "tables": result_tables(table, paired),
         "view": build_view(run),
         "colors": {"true": TRUE_BLUE, "estimate": ESTIMATE_ORANGE, "errors": ERROR_COLORS},
         "figures": [],
@@ -101,7 +115,7 @@ def _gather(run: RunData) -> dict[str, Any]:
         "version": manifest.tiswarm or "of the same version",
         "command": f"tiswarm run scenario.yaml --out again --arch {arch}",
         "machine": machine_table(manifest),
-        "scenario": scenario,
+        "scenario": path.read_text(encoding="utf-8"),
     }
 
 
@@ -159,17 +173,12 @@ def _data(view: CaseView) -> dict[str, Any]:
     }
 
 
-def _pictures(folder: Path, room: int, *, lossless: bool) -> list[_Shown]:
+def _pictures(folder: Path, room: int) -> list[_Shown]:
     """Embed the pictures of a folder that fit into the room [bytes]; link the others."""
     pictures = []
     for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
-        kind, data, share = "gif", path.read_bytes(), 0.72  # resolution of a screen
-        with Image.open(path) as image:
-            width, height = image.size
-            if path.suffix == ".png":
-                stream = io.BytesIO()
-                image.convert("RGB").save(stream, "WEBP", lossless=lossless, quality=85, method=4)
-                kind, data, share = "webp", stream.getvalue(), _ON_PAGE[folder.name]
+        kind, data, (width, height) = _encoded(path, lossless=folder.name == "figures")
+        share = 0.72 if kind == "gif" else _ON_PAGE[folder.name]  # GIFs have a screen's resolution
         source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
         where = f"{folder.name}/{path.name}"
         caption = f"{caption_of(path.stem)} ({where})"
@@ -180,15 +189,26 @@ def _pictures(folder: Path, room: int, *, lossless: bool) -> list[_Shown]:
     return pictures
 
 
+def _encoded(path: Path, *, lossless: bool) -> tuple[str, bytes, tuple[int, int]]:
+    """Read a picture; returns its format on the page, its data and its size [pixels]."""
+    form = path.suffix[1:].upper()
+    run_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path, formats=[form]) as image:
+                if form == "GIF":
+                    return "gif", path.read_bytes(), image.size
+                stream = io.BytesIO()
+                image.convert("RGB").save(stream, "WEBP", lossless=lossless, quality=85, method=4)
+                return "webp", stream.getvalue(), image.size
+    except Exception as error:  # a damaged picture can raise any error
+        problem = f"is no {form} picture that can be shown: {error}; delete it, or draw it again"
+        raise InputError(problem, path=path) from error
+
+
 def caption_of(name: str) -> str:
     """Describe a picture by the longest known part of its name."""
     known = max((key for key in _CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
     rest = name.removeprefix(known).strip("-")
     return ", ".join(filter(None, [_CAPTIONS.get(known, ""), rest]))
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeError) as error:
-        raise damaged(path, error) from error

@@ -3,6 +3,7 @@
 All functions of this room raise InputError if a file that they read is missing or damaged.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,7 @@ import pandas as pd
 
 from tiswarm.aliases import Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.io import read_frame
+from tiswarm.records.frames import read_frame
 from tiswarm.records.run_folder import case_folder, check_folders
 
 
@@ -29,10 +30,20 @@ class Case:
     kind: str  # kind of its structure
     robots: int  # robots of its structure; 0 where unknown
 
-    def columns(self, file: str, names: Sequence[str]) -> Reals:
-        """Read columns of numbers of a file of the case, shape (rows, names)."""
-        return read_table(self.folder / file, numbers=names)[list(names)].to_numpy()
+    def columns(
+        self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
+    ) -> Reals:
+        """Read columns of numbers of a file of the case, shape (rows, names).
 
+        Numbers in the columns `gaps` may be unknown, NaN; the file may have no rows if `empty`.
+        """
+        known = [name for name in names if name not in gaps]
+        table = read_frame(self.folder / file, numbers=known, gaps=gaps, empty=empty)
+        return table[list(names)].to_numpy(float)
+
+
+_WORDS = ["case", "series", "condition", "point", "kind", "status", "reason"]
+"""Columns of text that a summary has."""
 
 Series = dict[str, list[Case]]
 """Cases that are done, by the name of their series."""
@@ -48,16 +59,15 @@ class RunData:
     @cached_property
     def cases(self) -> list[Case]:
         """All cases, in the order of the summary."""
-        words = ["condition", "series", "point", "kind"]
-        table = self.summary.reindex(columns=["case", "status", "robots", *words])
-        table = table.fillna({"robots": 0} | dict.fromkeys(words, ""))
+        table = self.summary.reindex(columns=[*_WORDS, "robots"])
+        table = table.fillna({"robots": 0} | dict.fromkeys(_WORDS, ""))
         return [
             Case(
-                name=str(row["case"]),
-                folder=case_folder(self.folder, str(row["case"])),
+                name=row["case"],
+                folder=case_folder(self.folder, row["case"]),
                 done=row["status"] == "done",
                 robots=int(row["robots"]),
-                **{word: str(row[word]) for word in words},
+                **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")
         ]
@@ -95,12 +105,22 @@ class RunData:
         raise InputError(problem, path=self.folder, key="--case")
 
     def table(
-        self, name: str, columns: Sequence[str] = (), *, optional: bool = False
+        self,
+        name: str,
+        words: Sequence[str],
+        gaps: Sequence[str],
+        *,
+        after: str,
+        optional: bool = False,
     ) -> pd.DataFrame:
-        """Read a table of the run with columns that it must have; a missing one may be empty."""
-        if optional and not (self.folder / name).exists():
+        """Read a table of the run as `read_frame` does, with numbers after one of its columns.
+
+        An optional table may be missing or have no rows.
+        """
+        path = self.folder / name
+        if optional and not path.exists():
             return pd.DataFrame()
-        return read_table(self.folder / name, columns)
+        return read_frame(path, words, gaps=gaps, numbers_after=after, empty=optional)
 
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.
@@ -121,32 +141,14 @@ def load_run(folder: Path) -> RunData:
     """Read the summary of a run.
 
     Raises:
-        InputError: the folder is not one of a run, or a part of it is a link.
+        InputError: the folder is not one of a run, its summary is damaged, or a part is a link.
     """
-    check_folders(folder)
-    try:
-        return RunData(folder, read_table(folder / "summary.csv", ["case", "status"]))
-    except InputError as error:
+    path = folder / "summary.csv"
+    if not os.path.lexists(path):
         problem = "contains no summary of a run; name a folder that `tiswarm run` made"
-        raise InputError(problem, path=folder) from error
-
-
-def read_table(
-    path: Path, columns: Sequence[str] = (), numbers: Sequence[str] = ()
-) -> pd.DataFrame:
-    """Read a table with columns that it must have; empty cells of `numbers` become NaN."""
-    try:
-        table = read_frame(path).astype(dict.fromkeys(numbers, float))
-        table[list(columns)]
-    except (OSError, ValueError, KeyError) as error:
-        raise damaged(path, error) from error
-    return table
-
-
-def damaged(path: Path, error: Exception) -> InputError:
-    """Explain why a file of a run cannot be read."""
-    problem = f"cannot be read: {error}; run the scenario again to restore it"
-    return InputError(problem, path=path)
+        raise InputError(problem, path=folder)
+    check_folders(folder)
+    return RunData(folder, read_frame(path, _WORDS, ["seed"], numbers_after="reason"))
 
 
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:

@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.progress import Progress
+from tiswarm.records.frames import read_frame
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, new_panels, shortened
-from tiswarm.report.run_data import RunData, read_table, swept_columns, swept_words
+from tiswarm.report.run_data import RunData, swept_columns, swept_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ _MEASURES = {
     "procrustes_disparity": ("Procrustes disparity", "paper_procrustes_disparity"),
 }
 """Axis label and published counterpart of each measure."""
+
+_DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
 
 _MOST_ROWS = 60
 _MOST_COLUMNS = 4
@@ -55,7 +58,7 @@ def draw_accuracy(run: RunData) -> "Figure":
     numbers, whose unit of length is not defined.
     """
     published = [column for _, column in _MEASURES.values()]
-    table = run.table("table.csv", ["condition", "cases", *published])
+    table = run.table("table.csv", ["condition"], ["cases", *published, *_DRAWN], after="cases")
     swept = swept_words(table).drop(columns="condition")
     values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
     texts = [", ".join(f"{key}={value}" for key, value in row) for row in values]
@@ -96,7 +99,7 @@ def draw_comparison(folder: Path, progress: Progress) -> None:
     """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
     from matplotlib import style
 
-    table = read_table(folder / "comparison.csv")
+    table = read_frame(folder / "comparison.csv", ["run", "condition"], gaps=["cases", *_DRAWN])
     with style.context(["default", figure_style.STYLE]):
         write_bytes(folder / "comparison.png", figure_style.png(_comparison(table)))
     progress.info("comparison.png")
@@ -143,8 +146,9 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 
     All series share a figure if there are many points, or no sweep.
     """
-    table = run.table("profiles.csv", optional=True)
-    if "rmse_R" not in table:  # no case was finished
+    numbers = ["low", "high", "rmse_R"]
+    table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
+    if table.empty:  # no case was finished
         return {}
     swept = swept_columns(table, before="by")[1:]
     table[swept] = swept_words(table, before="by")[swept]
@@ -186,8 +190,8 @@ def draw_scaling(run: RunData) -> "Figure":
 
     Legends state the power of N fitted to all sizes, and to the two largest.
     """
-    columns = ["series", "measure", "robots", "mean", "exponent", "slope"]
-    table = run.table("scaling.csv", columns)
+    numbers = ["robots", "mean", "exponent", "slope"]
+    table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
     figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k

@@ -10,7 +10,8 @@ from tiswarm.compute import backend
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
-from tiswarm.records.io import write_frame
+from tiswarm.records.frames import write_frame
+from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import read_manifest, write_manifest
 from tiswarm.scenario.expansion import load_scenario
@@ -142,10 +143,10 @@ def tabulate(path: Path, progress: Progress) -> None:
         InputError: it is no folder of a run, or no case is intact.
     """
     resolved = path / "scenario.yaml"
-    if not resolved.is_file():
+    if not resolved.exists():
         msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
         raise InputError(msg, path=path)
-    folder, cases = RunFolder(path), plan(load_scenario(resolved))
+    folder, cases = RunFolder(path), plan(load_scenario(run_file(resolved)))
     stored = folder.read_cases(cases)
     kept = [case for case in cases if case.name in stored]
     if not kept:

@@ -19,7 +19,8 @@ from pydantic.dataclasses import dataclass
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.params import STRICT
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import digest, make_folder, read_json, write_frame, write_json, write_text
+from tiswarm.records.frames import write_frame
+from tiswarm.records.io import digest, make_folder, read_json, write_json, write_text
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import check_folders
 from tiswarm.records.sensing_file import write_sensing_log

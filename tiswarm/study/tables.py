@@ -25,7 +25,8 @@ from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference, power_l
 from tiswarm.evaluation.paper import PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.io import make_folder, read_frame, write_frame
+from tiswarm.records.frames import read_frame, write_frame
+from tiswarm.records.io import make_folder
 from tiswarm.records.messages import counted
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
@@ -157,9 +158,13 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
     done = [record for record in records if record.is_done]
     for of_row in _grouped(done, lambda record: record.series):
         folders = [cases / record.case for record in of_row]
-        robots = [pd.read_csv(folder / "robots.csv") for folder in folders]
+        names = ["z_R", "error_R", "hops_from_anchor", "contacts"]
+        robots = [read_frame(folder / "robots.csv", gaps=names) for folder in folders]
         robots = [table.assign(join=np.arange(len(table))) for table in robots]
-        relative = [pd.read_csv(folder / "relative.csv") for folder in folders]
+        names = ["hops_apart", "pairs", "mean_error_R", "rmse_R"]
+        relative = [
+            read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
+        ]
         errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
         profile = pd.concat(errors)
         first = {"condition": of_row[0].condition, **of_row[0].point}
@@ -280,11 +285,12 @@ def compare(runs: Sequence[Path], out: Path) -> None:
 
 
 def _read_table(run: Path) -> pd.DataFrame:
-    try:
-        return read_frame(run / "table.csv")
-    except (OSError, ValueError) as error:
+    path = run / "table.csv"
+    if not path.exists():
         msg = "has no table.csv; give a folder that `tiswarm run` made"
-        raise InputError(msg, path=run) from error
+        raise InputError(msg, path=run)
+    measures = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
+    return read_frame(path, ["condition"], ["cases"], gaps=measures, numbers_after="cases")
 
 
 def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:

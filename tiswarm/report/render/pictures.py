@@ -11,9 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
+from tiswarm.errors import InputError
 from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
-from tiswarm.records.io import at_line, numbered_lines, write_bytes
+from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file, write_bytes
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import HeaderLine, parse_header
 from tiswarm.records.sensing_log import SensingLog
@@ -76,15 +77,23 @@ class CaseView:
     force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
     robot: Ints  # id of each robot, shape (N,)
 
+    @property
+    def _log_file(self) -> Path:
+        return run_file(self.case.folder / "sensing.jsonl", MAX_LOG_BYTES)
+
     @cached_property
     def log(self) -> SensingLog:
         """The sensing log; slow to read for many robots."""
-        return read_sensing_log(self.case.folder / "sensing.jsonl")
+        log, robots = read_sensing_log(self._log_file), len(self.pose)
+        if log.robot_count != robots:
+            problem = f"has {robots} robots, the log {log.robot_count}; run the scenario again"
+            raise InputError(problem, path=self.case.folder / "robots.csv", line=robots + 2)
+        return log
 
     @cached_property
     def header(self) -> HeaderLine:
         """The first line of the sensing log."""
-        path = self.case.folder / "sensing.jsonl"
+        path = self._log_file
         number, text = next(numbered_lines(path), (1, ""))
         with at_line(path, number):
             return parse_header(text)
@@ -119,8 +128,9 @@ class CaseView:
 
 def read_case_view(case: Case) -> CaseView:
     """Read the poses, errors and forces of a case."""
-    names = [*POSE, *_ESTIMATED_POSE, "error_R", "sensed_force", "robot"]
-    pose, estimated, rest = np.split(case.columns("robots.csv", names), [7, 14], axis=1)
+    gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
+    table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
+    pose, estimated, rest = np.split(table, [7, 14], axis=1)
     error, force, robot = rest.T
     return CaseView(case, pose, estimated, error, force, robot.astype(np.int64))
 

@@ -1,0 +1,74 @@
+"""Tables of a run as data frames: written whole, read with errors by file, line and column."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from tiswarm.errors import InputError
+from tiswarm.records.io import damaged, run_file, write_text
+
+_GREATEST = 1e12
+"""Greatest number of a table: above, sums of squares and pictures lose all digits."""
+
+
+def write_frame(table: pd.DataFrame, path: Path) -> None:
+    """Write a CSV whose numbers read back to the same bits."""
+    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+
+
+def read_frame(
+    path: Path,
+    words: Sequence[str] = (),
+    numbers: Sequence[str] = (),
+    *,
+    gaps: Sequence[str] = (),
+    numbers_after: str = "",
+    empty: bool = False,
+) -> pd.DataFrame:
+    """Read a table of a run.
+
+    Args:
+        path: CSV file.
+        words: Columns of text that the table must have; an empty cell is NaN.
+        numbers: Columns of numbers that it must have, without an empty cell.
+        gaps: Columns of numbers that it must have, where an empty cell is NaN.
+        numbers_after: Column that it must have, and after which all columns are of this kind.
+        empty: Whether the table may have no rows.
+
+    Raises:
+        InputError: the table is missing or malformed; names file, line and column.
+    """
+    run_file(path)
+    try:
+        # Only empty cells are unknown: a condition may be called `NA` or `null`.
+        table = pd.read_csv(
+            path, keep_default_na=False, na_values=[""], dtype=dict.fromkeys(words, str),
+            low_memory=False,
+        )  # fmt: skip
+    except (OSError, ValueError) as error:
+        raise damaged(path, error) from error
+    if not isinstance(table.index, pd.RangeIndex):
+        raise damaged(path, "rows have more cells than the header")
+    for column in filter(None, [*words, *numbers, *gaps, numbers_after]):
+        if column not in table:
+            problem = "there is no such column; run the scenario again to restore it"
+            raise InputError(problem, path=path, line=1, key=column)
+    if table.empty and not empty:
+        raise InputError("there are no rows; run the scenario again", path=path, line=2)
+    found = list(table.columns)
+    after = found[found.index(numbers_after) + 1 :] if numbers_after else []
+    for column in [*numbers, *gaps, *after]:
+        _check_numbers(table[column], path, gaps=column not in numbers)
+    return table
+
+
+def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
+    """Refuse the first cell that is no finite number of a usual size."""
+    is_number = pd.to_numeric(cells, errors="coerce").abs() <= _GREATEST
+    wrong = cells[~(is_number | cells.isna()) if gaps else ~is_number]
+    if len(wrong):
+        cell = wrong.iloc[0]
+        text = "an empty cell" if pd.isna(cell) else repr(str(cell)[:40])
+        problem = f"{text} is not a number up to {_GREATEST:g}; run the scenario again"
+        raise InputError(problem, path=path, line=int(wrong.index[0]) + 2, key=str(cells.name))
