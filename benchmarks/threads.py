@@ -27,7 +27,7 @@ from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
 from tiswarm.localization.registry import METHODS
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
+from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, marker_style, new_figure, png
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams
@@ -39,7 +39,6 @@ SMALL = 100
 KEPT_LOGS = 16
 """Number of different logs; larger batches repeat them."""
 STEPS = 25
-MARKERS = "osD^vPX"
 
 Task = Callable[[], object]
 
@@ -217,9 +216,8 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             rows = table[table["scaling"] == scaling]
             for place, (name, part) in enumerate(rows.groupby("work", sort=False)):
                 axes.plot(
-                    part["threads"], part[value], f"{MARKERS[place]}-", color=PALETTE[place],
-                    markersize=3.5, label=name,
-                )  # fmt: skip
+                    part["threads"], part[value], markersize=3.5, label=name, **marker_style(place)
+                )
             counts = sorted(set(rows["threads"]))
             ideal = counts if scaling == "strong" else [1.0] * len(counts)
             axes.plot(counts, ideal, "--", color="0.6", label="ideal")
