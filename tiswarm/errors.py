@@ -45,7 +45,11 @@ class InputError(TiswarmError):
 
 
 class EnvironmentTroubleError(TiswarmError):
-    """The machine lacks something: a backend, a library, memory, a writable folder."""
+    """The machine lacks something: a backend, a library, a writable folder."""
+
+
+class OutOfMemoryError(EnvironmentTroubleError):
+    """The memory did not suffice; that of fewer robots may."""
 
 
 NOT_CONVERGED = 4

@@ -1,6 +1,7 @@
 """Forces in a structure are what statics, a frame package and the published truss say."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -329,6 +330,15 @@ def test_what_nothing_holds_is_a_failure(model, seed):
     for structure in (floating, beside):
         with pytest.raises(StructureFailure, match="held by nothing"):
             frames.solve(structure, model=model)
+
+
+def test_want_of_memory_is_no_failure_of_the_structure(monkeypatch):
+    """Growth would end in silence; SuperLU reports both by the same type of error."""
+    trouble = RuntimeError("SUPERLU_MALLOC fails for buf in intCalloc()")
+    monkeypatch.setattr(mechanics, "splu", Mock(side_effect=trouble))
+
+    with pytest.raises(RuntimeError, match="MALLOC"):
+        frames.solve(_random_structure(0), model="flexible")
 
 
 def test_rigid_robots_are_the_limit_of_stiff_ones(towers, cantilevers):

@@ -14,9 +14,13 @@ from typer.exceptions import TyperException
 import tiswarm
 from tiswarm.console import fail
 from tiswarm.errors import EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.memory import naming_shortage, require_address_space
 from tiswarm.params import Arch
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
+_LIBRARIES_MB = 700
+"""Address space that the libraries of any command take."""
+
 _PYTHON = warnings.showwarning
 
 app = typer.Typer(
@@ -52,6 +56,7 @@ def _options(
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
     else:
+        require_address_space(_LIBRARIES_MB)
         _enter_working_folder()
 
 
@@ -83,9 +88,11 @@ def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     warnings.showwarning = _show_warning
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        status: Any = app(arguments, standalone_mode=False)
+        with naming_shortage():
+            status: Any = app(arguments, standalone_mode=False)
     except TiswarmError as error:
         fail(str(error))
         return error.exit_status

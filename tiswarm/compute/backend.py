@@ -18,14 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg  # noqa: F401  # brings linear algebra of its own, to be limited too
+import scipy.linalg
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.memory import naming_shortage, require_address_space
 from tiswarm.params import ARCHS, Arch, Precision
+
+_START_MB, _THREAD_MB = 1550, 10
+"""Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +79,7 @@ def start(
 
     Raises:
         InputError: the device is unknown or the thread count below 1.
-        EnvironmentTroubleError: the machine lacks the device or the precision.
+        EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
     """
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
     if arch not in ARCHS:
@@ -87,8 +91,11 @@ def start(
     wanted = (arch, count, precision)
     if _started and (_started.arch, _started.threads, _started.precision) == wanted:
         return _started
+    require_address_space(_START_MB + _THREAD_MB * count)
     # Linear algebra with threads of its own would fight the kernels' and round differently.
     threadpool_limits(1, user_api="blas")
+    for solve in (np.linalg.solve, scipy.linalg.solve):  # it would wait for its buffer for ever
+        solve(np.eye(2), np.ones(2))
     cache = _cache_folder()
     _started = None  # a start that fails may leave nothing running
     gc.collect()  # an array let go later is freed by its address, where another may lie by then
@@ -136,7 +143,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         "debug": os.environ.get("TISWARM_DEBUG") == "1",
     }
     try:
-        with contextlib.redirect_stdout(io.StringIO()), _float_state_kept():
+        with contextlib.redirect_stdout(io.StringIO()), _float_state_kept(), naming_shortage():
             ti.init(arch=wanted, log_level=ti.ERROR, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
@@ -201,7 +208,8 @@ def _check_arithmetic(backend: Backend) -> None:
     expected = np.linspace(0.1, 3.0, 16, dtype=backend.dtype)
     value = expected.copy()
     try:
-        probe_arithmetic(value)
+        with naming_shortage():
+            probe_arithmetic(value)
         resolution = 8 * np.finfo(backend.dtype).eps
         computes = np.allclose(value, expected, rtol=resolution, atol=0.0)
     except RuntimeError:

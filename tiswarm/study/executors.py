@@ -116,7 +116,7 @@ def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
 
 def reason(error: BaseException) -> str:
     """Write in one line why a job could not be done."""
-    kind = "" if isinstance(error, _JobError) else type(error).__name__
+    kind = "" if isinstance(error, _JobError | TiswarmError) else type(error).__name__
     return ": ".join(filter(None, (kind, " ".join(str(error).split()))))
 
 

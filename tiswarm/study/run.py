@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiswarm.compute import backend
-from tiswarm.errors import CasesFailedError, EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.errors import (
+    CasesFailedError,
+    EnvironmentTroubleError,
+    InputError,
+    OutOfMemoryError,
+    TiswarmError,
+)
 from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.frames import write_frame
@@ -205,8 +211,9 @@ def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) ->
     error = future.exception()
     if error is None:
         return future.result()
-    if isinstance(error, TiswarmError) or not isinstance(error, Exception):
-        raise error  # every other case would have it too
+    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, OutOfMemoryError)
+    if concerns_all or not isinstance(error, Exception):
+        raise error
     if len(batch) > 1:
         return None
     record = failure(batch[0], reason(error))

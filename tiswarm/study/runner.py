@@ -14,6 +14,7 @@ from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
+from tiswarm.memory import naming_shortage
 from tiswarm.params import Arch, Precision
 from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
@@ -54,9 +55,10 @@ class Outcome(NamedTuple):
 def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda: None) -> Outcome:
     """Compute and store the cases of a job; call `on_ready` once its kernels are compiled."""
     runner = _CaseRunner(job, progress)
-    runner.warm_up()
-    on_ready()
-    return Outcome(records=runner.run(), backend=backend.current())
+    with naming_shortage():
+        runner.warm_up()
+        on_ready()
+        return Outcome(records=runner.run(), backend=backend.current())
 
 
 def failure(case: Case, reason: str) -> CaseRecord:

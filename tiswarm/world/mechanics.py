@@ -256,6 +256,8 @@ class Frame:
         try:
             factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         except RuntimeError as error:
+            if "singular" not in str(error):  # it ran out of memory
+                raise
             raise StructureFailure(_UNHELD) from error
         return factor.solve(weight.ravel()).reshape(-1, 6)
 
