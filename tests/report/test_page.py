@@ -140,3 +140,19 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     assert tables[-1].frame.to_dict("records") == [
         {"condition": "a", "robots in their 50 % interval": "0.48 ± 0.02"}
     ]
+
+
+def test_published_numbers_have_a_table_of_their_own():
+    """It has the rows of the paper's settings only, and each number beside its counterpart."""
+    table = pd.DataFrame({"condition": ["a", "b"], "cases": [2, 2]})
+    table = table.assign(
+        paper_rmse_radii=[1.64, None], rmse_R_mean=[2.0, 3.0], rmse_R_ci95=0.1, rmse_mm_mean=65.8
+    )
+
+    found = {t.title: t.frame for t in result_tables(table, pd.DataFrame())}
+
+    assert found["Beside the paper"].to_dict("records") == [
+        {"condition": "a", "published RMSE [robot radii]": "1.64", "RMSE [R]": "2.00", "[mm]": "66"}
+    ]
+    silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())
+    assert "Beside the paper" not in [t.title for t in silent]

@@ -35,6 +35,10 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
 
     np.testing.assert_equal(table["paper_rmse_radii"].to_numpy(), published)
     np.testing.assert_allclose(table["rmse_R_to_paper"], 3.0 / np.array(published))
+    if len(published) > 1:
+        of_towers = [0.0, 12.2, 43.9, 43.9, np.nan]  # as percentages in the paper, but for rounding
+        np.testing.assert_allclose(table["paper_rmse_change_percent"][:5], of_towers, atol=0.05)
+        assert (table["rmse_change_percent"] == 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["NA", "null"])

@@ -21,6 +21,9 @@ class Published(NamedTuple):
 PAPER_ROBOTS = 100
 """Robots in each structure of the paper."""
 
+MM_PER_RADIUS = 32.9
+"""Length of a "robot radius" in towers, where 1.64 of them are 54 mm [mm]."""
+
 PAPER = {
     ("tower", True, True): Published(1.64, 0.045),
     ("tower", False, True): Published(1.84, 0.051),

@@ -16,7 +16,6 @@ from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
 from tiswarm.report.page_tables import (
-    PUBLISHED,
     case_table,
     machine_table,
     result_tables,
@@ -96,7 +95,7 @@ def _gather(run: RunData) -> dict[str, Any]:
     if not isinstance(stated, dict):
         raise damaged(path, "it is no mapping of keys to values")
     manifest = read_manifest(run.folder)
-    numbers = ["cases", *(name for _, name, _ in PUBLISHED)]
+    numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     words = ["condition", "against", "measure"]
     paired = run.table("paired.csv", words, [], after="measure", optional=True)

@@ -41,9 +41,16 @@ _ANCHOR = [
     ("second robot", "second_on_anchor", 1),
     ("third robot", "third_on_anchor", 1),
 ]
-PUBLISHED = [
+_PUBLISHED = [
     ("published RMSE [robot radii]", "paper_rmse_radii", 2),
+    ("RMSE [R]", "rmse_R_mean", 2),
+    ("[rho]", "rmse_rho_mean", 2),
+    ("[mm]", "rmse_mm_mean", 0),
+    ("best structure [R]", "rmse_R_least", 2),
+    ("published change [%]", "paper_rmse_change_percent", 0),
+    ("change [%]", "rmse_change_percent", 0),
     ("published disparity", "paper_procrustes_disparity", 3),
+    ("disparity", "procrustes_disparity_mean", 3),
 ]
 _CASE = [
     ("robots", "robots", 0),
@@ -80,6 +87,8 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
     )
     aligned = _labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note)
     tables = [_localization(table), aligned]
+    if table["paper_rmse_radii"].notna().any():
+        tables.insert(1, _beside_the_paper(table))
     if anchor := _means(table, _ANCHOR):
         note = (
             "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
@@ -99,19 +108,22 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
 
 
 def _localization(table: pd.DataFrame) -> Table:
-    """Format accuracy beside the published numbers, and what limits it."""
-    published = [column for column in PUBLISHED if table[column[1]].notna().any()]
+    """Format accuracy, and what limits it."""
     note = "Mean ± half width of its 95 % confidence interval over structures."
-    if published:
-        note += (
-            " R is the radius of a dock, rho the distance from a robot's center to a dock. The "
-            'published "robot radius" is not defined, so that the table lists both.'
-        )
-    columns = {"structures": _numbers(table["cases"], 0)} | _means(table, _ACCURACY[:2])
-    columns |= {label: _numbers(table[name], n) for label, name, n in published[:1]}
-    columns |= _means(table, _ACCURACY[2:])
-    columns |= {label: _numbers(table[name], n) for label, name, n in published[1:]}
-    return _labeled(swept_words(table), columns | _means(table, _LIMITS), "Localization", note)
+    columns = {"structures": _numbers(table["cases"], 0)} | _means(table, [*_ACCURACY, *_LIMITS])
+    return _labeled(swept_words(table), columns, "Localization", note)
+
+
+def _beside_the_paper(table: pd.DataFrame) -> Table:
+    """Format the rows of the paper's settings beside its numbers."""
+    rows = table[table["paper_rmse_radii"].notna()]
+    note = (
+        "R is the radius of a dock, rho the distance from a robot's center to a dock; 1 R is 32.9 "
+        'mm, as in the paper\'s towers. The paper does not define its "robot radius". Changes are '
+        "relative to the first condition."
+    )
+    columns = {label: _numbers(rows[name], n) for label, name, n in _PUBLISHED if name in rows}
+    return _labeled(swept_words(rows), columns, "Beside the paper", note)
 
 
 def _differences(paired: pd.DataFrame) -> Table:

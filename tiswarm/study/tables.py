@@ -22,7 +22,7 @@ import pandas as pd
 
 from tiswarm.errors import InputError
 from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference, power_law_exponent
-from tiswarm.evaluation.paper import PAPER, PAPER_ROBOTS, Published
+from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.frames import read_frame, write_frame
@@ -41,8 +41,8 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
-    "coverage_90", "outlier_precision", "outlier_recall", "converged", "first_on_anchor",
-    "second_on_anchor", "third_on_anchor", *_ACCURACY,
+    "coverage_90", "outlier_precision", "outlier_recall", "converged", "steps_per_robot",
+    "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _SCALED = ("rmse_R", "procrustes_disparity")
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
@@ -69,13 +69,22 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
 
 
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
-    """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers."""
+    """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers.
+
+    Changes are relative to the first condition of the same point.
+    """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
+    baseline: dict[str, dict[str, Any]] = {}
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
         ours = _with_statistics(group)
-        rows.append({"condition": first.condition, **first.point, **ours, **_paper(setting, ours)})
+        row = {"condition": first.condition, **first.point, **ours, **_paper(setting, ours)}
+        base = baseline.setdefault(point_text(first.point), row)
+        for name, rmse in (("", "rmse_R_mean"), ("paper_", "paper_rmse_radii")):
+            change = row[rmse] / base[rmse] - 1.0 if base[rmse] else math.nan
+            row[f"{name}rmse_change_percent"] = 100.0 * change
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
@@ -95,23 +104,25 @@ def _published(setting: Scenario) -> Published | None:
     return PAPER.get((structure.kind, method.z_correction, method.undocked_repulsion))
 
 
-def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, object]:
+def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
     """Return the paper's numbers for a setting of the paper, and ratios of ours to them."""
     cell = _published(setting)
     rmse, disparity = (cell.rmse_radii, cell.disparity) if cell else (math.nan, math.nan)
     return {
         "paper_rmse_radii": rmse,
         "paper_procrustes_disparity": disparity,
+        "rmse_mm_mean": ours["rmse_R_mean"] * MM_PER_RADIUS,
         "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
         "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
         "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
     }
 
 
-def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, object]:
+def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
-    full: dict[str, object] = {"cases": len(scores), "failed": len(records) - len(scores)}
+    full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
+    full["rmse_R_least"] = float(scores["rmse_R"].min()) if "rmse_R" in scores else math.nan
     for name in _AVERAGED:
         column = scores[name] if name in scores else pd.Series(dtype=float)
         values = mean_std_ci95(column.to_numpy(np.float64))
