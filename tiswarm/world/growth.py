@@ -28,7 +28,7 @@ from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frame, StructureFailure
-from tiswarm.world.params import KINDS, RecruitParams, StructureParams
+from tiswarm.world.params import RecruitParams, StructureParams
 from tiswarm.world.walks import Spawn, Walks, climb_limits
 
 _MAX_TRIES = 64
@@ -59,14 +59,14 @@ def grow(
     running = backend.current()
     # A flip that stops within 1e-9 R of the true contact needs float64 on any device.
     backend.start(running.arch, threads=running.threads, precision="f64")
-    batch = GrowthBatch(params, robots, seeds, robot)
+    batch = _GrowthBatch(params, robots, seeds, robot)
     with ThreadPoolExecutor(running.threads) as threads:
         while batch.spawn():
             on_progress(batch.round(threads))
     return [structure.history() for structure in batch.structures]
 
 
-class GrowthBatch:
+class _GrowthBatch:
     """Structures that grow together and the robots that climb them, `movers` slots each."""
 
     def __init__(
@@ -82,7 +82,7 @@ class GrowthBatch:
             robot_count=np.zeros(count, np.int32),
         )
         self.structure_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
-        limits = climb_limits(params.climb, robot, KINDS[params.kind].terrain(params))
+        limits = climb_limits(params.climb, robot, params.terrain)
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
 
@@ -143,14 +143,13 @@ class GrowingStructure:
         self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
     ) -> None:
         self.number, self.seed, self.params, self.robot = number, seed, params, robot
-        self.kind = KINDS[params.kind]
-        self.terrain = self.kind.terrain(params)
+        self.terrain = params.terrain
         self.frame = Frame(params.mechanics, robot.dock_offset_body)
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
         self.clearance = robot.rho + robot.spacing
         self.leads = params.spawn_behind == "leading"
-        self.rim = [np.inf if self.leads else -robot.dock_radius] * self.kind.sides
+        self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
         self.low_docks: Reals = np.empty((0, 3))
         self.surveyed = 0
         self.walks: list[Walk] = []
@@ -164,7 +163,7 @@ class GrowingStructure:
     @property
     def founding(self) -> bool:
         """Whether the next robot may stay without touching another."""
-        return len(self.walks) < self.params.founders * self.kind.sides
+        return len(self.walks) < self.params.founders * self.params.sides
 
     def spawn(self, docks: Reals) -> Spawn | None:
         """Lay the next robot flat on the ground, turned at random.
@@ -182,12 +181,12 @@ class GrowingStructure:
         put = None if self.walks else params.anchor
         index = self.spawned
         self.spawned += 1
-        side = len(self.walks) % self.kind.sides if self.founding else index % self.kind.sides
+        side = (len(self.walks) if self.founding else index) % params.sides
         rim = max(0.0, self.rim[side] + self.robot.dock_radius) if self.walks else 0.0
         settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
-            x, y = self.kind.start(params, side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
+            x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
             center = np.array([x, y, self.level])
             distance = np.linalg.norm(self.low_docks - center, axis=1)
             if distance.min(initial=np.inf) > self.clearance:
@@ -196,7 +195,7 @@ class GrowingStructure:
                 return Spawn(
                     center=center,
                     orientation_wxyz=orientation,
-                    goal=self.kind.goal(params, side),
+                    goal=params.goal(side),
                     patience=climb.patience if put is None else 0,
                     settles=settles and put is None,
                 )
@@ -209,7 +208,7 @@ class GrowingStructure:
         skipped = DOCK_COUNT * (self.surveyed == 0 and self.params.spawn_behind == "placed")
         self.surveyed += len(new)
         for side, rim in enumerate(self.rim):
-            behind = [rim, *self.kind.behind(self.params, side, new[skipped:]).tolist()]
+            behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance
         self.low_docks = np.concatenate([self.low_docks, new[is_low]])
@@ -238,7 +237,7 @@ class GrowingStructure:
         self.frame.join(walk.center[-1], turn, contacts, footing)
         self.unsolved += 1
         self.loads.append(LoadSummary())
-        if self.kind.sides > 1:
+        if self.params.sides > 1:
             touched = {self.sides[i] for i in other}
             touched |= {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
             self.sides.append(min(touched))

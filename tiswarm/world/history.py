@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Reals
 from tiswarm.records.io import replacing
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.params import KINDS, StructureParams
+from tiswarm.world.params import StructureParams
 from tiswarm.world.terrain import Terrain
 
 
@@ -123,25 +123,28 @@ class History:
     @property
     def contacts(self) -> NDArray[np.int32]:
         """Docked pairs in the joiner's order, rows of (i, dock of i, j, dock of j), i < j."""
-        return self._at_rest("contacts", 4)[:, [2, 3, 0, 1]]
+        return self._at_rest("contacts")[:, [2, 3, 0, 1]]
 
     @property
     def ground_docks(self) -> NDArray[np.int32]:
         """Docks on flat ground in the end, rows of (robot, dock)."""
-        return self._at_rest("ground_docks", 2)
+        return self._at_rest("ground_docks")
 
     @property
     def edge_docks(self) -> NDArray[np.int32]:
         """Docks on an edge or underside in the end, rows of (robot, dock)."""
-        return self._at_rest("edge_docks", 2)
+        return self._at_rest("edge_docks")
 
-    def _at_rest(self, name: str, columns: int) -> NDArray[np.int32]:
-        """Gather a table's rows of the last stance of every walk, robot first."""
-        rows: list[NDArray[np.int32]] = [np.empty((0, columns), np.int32)]
-        for j, walk in enumerate(self.walks):
-            own = walk.at_rest(getattr(walk, name))
-            rows.append(np.column_stack([np.full(len(own), j, np.int32), own]))
+    def table(self, name: str) -> NDArray[np.int32]:
+        """Gather the rows that all walks have in a table: (robot, stance, ...)."""
+        rows = [np.insert(getattr(walk, name), 0, j, axis=1) for j, walk in enumerate(self.walks)]
         return np.concatenate(rows)
+
+    def _at_rest(self, name: str) -> NDArray[np.int32]:
+        """Gather a table's rows of the last stance of every walk: (robot, ...)."""
+        rows = self.table(name)
+        stances = np.array([walk.stance_count for walk in self.walks])
+        return np.delete(rows[rows[:, 1] == stances[rows[:, 0]] - 1], 1, axis=1)
 
 
 _TABLES = tuple(field.name for field in fields(Walk) if field.name != "recruited")
@@ -181,7 +184,7 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
         return History(
             **json.loads(str(arrays["facts"])),
             robot=robot,
-            terrain=KINDS[params.kind].terrain(params),
+            terrain=params.terrain,
             walks=tuple(walks),
             loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
             sensed=arrays["sensed"],

@@ -1,8 +1,7 @@
 """Kinds of structures and their settings: terrain, spawns, goals, climbing, recruitment."""
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -76,9 +75,15 @@ class RecruitParams:
 class GrowthParams(RecruitParams):
     """What all kinds of structures have in common.
 
+    Each kind has a `terrain`. For the robots of each side it says what they climb toward (`goal`),
+    how far docks are `behind` its edge, or from a tower's axis, and where robots `start`.
+
     Fields that are inherited carry their text as a description, for the JSON Schema does not
     find the docstrings of a base class.
     """
+
+    sides: ClassVar[int] = 1
+    """Sides that robots come from, in turn; the first robot of each founds the structure there."""
 
     movers: Annotated[
         int,
@@ -141,6 +146,21 @@ class EdgeParams(GrowthParams):
         float, Field(ge=0.0, description="Robots start at most this far from the plane y = 0 [R].")
     ] = 3.0
 
+    @property
+    def terrain(self) -> Terrain:
+        """A slab that ends at x = 0."""
+        return Terrain(left_edge=0.0)
+
+    def behind(self, _side: int, docks: Reals) -> Reals:
+        """Distance of docks, shape (n, 3), behind the edge [R], shape (n,)."""
+        return np.asarray(-docks[:, 0])
+
+    def start(self, _side: int, rim: float, draw: Reals) -> Reals:
+        """At least `rim` behind the edge [R], by two random numbers in [0, 1), shape (2,)."""
+        y = self.spawn_width * (2.0 * draw[0] - 1.0)
+        back = rim + (self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min))
+        return np.array([-back, y])
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class TowerParams(GrowthParams):
@@ -151,6 +171,26 @@ class TowerParams(GrowthParams):
 
     goal_height: Annotated[float, Field(gt=0.0)] = 65.0
     """Height of the goal above the ground [R]."""
+
+    @property
+    def terrain(self) -> Terrain:
+        """A plane."""
+        return Terrain()
+
+    def goal(self, _side: int) -> Reals:
+        """Above the origin [R], shape (3,)."""
+        return np.array([0.0, 0.0, self.goal_height])
+
+    def behind(self, _side: int, docks: Reals) -> Reals:
+        """Distance of docks, shape (n, 3), from the axis [R], shape (n,)."""
+        return np.asarray(np.hypot(docks[:, 0], docks[:, 1]))
+
+    def start(self, _side: int, rim: float, draw: Reals) -> Reals:
+        """Anywhere outside the disc of radius `rim`, by two numbers in [0, 1) [R], shape (2,)."""
+        angle = 2.0 * np.pi * draw[0]
+        distance = rim + self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min)
+        place: Reals = distance * np.array([np.cos(angle), np.sin(angle)])
+        return place
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -166,10 +206,19 @@ class CantileverParams(EdgeParams):
     goal_height: float = 10.0
     """Height of the goal above the ground [R]."""
 
+    def goal(self, _side: int) -> Reals:
+        """Out in the air [R], shape (3,)."""
+        return np.array([self.goal_reach, 0.0, self.goal_height])
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class BridgeParams(EdgeParams):
-    """A bridge over a gap between two slabs; robots come from both sides in turn."""
+    """A bridge over a gap between two slabs; robots come from both sides in turn.
+
+    Side 1 mirrors side 0.
+    """
+
+    sides: ClassVar[int] = 2
 
     kind: Literal["bridge"] = "bridge"
     """Kind of structure."""
@@ -179,6 +228,25 @@ class BridgeParams(EdgeParams):
 
     goal_beyond: Annotated[float, Field(ge=0.0)] = 10.0
     """Distance of each side's goal past the far edge [R]."""
+
+    @property
+    def terrain(self) -> Terrain:
+        """Two slabs."""
+        return Terrain(left_edge=0.0, right_edge=self.gap)
+
+    def goal(self, side: int) -> Reals:
+        """Past the far edge, at its height [R], shape (3,)."""
+        x = -self.goal_beyond if side else self.gap + self.goal_beyond
+        return np.array([x, 0.0, EDGE_RADIUS])
+
+    def behind(self, side: int, docks: Reals) -> Reals:
+        """Distance of docks, shape (n, 3), behind the side's edge [R], shape (n,)."""
+        return np.asarray(docks[:, 0] - self.gap if side else -docks[:, 0])
+
+    def start(self, side: int, rim: float, draw: Reals) -> Reals:
+        """At least `rim` behind the side's edge [R], shape (2,)."""
+        x, y = super().start(side, rim, draw)
+        return np.array([self.gap - x if side else x, y])
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -194,80 +262,12 @@ class ChainParams(EdgeParams):
     climb: ClimbParams = ClimbParams(patience=6)
     """How robots walk; they need several steps that bring them no nearer to get over the edge."""
 
+    def goal(self, _side: int) -> Reals:
+        """Below the edge [R], shape (3,)."""
+        return np.array([EDGE_RADIUS, 0.0, -self.goal_depth])
+
 
 StructureParams = Annotated[
     TowerParams | CantileverParams | BridgeParams | ChainParams, Field(discriminator="kind")
 ]
 """Any kind of structure."""
-
-
-class Kind(NamedTuple):
-    """Terrain, spawns and goals of a kind of structure; functions take the kind's own settings."""
-
-    terrain: Callable[[Any], Terrain]
-    goal: Callable[[Any, int], Reals]
-    """Goal of robots that come from a side [R], shape (3,)."""
-
-    behind: Callable[[Any, int, Reals], Reals]
-    """Distance of docks, shape (n, 3), behind the edge of a side, or from a tower's axis [R],
-    shape (n,)."""
-
-    start: Callable[[Any, int, float, Reals], Reals]
-    """Spawn of a robot from a side, on the ground [R], shape (2,), given the distance behind the
-    edge or from the axis that its own is counted from and two random numbers in [0, 1)."""
-
-    sides: int = 1
-    """Sides that robots come from, in turn; the first robot of each founds the structure there."""
-
-
-def _around(params: TowerParams, _side: int, rim: float, draw: Reals) -> Reals:
-    """Anywhere around the disc of radius `rim`."""
-    angle = 2.0 * np.pi * draw[0]
-    distance = rim + params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min)
-    place: Reals = distance * np.array([np.cos(angle), np.sin(angle)])
-    return place
-
-
-def _back(params: BridgeParams, side: int, docks: Reals) -> Reals:
-    """Distance behind the edge; only a bridge has a side 1, beyond its gap."""
-    back: Reals = docks[:, 0] - params.gap if side else -docks[:, 0]
-    return back
-
-
-def _behind(params: BridgeParams, side: int, rim: float, draw: Reals) -> Reals:
-    """At least `rim` behind the edge; side 1 of a bridge mirrors side 0."""
-    y = params.spawn_width * (2.0 * draw[0] - 1.0)
-    back = rim + (params.spawn_min + draw[1] * (params.spawn_max - params.spawn_min))
-    return np.array([params.gap + back if side else -back, y])
-
-
-KINDS = {
-    "tower": Kind(
-        terrain=lambda _params: Terrain(),
-        goal=lambda params, _side: np.array([0.0, 0.0, params.goal_height]),
-        behind=lambda _params, _side, docks: np.hypot(docks[:, 0], docks[:, 1]),
-        start=_around,
-    ),
-    "cantilever": Kind(
-        terrain=lambda _params: Terrain(left_edge=0.0),
-        goal=lambda params, _side: np.array([params.goal_reach, 0.0, params.goal_height]),
-        behind=_back,
-        start=_behind,
-    ),
-    "bridge": Kind(
-        terrain=lambda params: Terrain(left_edge=0.0, right_edge=params.gap),
-        goal=lambda params, side: np.array(
-            [-params.goal_beyond if side else params.gap + params.goal_beyond, 0.0, EDGE_RADIUS]
-        ),
-        behind=_back,
-        start=_behind,
-        sides=2,
-    ),
-    "chain": Kind(
-        terrain=lambda _params: Terrain(left_edge=0.0),
-        goal=lambda params, _side: np.array([EDGE_RADIUS, 0.0, -params.goal_depth]),
-        behind=_back,
-        start=_behind,
-    ),
-}
-"""Every kind, by name."""
