@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
 from tiswarm.compute.lang import Reals2, ti
-from tiswarm.world.flip_kernels import crossing_angles
+from tiswarm.world.turn_kernels import crossing_angles
 
 FULL_TURN = 2.0 * np.pi
 

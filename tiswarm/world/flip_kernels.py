@@ -2,14 +2,7 @@
 
 A flip turns a robot about an axis through one of its attached docks (the pivot), at right
 angles to the line from that dock to the robot's center, until another dock first touches
-something: another dock, flat ground, a rounded edge. Lengths in R, angles in rad, everything in
-float64.
-
-A dock that turns about a pivot by the angle t has, along any fixed direction, a coordinate of
-the form a cos t + b sin t + c. Against a dock at w from the pivot the direction is w, against
-flat ground it is straight down; both ask where a cos t + b sin t first rises through a level,
-which has a closed form. At a rounded edge the squared distance to its axis is followed in
-steps that cannot jump over a contact.
+something: another dock, flat ground, a rounded edge. Lengths in R, everything in float64.
 """
 
 from typing import NamedTuple
@@ -39,24 +32,13 @@ from tiswarm.compute.math_kernels import (  # fmt: skip
     vector_at,
     vector_in,
 )
+from tiswarm.robot import DOCK_COUNT
+from tiswarm.world.turn_kernels import contact_angles
 
-DOCKS = 3
 _WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
 """States of a walk."""
 FLAT, EDGE = 1, 2
 """Ground that a dock stands on; 0 for none."""
-_SETTLED_RISE = 1e-12
-"""A dock whose coordinate swings by less than this [R] slides along: it never enters."""
-_RESTING_ANGLE = 1e-7
-"""A contact met this little before the start of a turn is the one the dock rests on [rad]."""
-_RESTING_GAP = 1e-10
-"""Squared distances to an edge this close to contact are contact [R^2]."""
-_MET = 1e-13
-"""Largest step that counts as arrival at the edge [rad]."""
-_NUDGE = 1e-3
-"""Turn after which a dock that leaves an edge tangentially is clear of it [rad]."""
-_MAX_STEPS = 500
-"""Most steps along an edge; 10 to 40 are usual."""
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
 
@@ -149,7 +131,7 @@ class WalkArrays(NamedTuple):
 
 
 @kernel_struct
-class Flip:
+class _Flip:
     """A flip that could be taken: where it ends and about which dock."""
 
     distance: F64
@@ -157,89 +139,6 @@ class Flip:
     orientation: Vec4
     pivot: I32
     overflow: I32
-
-
-@ti.func
-def ahead(angle, full_turn):
-    """Wrap an angle to [0, a full turn); an angle just behind 0 is the contact it rests on."""
-    wrapped = angle - full_turn * ti.floor(angle / full_turn)
-    return ti.select(wrapped > full_turn - _RESTING_ANGLE, 0.0, wrapped)
-
-
-@ti.func
-def crossing_angles(a, b, level, full_turn):
-    """Find where a cos t + b sin t first rises through `level`, turning forward and backward.
-
-    Returns a full turn where it never does. Rising means entering: the obstacle lies above the
-    level.
-    """
-    angles = ti.Vector([full_turn, full_turn])
-    swing = ti.sqrt(a * a + b * b)
-    if swing > ti.abs(level) and swing > _SETTLED_RISE:
-        peak = ti.atan2(b, a)
-        half_width = ti.acos(level / swing)
-        angles[0] = ahead(peak - half_width, full_turn)
-        angles[1] = ahead(-peak - half_width, full_turn)
-    return angles
-
-
-@ti.func
-def _edge_angle(middle, across, onward, edge, side, limits):
-    """Find the turn after which a dock first meets a slab with a rounded edge, or a full turn.
-
-    The slab ends at `edge`, on its right for a `side` of 1, else -1 on its left.
-    The dock is at middle + across cos t + onward sin t. Its squared distance to the slab's
-    spine less D^2, g(t), is smooth with |g''| <= m, so up to the root of
-    g + g' h - m h^2 / 2 nothing can be met.
-    """
-    depth = 0.5 * limits.spacing
-    height = middle[2] - (limits.ground_z - depth)
-    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
-    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
-    reach_x = ti.max(side * (middle[0] - edge) + swing_x, 0.0)
-    bend = 2.0 * (swing_x * (swing_x + reach_x) + swing_z * (swing_z + ti.abs(height) + swing_z))
-    met = limits.full_turn
-    t = 0.0 * height
-    steps = 0
-    if swing_z < _SETTLED_RISE and ti.abs(height) > limits.spacing - _RESTING_GAP:
-        t = limits.full_turn  # it slides along the flat and never enters
-    while t < limits.full_turn and steps < _MAX_STEPS:
-        steps += 1
-        c = ti.cos(t)
-        s = ti.sin(t)
-        out = ti.max(side * (middle[0] + across[0] * c + onward[0] * s - edge), 0.0)
-        up = height + across[2] * c + onward[2] * s
-        gap = out * out + up * up - limits.spacing * limits.spacing
-        slope = 2.0 * side * out * (onward[0] * c - across[0] * s)
-        slope += 2.0 * up * (onward[2] * c - across[2] * s)
-        if gap < _RESTING_GAP and t == 0.0 and slope > -_RESTING_GAP:
-            gap = 0.0
-            t = ti.max(slope / bend, _NUDGE)
-        else:
-            room = slope * slope + 2.0 * bend * gap
-            step = (slope + ti.sqrt(ti.max(room, 0.0))) / bend
-            if step < _MET:
-                met = t
-                break
-            t += step
-    return ti.min(met, limits.full_turn)
-
-
-@ti.func
-def slab_angles(middle, across, onward, edge, side, limits):
-    """Find the angles, forward and backward, at which a dock first meets a slab."""
-    angles = ti.Vector([limits.full_turn, limits.full_turn])
-    swing_x = ti.sqrt(across[0] * across[0] + onward[0] * onward[0])
-    swing_z = ti.sqrt(across[2] * across[2] + onward[2] * onward[2])
-    top = limits.ground_z + 0.5 * limits.spacing
-    if middle[2] - swing_z < top + _RESTING_GAP:
-        inland = side * (middle[0] - edge) + swing_x <= 0.0
-        if inland and middle[2] > limits.ground_z:
-            angles = crossing_angles(-across[2], -onward[2], middle[2] - top, limits.full_turn)
-        elif side * (middle[0] - edge) - swing_x < limits.spacing:
-            angles[0] = _edge_angle(middle, across, onward, edge, side, limits)
-            angles[1] = _edge_angle(middle, across, -onward, edge, side, limits)
-    return angles
 
 
 @ti.func
@@ -256,24 +155,6 @@ def _ground_kind(point, limits):
         if out * out + up * up < limit * limit:
             kind = ti.select(out == 0.0 and up > 0.0, FLAT, EDGE)
     return kind
-
-
-@ti.func
-def _flip_contact(limits: Ref, arm, axis, pivot, near: Ref, mover, near_count):
-    """Find the angles, forward and backward, at which a dock at `arm` from the pivot is stopped."""
-    along = arm.dot(axis)
-    across = arm - along * axis
-    onward = axis.cross(arm)
-    middle = pivot + along * axis
-    first = slab_angles(middle, across, onward, limits.left_edge, 1.0, limits)
-    first = ti.min(first, slab_angles(middle, across, onward, limits.right_edge, -1.0, limits))
-    for k in range(near_count):
-        to_other = vector_in(near, mover, k)
-        level = 0.5 * (arm.norm_sqr() + to_other.norm_sqr() - limits.spacing * limits.spacing)
-        level -= along * to_other.dot(axis)
-        met = crossing_angles(to_other.dot(across), to_other.dot(onward), level, limits.full_turn)
-        first = ti.min(first, met)
-    return first
 
 
 @ti.func
@@ -340,7 +221,7 @@ def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover
     here = vector_in(walks.center, mover, stance)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
-    chosen = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+    chosen = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = here - to_center
@@ -353,9 +234,9 @@ def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover
         turn = 0.5 * limits.full_turn * twist / limits.twists
         axis = ti.cos(turn) * normal + ti.sin(turn) * side
         first = ti.Vector([limits.full_turn, limits.full_turn])
-        for step in range(1, DOCKS):
-            arm = rotate(q, vector_at(body, (k + step) % DOCKS) - body_in)
-            first = ti.min(first, _flip_contact(limits, arm, axis, pivot, near, mover, count))
+        for step in range(1, DOCK_COUNT):
+            arm = rotate(q, vector_at(body, (k + step) % DOCK_COUNT) - body_in)
+            first = ti.min(first, contact_angles(limits, arm, axis, pivot, near, mover, count))
         for way in ti.static(range(2)):
             angle = first[way]
             if angle >= limits.min_flip and angle <= limits.max_flip:
@@ -380,7 +261,7 @@ def _move_to(walks: Ref, mover, stance, here, q):
 
 
 @ti.func
-def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
+def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     """Let a robot that touches with two docks turn about these until the third touches too.
 
     It turns the way that takes the smaller angle. The stance it comes to is written behind the
@@ -389,20 +270,20 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
     s, best = climbers.structure[m], walks.best[m]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
     free, free_count = -1, 0
-    for k in range(DOCKS):
+    for k in range(DOCK_COUNT):
         if not _is_attached(walks, m, best, k):
             free = k
             free_count += 1
     if free_count == 1:
-        one = (free + 1) % DOCKS
+        one = (free + 1) % DOCK_COUNT
         q = quaternion_at(walks.orientation, m, best)
         body_in = vector_at(body, one)
-        across = rotate(q, vector_at(body, (free + 2) % DOCKS) - body_in)
+        across = rotate(q, vector_at(body, (free + 2) % DOCK_COUNT) - body_in)
         arm = rotate(q, vector_at(body, free) - body_in)
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
         count = ti.min(_gather_near(limits, structures, s, pivot, near, m), near.shape[1])
-        met = _flip_contact(limits, arm, axis, pivot, near, m, count)
+        met = contact_angles(limits, arm, axis, pivot, near, m, count)
         angle = ti.min(met[0], met[1])
         if angle <= limits.max_flip:
             flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
@@ -412,7 +293,7 @@ def settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
             walks.stay[m] = stay
             walks.pivot_dock[m, stay] = one
             _move_to(walks, m, stay, end, turned)
-            for k in range(DOCKS):
+            for k in range(DOCK_COUNT):
                 point = end + rotate(turned, vector_at(body, k))
                 _sense_contacts(limits, structures, s, walks, m, stay, k, point)
 
@@ -465,16 +346,16 @@ def climb(
             while state[m] == _WALKING:
                 here = vector_in(center, m, stance)
                 q = quaternion_at(orientation, m, stance)
-                flip = Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+                flip = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
                 called = 0
-                for k in range(DOCKS):
+                for k in range(DOCK_COUNT):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 if called:
                     state[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < patience[m]:
-                    for k in range(DOCKS):
+                    for k in range(DOCK_COUNT):
                         if _is_attached(walks, m, stance, k):
                             other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
                             if other.overflow:
@@ -495,4 +376,4 @@ def climb(
             best[m] = best_stance
             stay[m] = best_stance
             if settles[m]:
-                settle(limits, structures, climbers, walks, m)
+                _settle(limits, structures, climbers, walks, m)

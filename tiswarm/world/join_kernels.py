@@ -3,7 +3,8 @@
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
 from tiswarm.compute.lang import GRAIN, Ints1, Ints2, Ints3, Ints4, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import quaternion_at, rotate, vector_at, vector_in
-from tiswarm.world.flip_kernels import DOCKS, ClimbLimits, StructureArrays, WalkArrays
+from tiswarm.robot import DOCK_COUNT
+from tiswarm.world.flip_kernels import ClimbLimits, StructureArrays, WalkArrays
 
 
 @ti.func
@@ -16,7 +17,7 @@ def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: R
     for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
         here = vector_in(walks.center, mover, stance)
         q = quaternion_at(walks.orientation, mover, stance)
-        for k in range(DOCKS):
+        for k in range(DOCK_COUNT):
             point = here + rotate(q, vector_at(body, k))
             cube = cube_of(point, limits.inverse_edge)
             for which in range(27):
@@ -63,20 +64,20 @@ def join_undisturbed(
     body = ti.static(dock_offset_body)
     for s, idle in ti.ndrange(robot_count.shape[0], GRAIN):
         if idle == 0:
-            newest = DOCKS * robot_count[s]
+            newest = DOCK_COUNT * robot_count[s]
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
                 joined[m] = -1
                 passed = -1
-                if DOCKS * robot_count[s] > newest:
+                if DOCK_COUNT * robot_count[s] > newest:
                     passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
-                if wants[m] and passed < 0 and DOCKS * robot_count[s] < dock.shape[1]:
+                if wants[m] and passed < 0 and DOCK_COUNT * robot_count[s] < dock.shape[1]:
                     joined[m] = robot_count[s]
                     here = vector_in(center, m, stay[m])
                     q = quaternion_at(orientation, m, stay[m])
-                    for k in range(DOCKS):
+                    for k in range(DOCK_COUNT):
                         point = here + rotate(q, vector_at(body, k))
-                        item = DOCKS * joined[m] + k
+                        item = DOCK_COUNT * joined[m] + k
                         for c in ti.static(range(3)):
                             dock[s, item, c] = point[c]
                         link(structures.cells, s, item, cube_of(point, limits.inverse_edge))
@@ -85,5 +86,5 @@ def join_undisturbed(
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
                 disturbed[m] = -1
-                if joined[m] < 0 and DOCKS * robot_count[s] > newest:
+                if joined[m] < 0 and DOCK_COUNT * robot_count[s] > newest:
                     disturbed[m] = _first_disturbed(limits, structures, s, walks, m, body, newest)
