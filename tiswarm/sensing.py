@@ -111,12 +111,11 @@ def _sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int3
 
     A row is (robot, stance, own dock, other robot, other dock).
     """
-    parts = [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
-    true: NDArray[np.int32] = np.concatenate(parts)
+    true = history.table("contacts")
     if params.missed_contacts == params.wrong_docks == params.false_contacts == 0.0:
         return true
     robot = true[:, 0]
-    place = np.concatenate([np.arange(len(part)) for part in parts])
+    place = np.concatenate([np.arange(len(walk.contacts)) for walk in history.walks])
 
     def draw(stream: str, which: int) -> Reals:
         return uniform(history.seed, stream, robot, 4 * place + which)
@@ -166,18 +165,13 @@ def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
 def _stances(history: History, sensed: Reals, length: Ints, contacts: NDArray[np.int32]) -> Stances:
     """Gather every stance except each robot's last; `contacts` are those of these stances."""
     start = np.concatenate([[0], np.cumsum(length - 1)])
-    is_last = np.zeros(len(sensed), np.bool_)
-    is_last[np.cumsum(length) - 1] = True
-    ground = [
-        np.insert(walk.ground_docks[walk.ground_docks[:, 0] < walk.stance_count - 1], 0, j, axis=1)
-        for j, walk in enumerate(history.walks)
-    ]
+    ground = history.table("ground_docks")
     return Stances(
         start=start,
-        orientation_wxyz=sensed[~is_last],
+        orientation_wxyz=np.delete(sensed, np.cumsum(length) - 1, axis=0),
         pivot_dock=np.concatenate([walk.pivot_dock for walk in history.walks]),
         contacts=_numbered(contacts, start),
-        ground_docks=_numbered(np.concatenate(ground), start),
+        ground_docks=_numbered(ground[ground[:, 1] < length[ground[:, 0]] - 1], start),
     )
 
 

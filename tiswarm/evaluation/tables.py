@@ -71,9 +71,7 @@ def outlier_scores(
     if estimate.outlier_contacts is None:
         return {}
     sensed = measure(log, cues).sensed_contacts
-    true = np.concatenate(
-        [np.insert(walk.contacts, 0, j, axis=1) for j, walk in enumerate(history.walks)]
-    )
+    true = history.table("contacts")
     size = tuple(np.concatenate([true, sensed]).max(axis=0, initial=0) + 1)
 
     def key(rows: AnyInts) -> Ints:  # each row as one number
@@ -136,6 +134,7 @@ def by_join(history: History) -> pd.DataFrame:
     """
     walks, loads, terrain = history.walks, history.loads, history.terrain
     (x, _, z), joined = history.position.T, np.arange(1, len(walks) + 1)
+    standing = np.concatenate([history.ground_docks, history.edge_docks])[:, 0]
     parts, anchored = DisjointSet([*range(len(walks))]), []
     for j, walk in enumerate(walks):
         for i in walk.at_rest(walk.contacts)[:, 1]:
@@ -152,11 +151,8 @@ def by_join(history: History) -> pd.DataFrame:
             "calling": [s.calling for s in loads],
             "recruited": np.cumsum([walk.recruited for walk in walks]),
             "flips": [walk.stance_count - 1 for walk in walks],
-            "contacts": [len(walk.at_rest(walk.contacts)) for walk in walks],
-            "ground_docks": [
-                len(walk.at_rest(walk.ground_docks)) + len(walk.at_rest(walk.edge_docks))
-                for walk in walks
-            ],
+            "contacts": np.bincount(history.contacts[:, 2], minlength=len(walks)),
+            "ground_docks": np.bincount(standing, minlength=len(walks)),
             "on_anchor": np.cumsum(np.isin(joined - 1, _on_anchor(history))),
             "anchored": anchored,
             "least_support": [s.least_support for s in loads],
@@ -167,15 +163,11 @@ def by_join(history: History) -> pd.DataFrame:
 
 def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
-    last, (x, _, z) = history.loads[-1], history.position.T
+    grown = by_join(history)
+    names = ("height_R", "reach_R", "depth_R", "peak_stress", "sensed_max", "recruited")
     first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
-        "height_R": float(z.max() - history.ground_z),
-        "reach_R": float(x.max()),
-        "depth_R": float(history.ground_z - z.min()),
-        "peak_stress": last.peak,
-        "sensed_max": last.sensed_max,
-        "recruited": sum(walk.recruited for walk in history.walks),
+        **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
         "crossed": int(history.crossed),
         "first_on_anchor": first,
