@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult
 
-from tiswarm.localization.least_squares import Minimum, Problem
+from tiswarm.localization.least_squares import Problem
 from tiswarm.localization.params import LeastSquaresParams
 
 Array = NDArray[np.float64]
@@ -21,7 +22,9 @@ CONVERGED = 1e-8
 """Relative and absolute decrease of the cost below which an iteration is the last."""
 
 
-def levenberg_marquardt(problem: Problem, unknowns: Array, params: LeastSquaresParams) -> Minimum:
+def levenberg_marquardt(
+    problem: Problem, unknowns: Array, params: LeastSquaresParams
+) -> OptimizeResult:
     """Minimize the residuals by GTSAM's Levenberg-Marquardt method; the loss is linear.
 
     Keys are robots: position N is that of robot N, key R + N its yaw [rad],
@@ -49,7 +52,8 @@ def levenberg_marquardt(problem: Problem, unknowns: Array, params: LeastSquaresP
     found, iterations = optimizer.optimize(), optimizer.iterations()
     keys = [*range(1, robots), *(robots + np.arange(len(arcs))).tolist()]
     x = np.concatenate([found.atVector(key) for key in keys])
-    return Minimum(x, optimizer.error(), iterations, int(iterations < params.evaluations))
+    status = int(iterations < params.evaluations)
+    return OptimizeResult(x=x, cost=optimizer.error(), nfev=iterations, status=status)
 
 
 def _residuals(problem: Problem) -> Iterator[tuple[list[int], Residual]]:

@@ -7,10 +7,9 @@ overlap. Lengths in R.
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_array, diags_array, vstack
 from scipy.spatial import cKDTree
 
@@ -23,10 +22,10 @@ from tiswarm.measurements.model import SPACING, Distances, Measurements, turned
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-MARGIN = 1.0
+_MARGIN = 1.0
 """Docks this much farther apart than D may come to overlap within a round [R]."""
 
-SETTLED = 1e-6
+_SETTLED = 1e-6
 """The rounds end when one lowers the cost by less than this part."""
 
 
@@ -72,24 +71,11 @@ class Problem:
         return csr_array(vstack([csr_array(weighted[:, 3:]), csr_array(prior)]))
 
 
-class Minimum(NamedTuple):
-    """The end of a solve, with the names of scipy's OptimizeResult."""
+Minimize = Callable[[Problem, Reals, LeastSquaresParams], OptimizeResult]
+"""A solver: the problem, the unknowns to start from, settings.
 
-    x: Reals
-    """Unknowns, shape (unknowns,)."""
-
-    cost: float
-    """Half the sum of squares."""
-
-    nfev: int
-    """Evaluations of the residuals."""
-
-    status: int
-    """0 if the solve used up its evaluations, positive if it converged."""
-
-
-Minimize = Callable[[Problem, Reals, LeastSquaresParams], Minimum]
-"""A solver: the problem, the unknowns to start from, settings."""
+Of its result `x`, `cost`, `nfev` and `status` count, as `scipy.optimize.least_squares` has them.
+"""
 
 
 def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:
@@ -102,10 +88,6 @@ def localize_batch(
 ) -> list[Estimate]:
     """Localize structures one after the other, started side by side.
 
-    Args:
-        logs: One log a structure, all of one batch key with their settings.
-        params: Settings for each.
-
     Returns:
         One estimate a log. The residual is the root mean square of distance less D of the
         docks in contact, in the log's unit.
@@ -116,9 +98,9 @@ def localize_batch(
     ]
 
 
-def trust_region(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> Minimum:
+def trust_region(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> OptimizeResult:
     """Minimize the residuals by scipy's trust region reflective method."""
-    found = least_squares(  # type: ignore[operator]  # the stubs take it for a module
+    found: OptimizeResult = least_squares(  # type: ignore[operator]  # the stubs take it for a module
         problem.residuals,
         unknowns,
         jac=problem.jacobian,
@@ -127,7 +109,7 @@ def trust_region(problem: Problem, unknowns: Reals, params: LeastSquaresParams) 
         loss=params.loss,
         max_nfev=params.evaluations,
     )
-    return Minimum(found.x, found.cost, found.nfev, found.status)
+    return found
 
 
 def improve(
@@ -165,7 +147,7 @@ def improve(
         position, yaw = problem.poses(found.x)
         poses.append((position, yaw))
         iteration.append(iteration[-1] + found.nfev)
-        if found.status > 0 and found.cost >= (1.0 - SETTLED) * cost:
+        if found.status > 0 and found.cost >= (1.0 - _SETTLED) * cost:
             break
         cost = found.cost
     contacts = measure(log, ["contacts"], odometry=measured.odometry)
@@ -203,7 +185,7 @@ def _close(
     docks = arm.shape[1]
     point = np.repeat(position, docks, axis=0)
     point += turned(arm.reshape(-1, 3), np.repeat(yaw, docks))
-    pair = cKDTree(point).query_pairs(SPACING + MARGIN, output_type="ndarray").astype(np.int64)
+    pair = cKDTree(point).query_pairs(SPACING + _MARGIN, output_type="ndarray").astype(np.int64)
     pair = pair[pair[:, 0] // docks != pair[:, 1] // docks]
     pair = pair[np.lexsort(pair.T)]  # in an order that does not depend on the tree
     i, a, j, b = log.contacts.T.astype(np.int64)
