@@ -44,7 +44,9 @@ def _check(log, estimate):
         return
     known = pose_problem(log, JointParams())
     doubted = {tuple(row) for row in estimate.outlier_contacts.tolist()}
-    trusted = np.array([tuple(row) not in doubted for row in known.contacts.tolist()], bool)
+    trusted = np.array(
+        [tuple(row) not in doubted for row in known.rows.sensed_contacts.tolist()], bool
+    )
     bound = known.reach(0.1, trusted)
     first = np.unique(known.part, return_index=True)[1][known.part]
     distance = np.linalg.norm(estimate.position - estimate.position[first], axis=1)

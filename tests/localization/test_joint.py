@@ -13,7 +13,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.joint import annealing, force_kernels, initialization, kernels
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, weights
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
@@ -59,7 +59,7 @@ def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, ste
         annealer.by_robot(annealer.swarm.heading),
     )
     yaw = heading[:, :, force_kernels.YAW]
-    size = 2.0 * min(1.0, (steps + 1) / (SCHEDULE.growing * SHORT.steps))
+    size = 2.0 * min(1.0, (steps + 1) / (AnnealSchedule.growing * SHORT.steps))
 
     annealer.advance(steps + 1)
 
@@ -442,11 +442,11 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     shape = put[:, -1] - put[:, -4]
     np.testing.assert_allclose(shape, chain[:, -1] - chain[:, -4], atol=1e-12)
     for first in (before + 2, before + 4):
-        likely = [np.exp((i - first) / SCHEDULE.join_memory) for i in range(first)]
+        likely = [np.exp((i - first) / AnnealSchedule.join_memory) for i in range(first)]
         place = sum(w * put[:, i, :2] for i, w in enumerate(likely)) / sum(likely)
         np.testing.assert_allclose(put[:, first, :2], place, atol=1e-12)
         away = [((put[:, i, :2] - place) ** 2).sum(axis=1) for i in range(first)]
-        off = [SCHEDULE.join_variance * a + square[:, i] for i, a in enumerate(away)]
+        off = [AnnealSchedule.join_variance * a + square[:, i] for i, a in enumerate(away)]
         off = sum(w * o for w, o in zip(likely, off, strict=True)) / sum(likely)
         np.testing.assert_allclose(square[:, first], off, rtol=1e-12)
     np.testing.assert_array_equal(square[:, ~untied], 0.0)

@@ -38,7 +38,7 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         walked = np.exp(1j * yaw) * (known.walk @ [1.0, 1j])
         place = known.place - np.column_stack([walked.real, walked.imag, np.zeros(len(yaw))])
         felt = {tuple(row) for row in measure(log, ALL.cues).sensed_contacts.tolist()}
-        assert {tuple(row) for row in known.contacts.tolist()} <= felt
+        assert {tuple(row) for row in known.rows.sensed_contacts.tolist()} <= felt
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel
         assert (known.precision[1:] > 0.0).all()

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.localization.joint import refine as module
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.refine import is_of_use, refine
-from tiswarm.localization.joint.settings import REFINE
+from tiswarm.localization.joint.settings import RefineSettings
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.model import Measurements
@@ -78,7 +78,7 @@ def test_residuals_are_those_of_walks_taken_flip_by_flip(towers, noise):
     residual = problem.linearized(state, np.ones(log.robot_count)).residual
 
     expected = []
-    for robot, stance, own, other, its in known.contacts.tolist():
+    for robot, stance, own, other, its in known.rows.sensed_contacts.tolist():
         here = dock[known.rows.odometry.first[robot] + stance, own]
         there = dock[known.rows.odometry.final[other], its]
         expected.append(np.linalg.norm(here - there) - log.spacing)
@@ -165,7 +165,7 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers):
 
     shift = 3 * (robots - 1)
     moved = (found.position - state.position)[1:]
-    assert np.linalg.norm(moved, axis=1).max() < REFINE.longest_step
+    assert np.linalg.norm(moved, axis=1).max() < RefineSettings.longest_step
     np.testing.assert_allclose(moved.ravel(), step[:shift], atol=1e-9)
     assert not state.turn.any()  # it was not written to
     turned = found.turn.ravel()

@@ -5,19 +5,20 @@ of the temperature: the standard deviation by which measurements may be missed. 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
+from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.force_kernels import INERTIA, TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
 from tiswarm.localization.joint.kernels import (
@@ -29,7 +30,7 @@ from tiswarm.localization.joint.kernels import (
     take_steps,
 )
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
@@ -39,56 +40,6 @@ _AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """A row of the kernel's headings to begin with."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Annealed:
-    """Result of the chains of one structure of N robots."""
-
-    mean: Reals
-    """Mean position over the hold of each chain [R], shape (chains, N, 3)."""
-
-    within: Reals
-    """Within-chain variance of each position, all axes together [R^2], shape (chains, N)."""
-
-    last: Reals
-    """Last position in each chain [R], shape (chains, N, 3)."""
-
-    mean_yaw: Reals
-    """Mean yaw correction over the hold of each chain [rad], shape (chains, N)."""
-
-    last_yaw: Reals
-    """Last yaw correction in each chain [rad], shape (chains, N)."""
-
-    sigma: float
-    """Square root of the end temperature [R]."""
-
-    temperature: Reals
-    """Mean kinetic temperature of each chain once docks are grown, relative to its target,
-    shape (chains,)."""
-
-    iteration: Ints
-    """Steps at which the trace was recorded, shape (K,)."""
-
-    trace: Reals
-    """Positions of the first chain then [R], shape (K, N, 3)."""
-
-    yaw_trace: Reals
-    """Yaw corrections of the first chain then [rad], shape (K, N)."""
-
-    def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
-        """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
-        arrays: dict[str, Any] = {
-            name: np.where(
-                chosen.reshape(-1, *[1] * (getattr(self, name).ndim - 1)),
-                getattr(other, name),
-                getattr(self, name),
-            )
-            for name in ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
-        }
-        if chosen[0]:
-            arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
-        return replace(self, **arrays)
-
-
 def anneal(
     logs: Sequence[SensingLog],
     params: Sequence[JointParams],
@@ -96,14 +47,7 @@ def anneal(
     *,
     halvings: int = 0,
 ) -> list[Annealed]:
-    """Anneal structures side by side.
-
-    Args:
-        logs: One log a structure, all of one batch key with their settings.
-        params: Settings for each.
-        problems: Measurements of each.
-        halvings: How often to halve the length of a step.
-    """
+    """Anneal structures side by side, in steps halved so often; arguments as for `Annealer`."""
     return Annealer(logs, params, problems, inertia_factor=4.0**halvings).run()
 
 
@@ -187,7 +131,7 @@ class Annealer:
         if running.arch != "cpu":
             return False
         copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
-        shared = SCHEDULE.launch + GRAIN * -(-copies // (GRAIN * running.threads))
+        shared = AnnealSchedule.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
 
     def _robots(self, params: Sequence[JointParams]) -> Robots:
@@ -197,7 +141,9 @@ class Annealer:
             structure=upload(np.repeat(np.arange(len(size)), size)),
             number=upload(number),
             non_overlap=upload(np.repeat([int(p.non_overlap) for p in params], size)),
-            robust=upload(np.repeat([SCHEDULE.outlier_sd**-2 * p.robust for p in params], size)),
+            robust=upload(
+                np.repeat([AnnealSchedule.outlier_sd**-2 * p.robust for p in params], size)
+            ),
         )
 
     def _priors(self) -> Priors:
@@ -239,16 +185,16 @@ class Annealer:
     def run(self) -> list[Annealed]:
         """Take all steps."""
         holding = self.shared.hold_steps
-        frames = np.linspace(0, self.steps + holding, SCHEDULE.frames).astype(np.int64)
+        frames = np.linspace(0, self.steps + holding, AnnealSchedule.frames).astype(np.int64)
         frames = np.union1d(frames, self.steps)
         trace, yaw_trace, heat = [], [], []
         for frame in frames.tolist():
             self.advance(frame)
-            if SCHEDULE.reinitialize_from * self.steps <= frame < self.steps:
+            if AnnealSchedule.reinitialize_from * self.steps <= frame < self.steps:
                 self.reinitialize()
             trace.append(self.by_robot(self.swarm.position)[0])
             yaw_trace.append(self.by_robot(self.swarm.heading)[0, :, YAW])
-            if frame > SCHEDULE.growing * self.steps:
+            if frame > AnnealSchedule.growing * self.steps:
                 heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.swarm.position)
         moves = last.shape[1] > len(self.size)  # anchors do not
@@ -272,7 +218,7 @@ class Annealer:
                 trace=np.array([frame[a:b] for frame in trace]),
                 yaw_trace=np.array([frame[a:b] for frame in yaw_trace]),
             )
-            for n, (a, b) in enumerate(zip(self.start[:-1], self.start[1:], strict=True))
+            for n, (a, b) in enumerate(pairwise(self.start))
         ]
 
     def advance(self, until: int) -> None:
@@ -287,7 +233,7 @@ class Annealer:
             take_steps(
                 self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
                 rows.capacity, self.near, self.shared.seed, until, self.steps,
-                max(SCHEDULE.growing * self.steps, 1.0), self.inertia_factor, *self.measured,
+                max(AnnealSchedule.growing * self.steps, 1.0), self.inertia_factor, *self.measured,
                 *self.trees, rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
                 *self.swarm, *blocks,
             )  # fmt: skip
@@ -315,9 +261,9 @@ class Annealer:
         """Initialize robots anew that lost most of their contacts, where the loss is robust."""
         position, heading = self.by_robot(self.swarm.position), self.by_robot(self.swarm.heading)
         moved = 0
-        start = zip(self.start[:-1], self.start[1:], strict=True)
-        for problem, gives_up, (a, b) in zip(self.problems, self.robust, start, strict=True):
-            if gives_up:
+        bounds = pairwise(self.start)
+        for problem, is_robust, (a, b) in zip(self.problems, self.robust, bounds, strict=True):
+            if is_robust:
                 moved += reinitialize_lost(problem, position[:, a:b], heading[:, a:b, YAW])
         if moved:
             self.memory.refill(self.swarm.position, position[:, self.order].reshape(-1, 3))
@@ -337,9 +283,9 @@ def end_sigma(problem: Problem, params: JointParams) -> float:
     """
     if params.end_sigma is not None:
         return params.end_sigma
-    coldest, warmest = SCHEDULE.coldest, SCHEDULE.warmest
+    coldest, warmest = AnnealSchedule.coldest, AnnealSchedule.warmest
     noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
-    lacking = problem.underdetermination / SCHEDULE.underdetermined
+    lacking = problem.underdetermination / AnnealSchedule.underdetermined
     return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
 
 

@@ -8,15 +8,65 @@ A chain moves about its mean for three reasons: measurements are noisy, they lea
 and the temperature lets them be missed. Only the first two are errors, and make `sd`. Lengths in R.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
-from tiswarm.localization.joint.annealing import Annealed
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import CALIBRATION, CONVERGENCE, SCHEDULE
+from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
 from tiswarm.records.estimate import Convergence, Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class Annealed:
+    """Result of the chains of one structure of N robots."""
+
+    mean: Reals
+    """Mean position over the hold of each chain [R], shape (chains, N, 3)."""
+
+    within: Reals
+    """Within-chain variance of each position, all axes together [R^2], shape (chains, N)."""
+
+    last: Reals
+    """Last position in each chain [R], shape (chains, N, 3)."""
+
+    mean_yaw: Reals
+    """Mean yaw correction over the hold of each chain [rad], shape (chains, N)."""
+
+    last_yaw: Reals
+    """Last yaw correction in each chain [rad], shape (chains, N)."""
+
+    sigma: float
+    """Square root of the end temperature [R]."""
+
+    temperature: Reals
+    """Mean kinetic temperature of each chain once docks are grown, relative to its target,
+    shape (chains,)."""
+
+    iteration: Ints
+    """Steps at which the trace was recorded, shape (K,)."""
+
+    trace: Reals
+    """Positions of the first chain then [R], shape (K, N, 3)."""
+
+    yaw_trace: Reals
+    """Yaw corrections of the first chain then [rad], shape (K, N)."""
+
+    def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
+        """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
+        arrays: dict[str, Any] = {
+            name: np.where(
+                chosen.reshape(-1, *[1] * (getattr(self, name).ndim - 1)),
+                getattr(other, name),
+                getattr(self, name),
+            )
+            for name in ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
+        }
+        if chosen[0]:
+            arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,11 +87,11 @@ def failed(problem: Problem, annealed: Annealed) -> Bools:
     """Find chains that no noise of the measurements explains, shape (chains,)."""
     missed = squares(problem, annealed)[:, : len(problem.other)]
     # A wrong contact bounds no distance; most chains tear it.
-    torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
+    torn = (missed > ConvergenceTest.outlier_sd**2).mean(axis=0) >= ConvergenceTest.most_chains
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
-    is_failed: Bools = beyond | (annealed.temperature > CONVERGENCE.runaway)
+    is_failed: Bools = beyond | (annealed.temperature > ConvergenceTest.runaway)
     return is_failed
 
 
@@ -67,7 +117,7 @@ def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: in
         has_failed: Chains that cannot be right, shape (chains,).
         restarted: How many chains were annealed again.
     """
-    test, contacts = CONVERGENCE, len(problem.other)
+    test, contacts = ConvergenceTest, len(problem.other)
     missed = squares(problem, annealed)
     sums = np.minimum(missed[:, :contacts], test.capped_sd**2).sum(axis=1)
     candidates = np.where(has_failed.all() | ~has_failed, sums, np.inf)
@@ -112,7 +162,7 @@ def deviation(
         converged: Chains whose mean is the estimate, shape (chains,).
         sigma: Square root of the temperature at which the chains ended [R].
     """
-    fit = CALIBRATION
+    fit = SdCalibration
     between = between_chains(mean, converged)
     between += fit.shared * between_chains(_others(mean), converged)
     square = within[converged].mean(axis=0) + between
@@ -121,7 +171,7 @@ def deviation(
     square *= square / np.maximum(square + thermal, np.finfo(np.float64).tiny)
     power = fit.shared_noise_power * noise
     related = np.sqrt(square) ** (1.0 - power) * (fit.shared_noise_at * sigma) ** power
-    sharp = (fit.sharp * (sigma / SCHEDULE.warmest) ** fit.sharp_power) ** (1.0 - noise)
+    sharp = (fit.sharp * (sigma / AnnealSchedule.warmest) ** fit.sharp_power) ** (1.0 - noise)
     lacking = 1.0 + fit.underdetermined * problem.underdetermination
     sd: Reals = related * sharp * lacking
     sd[0] = 0.0  # the position of the anchor is known
@@ -152,7 +202,7 @@ def _noise_share(variance: Reals) -> float:
     """Share of the contacts' variance that is noise, not temperature; 1 without contacts."""
     if not len(variance):
         return 1.0
-    return float(np.mean(variance / (variance + SCHEDULE.warmest**2)))
+    return float(np.mean(variance / (variance + AnnealSchedule.warmest**2)))
 
 
 def distinct(

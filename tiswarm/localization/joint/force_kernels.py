@@ -24,7 +24,7 @@ _MOST_TURN_STIFFNESS = 0.25
 """The same of turns; less, for a turn and a shift swing together."""
 _FORGET = 0.99
 """What is kept of a mass no longer needed, in one step."""
-TINY = 1e-12
+_TINY = 1e-12
 _WHOLE = 2.0**44
 """Parts of one in which pushes are counted."""
 COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
@@ -43,7 +43,7 @@ def _push_inside(square_length, slope):
 
 
 @ti.func
-def turned(x, y, heading: Ref, r):
+def _turned(x, y, heading: Ref, r):
     """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
     c, s = heading[r, COS], heading[r, SIN]
     return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
@@ -91,11 +91,11 @@ def _pull_of_contacts(
         if ti.static(turning) and turns:
             x, y = contacts.lever[slot, 0], contacts.lever[slot, 1]
             its_x, its_y = contacts.lever[slot, 2], contacts.lever[slot, 3]
-            arm = turned(x, y, swarm.heading, r)
-            its = turned(its_x, its_y, swarm.heading, partner)
+            arm = _turned(x, y, swarm.heading, r)
+            its = _turned(its_x, its_y, swarm.heading, partner)
             apart[0] += arm[0] - its[0] - x + its_x
             apart[1] += arm[1] - its[1] - y + its_y
-        length = ti.max(apart.norm(), TINY)
+        length = ti.max(apart.norm(), _TINY)
         residual = length - SPACING
         within = square + contacts.variance[slot] + residual * residual * robots.robust[i]
         inverse = 1.0 / (within * length)  # one division for two
@@ -171,7 +171,7 @@ def pull_robot(
     square = step.sigma * step.sigma
     i = r % robots.non_overlap.shape[0]
     width = robots.non_overlap[i] * SPACING * step.growth
-    slope = 0.5 / ti.max(width * width, TINY)
+    slope = 0.5 / ti.max(width * width, _TINY)
     pull, stiffness, inertia = _pull_of_contacts(
         r, i, turning, slope, step, robots, contacts, priors, swarm
     )
@@ -182,7 +182,7 @@ def pull_robot(
         inertia += lag
     walked = 0.0 * vector_at(swarm.position, r)
     if ti.static(turning):
-        walked = turned(priors.walk[i, 0], priors.walk[i, 1], swarm.heading, r)
+        walked = _turned(priors.walk[i, 0], priors.walk[i, 1], swarm.heading, r)
     hold = vector_at(priors.place, i) - walked - vector_at(swarm.position, r)
     for c in ti.static(range(3)):
         known = square * priors.precision[i, c]

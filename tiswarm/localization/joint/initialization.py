@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
@@ -62,7 +62,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     across = _across(problem)
     rows = _rows(problem.robot, len(count))
     moved = 0
-    far = np.maximum(SCHEDULE.lost, SCHEDULE.lost_sd * np.sqrt(problem.variance))
+    far = np.maximum(AnnealSchedule.lost, AnnealSchedule.lost_sd * np.sqrt(problem.variance))
     for here, missed in zip(position, gap > far, strict=True):
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
@@ -90,16 +90,16 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
     placed, square = mean.copy(), np.zeros(mean.shape[:2])
     firsts = np.unique(problem.part, return_index=True)[1]
     for first in np.sort(firsts[problem.untied[firsts]]).tolist():
-        window = slice(max(first - SCHEDULE.join_window, 0), first)
+        window = slice(max(first - AnnealSchedule.join_window, 0), first)
         earlier = placed[:, window]
-        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / SCHEDULE.join_memory)
+        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / AnnealSchedule.join_memory)
         weight /= weight.sum()
         place = weight @ earlier
         away = (earlier - place[:, None]) * problem.unobserved[first]
         part = problem.part == problem.part[first]
         placed[:, part] += ((place - placed[:, first]) * problem.unobserved[first])[:, None]
         # The earlier ones may be of disconnected parts, too.
-        uncertain = SCHEDULE.join_variance * (away**2).sum(axis=2) + square[:, window]
+        uncertain = AnnealSchedule.join_variance * (away**2).sum(axis=2) + square[:, window]
         square[:, part] = (uncertain @ weight)[:, None]
     return placed, square
 

@@ -71,7 +71,7 @@ def _kick_of(seed, chain, number, t):
 
 
 @ti.func
-def moved(velocity: Ref, i, axis, force, mass, sigma, kick):
+def _moved(velocity: Ref, i, axis, force, mass, sigma, kick):
     """Change a velocity; return how far it leads."""
     heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
     speed = velocity[i, axis] + _STEP * force / mass
@@ -85,7 +85,7 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     count = robots.number.shape[0]
     kick = _kick_of(step.seed, r // count, -1 - robots.number[r % count], step.number)[0]
     heading = ti.static(swarm.heading)
-    turn = moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
+    turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
     heading[r, YAW] += turn
     heading[r, COS] = ti.cos(heading[r, YAW])
     heading[r, SIN] = ti.sin(heading[r, YAW])
@@ -129,7 +129,7 @@ def _move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
         for c in ti.static(range(3)):
             trees.shift[k, c] = trees.shift[first + trees.table[n, 2], c]
             if trees.table[n, 3 + c] == 1:
-                trees.shift[k, c] += moved(
+                trees.shift[k, c] += _moved(
                     trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
                 )
 
@@ -150,7 +150,7 @@ def _move_robot(
     for c in ti.static(range(3)):
         if robots.number[i] > 0:
             mass, force = swarm.mass[r], swarm.force[r, c]
-            alone = moved(swarm.velocity, r, c, force, mass, step.sigma, kick[c])
+            alone = _moved(swarm.velocity, r, c, force, mass, step.sigma, kick[c])
             swarm.position[r, c] += alone + trees.shift[trees.of_robot[r], c]
         strayed += (swarm.position[r, c] - blocks.listed[4 * r + c]) ** 2
     if ti.static(turning) and priors.yaw_precision[i] > 0.0:

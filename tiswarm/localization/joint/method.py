@@ -5,12 +5,12 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 
 from tiswarm.aliases import Reals
-from tiswarm.localization.joint.annealing import Annealed, anneal
-from tiswarm.localization.joint.chains import Verdict, deviation, distinct, failed, judge
+from tiswarm.localization.joint.annealing import anneal
+from tiswarm.localization.joint.chains import Annealed, Verdict, deviation, distinct, failed, judge
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.refine import is_of_use, refine
-from tiswarm.localization.joint.settings import SCHEDULE
+from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.estimate import Estimate
@@ -25,10 +25,6 @@ def batch_key(log: SensingLog, params: JointParams) -> Hashable:
 
 def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) -> list[Estimate]:
     """Localize structures side by side.
-
-    Args:
-        logs: One log a structure, all of one batch key with their settings.
-        params: Settings for each.
 
     Returns:
         One estimate a log: the mean over the end of all chains that converged, refined where that
@@ -87,7 +83,7 @@ def _restarted(
     """Anneal chains that failed again, in ever smaller steps, and judge all of them."""
     restarted = 0
     has_failed = failed(problem, annealed)
-    for attempt in range(1, SCHEDULE.restarts + 1):
+    for attempt in range(1, AnnealSchedule.restarts + 1):
         if not has_failed.any():
             break
         again = anneal([log], [params], [problem], halvings=attempt)[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.consistency import inconsistent_places
+from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import disconnected, parts, reach
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING, Measurements
@@ -21,8 +21,6 @@ from tiswarm.records.sensing_log import SensingLog
 _CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
 more than docks of two robots that could overlap."""
-ALLOWED_SD = 4.0
-"""Standard deviations of noise by which a contact may lengthen the reach of a chain of contacts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +76,6 @@ class Problem:
     def pair(self) -> Ints:
         """Robots of each contact, shape (C, 2)."""
         return np.column_stack([self.robot, self.other])
-
-    @property
-    def contacts(self) -> Ints:
-        """Contacts as `sensed_contacts` lists them, shape (C, 5)."""
-        return self.rows.sensed_contacts
 
     @property
     def shift(self) -> Reals:

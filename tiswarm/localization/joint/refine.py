@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import REFINE
+from tiswarm.localization.joint.settings import RefineSettings
 from tiswarm.measurements.model import Measurements
 
 _UNKNOWNS = 7
@@ -56,7 +56,7 @@ def is_of_use(problem: Problem) -> bool:
     """Whether errors of measurements are correlated, as those of noisy walks are, and small."""
     walks = problem.rows.odometry
     is_noisy = max(walks.tilt, walks.yaw) > 0.0 and walks.bias == 0.0
-    is_biased = 0.0 < problem.yaw_precision < REFINE.most_yaw_bias**-2
+    is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
     return is_noisy and not is_biased and not bool(problem.is_final.all())
 
 
@@ -79,13 +79,13 @@ def refine(
         curved: Variance of contacts because distances are no linear functions [R^2], shape (C,).
     """
     least_squares = _LeastSquares(rows, curved, problem.yaw_precision)
-    prior = np.maximum(REFINE.prior_sd * np.sqrt(len(sd)) * sd, REFINE.least_prior)
+    prior = np.maximum(RefineSettings.prior_sd * np.sqrt(len(sd)) * sd, RefineSettings.least_prior)
     begin = state = _State(position, yaw, np.zeros((len(problem.rows.odometry.owner), 3)))
-    for _ in range(REFINE.rounds):
+    for _ in range(RefineSettings.rounds):
         linear = least_squares.linearized(state, prior)
         state = least_squares.solved(state, begin, linear)
-    left = REFINE.sd_scale * np.sqrt(linear.variance())
-    is_held = (left <= REFINE.open_sd * sd) & ~problem.untied
+    left = RefineSettings.sd_scale * np.sqrt(linear.variance())
+    is_held = (left <= RefineSettings.open_sd * sd) & ~problem.untied
     return Refined(
         position=np.where(is_held[:, None], state.position, position),
         yaw=np.where(is_held, state.yaw, yaw),
@@ -150,7 +150,7 @@ class _LeastSquares:
         shift, final, yaw = np.split(step, np.cumsum([state.position.size, len(self.final)]))
         turn[self.final] += final
         shift = shift.reshape(-1, 3)
-        longest = REFINE.longest_step
+        longest = RefineSettings.longest_step
         far = np.linalg.norm(shift, axis=1, keepdims=True)
         return _State(
             position=state.position + shift * np.minimum(1.0, longest / np.maximum(far, longest)),
@@ -214,11 +214,11 @@ class _Linear:
     def variance(self) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
         sizes = np.cumsum([*self.noise.shape, len(self.free)])
-        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(REFINE.draws))
+        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(RefineSettings.draws))
         own, turn, free = np.split(draw, sizes[:-1])
         error = self.noise @ turn + np.sqrt(self.own_variance)[:, None] * own
         _, step = self._solve(error, np.sqrt(self.precision[self.free])[:, None] * free)
-        shift = step[: 3 * (len(step) // _UNKNOWNS)].reshape(-1, 3, REFINE.draws)
+        shift = step[: 3 * (len(step) // _UNKNOWNS)].reshape(-1, 3, RefineSettings.draws)
         square: Reals = (shift**2).sum(axis=1).mean(axis=1)
         return square
 

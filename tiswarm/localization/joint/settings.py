@@ -4,10 +4,7 @@
 `docs/notes/`. Lengths in R.
 """
 
-from dataclasses import dataclass
 
-
-@dataclass(frozen=True, kw_only=True)
 class AnnealSchedule:
     """How chains are annealed, beside what `JointParams` sets. Chosen on training structures."""
 
@@ -56,7 +53,6 @@ class AnnealSchedule:
     """Mean square error of a robot placed by this prior, in variances of the prior. Fitted."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class ConvergenceTest:
     """Which chains count and whether they meet the measurements. Chosen on generated structures."""
 
@@ -96,7 +92,6 @@ class ConvergenceTest:
     """Kinetic temperature, relative to its target, from which on a chain failed [1]."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class SdCalibration:
     """From the variance of chains to `sd`.
 
@@ -128,7 +123,6 @@ class SdCalibration:
     than they are right."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class RefineSettings:
     """Generalized least squares from where the chains ended. Chosen on training structures."""
 
@@ -159,9 +153,3 @@ class RefineSettings:
     """A robot that the linear problem leaves more uncertain than so many chain sd stays where its
     chains put it: overlaps and the extension prior hold it, which chains know and the linear
     problem does not."""
-
-
-SCHEDULE = AnnealSchedule()
-CONVERGENCE = ConvergenceTest()
-CALIBRATION = SdCalibration()
-REFINE = RefineSettings()
