@@ -80,11 +80,11 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
         Length of the shortest chain of contacts [R], shape (N,); infinite where `part` is not
         connected by these contacts.
     """
-    order = np.lexsort((longest, *np.sort(pair, axis=1).T))
-    low, high = np.sort(pair, axis=1)[order].T
-    again = np.r_[False, (np.diff(low) == 0) & (np.diff(high) == 0)][: len(low)]
-    edge = (longest[order][~again], (low[~again], high[~again]))
-    graph = coo_array(edge, shape=(len(part), len(part)))
+    order = np.argsort(longest, kind="stable")
+    low, high = np.sort(pair[order], axis=1).T
+    ends, shortest = np.unique(low * len(part) + high, return_index=True)
+    edges = (longest[order][shortest], np.divmod(ends, len(part)))
+    graph = coo_array(edges, shape=(len(part), len(part)))
     firsts = np.unique(part, return_index=True)[1]
     bound: Reals = dijkstra(graph, directed=False, indices=firsts, min_only=True)
     return bound
