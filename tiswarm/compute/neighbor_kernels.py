@@ -73,14 +73,14 @@ class Rows(NamedTuple):
 
 
 @ti.func
-def dock_at(dock: Ref, base, m):
+def _dock_at(dock: Ref, base, m):
     """Read the place of dock `m` and, last, the number of its structure."""
     at = base + 4 * m
     return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
 
 
 @ti.func
-def cell(value, per_length):
+def _cell(value, per_length):
     """Find the index of a cell along one axis."""
     return ti.cast(ti.floor(value * per_length), ti.i64)
 
@@ -99,20 +99,20 @@ def _own_bucket(grid: Ref, at):
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
     return _bucket_of_cell(
-        grid, cell(at[0], per_length), cell(at[1], per_width), cell(at[2], per_width), at[3]
+        grid, _cell(at[0], per_length), _cell(at[1], per_width), _cell(at[2], per_width), at[3]
     )
 
 
 @ti.func
 def _count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
-    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, dock_at(dock, base, m)) + 2], 1)
+    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, _dock_at(dock, base, m)) + 2], 1)
 
 
 @ti.func
 def _scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
     """Put a dock into the next free slot of its bucket."""
-    bucket = _own_bucket(grid, dock_at(dock, base, m))
+    bucket = _own_bucket(grid, _dock_at(dock, base, m))
     slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
     cells.dock[slot] = m
 
@@ -130,7 +130,7 @@ def _sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
             to -= 1
         cells.dock[to] = m
     for slot in range(first, last):
-        at = dock_at(dock, base, cells.dock[slot])
+        at = _dock_at(dock, base, cells.dock[slot])
         for c in ti.static(range(4)):
             cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
 
@@ -188,8 +188,8 @@ def _add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, roo
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    y = cell(here[1], per_width)
-    z = cell(here[2], per_width)
+    y = _cell(here[1], per_width)
+    z = _cell(here[2], per_width)
     side_y, gap_y = _nearer_side(here[1], y, per_width)
     side_z, gap_z = _nearer_side(here[2], z, per_width)
     end = cells.begin[grid.table + grid.buckets]
@@ -200,8 +200,8 @@ def _add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, roo
         square = 1.0 - one_y * gap_y * gap_y - one_z * gap_z * gap_z
         if square > -_REACH_MARGIN:
             reach = (ti.sqrt(ti.max(square, 0.0)) + _REACH_MARGIN) * grid.cutoff
-            left = cell(here[0] - reach, per_length)
-            length = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
+            left = _cell(here[0] - reach, per_length)
+            length = ti.min(_cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
             bucket = _bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
             past = bucket + ti.cast(length, ti.i32)
             first = cells.begin[grid.table + bucket]
@@ -252,7 +252,7 @@ def _fill_rows_of(
             rows.entry[at + c * grid.entry_stride] = entry
         count = connected
         for own in range(grid.docks):
-            here = dock_at(dock, base, robot * grid.docks + own)
+            here = _dock_at(dock, base, robot * grid.docks + own)
             count = _add_dock(grid, here, own, robot * grid.docks, cells, rows, at, free, count)
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)

@@ -23,7 +23,7 @@ FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
 _FIRST_CAPACITY = 8
 """Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
-RUN = 512
+_RUN = 512
 """Robots whose rows a core writes in succession, so that they lie close in memory."""
 _ROOM = 1.25
 """Factor of the room that was needed, when more is made."""
@@ -140,7 +140,7 @@ class NeighborList:
         self.own_bits = max(1, (docks - 1).bit_length())
         self.cutoff = cutoff
         on_cpu = memory.running.arch == "cpu"
-        self.run = RUN if on_cpu else 1
+        self.run = _RUN if on_cpu else 1
         # A core reads along a row, a graphics card the same entry of many rows at once.
         self.entry_stride = 1 if on_cpu else robots
         # A row of its own has to hold more than what rows need on average.

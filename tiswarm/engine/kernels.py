@@ -12,7 +12,7 @@ from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2
 from tiswarm.compute.math_kernels import rotate, vector_at
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 
-TINY = 1e-20
+_TINY = 1e-20
 """Docks nearer than this [R] have no direction to part in, and no force acts on them."""
 STEPS_A_LAUNCH = 4
 UNKNOWN = -1e30
@@ -84,14 +84,14 @@ def dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp):
     """
     distance = offset.norm()
     pull = _pull_of(distance, True, attraction_gain * ramp, repulsion_gain * (1.0 - ramp), spacing)
-    return pull / ti.max(distance, TINY) * offset
+    return pull / ti.max(distance, _TINY) * offset
 
 
 @ti.func
 def parting(offset, stiffness, spacing):
     """Compute the force of a spring that only parts: stiffness (d - D) u if d < D, else none."""
     distance = offset.norm()
-    return stiffness * ti.min(distance - spacing, 0.0) / ti.max(distance, TINY) * offset
+    return stiffness * ti.min(distance - spacing, 0.0) / ti.max(distance, _TINY) * offset
 
 
 @ti.func
@@ -116,7 +116,7 @@ def _force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: R
         offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         distance = offset.norm()
         pull = _pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
-        force += pull / ti.max(distance, TINY) * offset
+        force += pull / ti.max(distance, _TINY) * offset
     return force
 
 

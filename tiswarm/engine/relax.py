@@ -25,7 +25,7 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.params import Arch, Precision
 from tiswarm.robot import Robot
 
-SKIN = 0.25
+_SKIN = 0.25
 """Reach of rows of neighbors beyond D [D]."""
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
@@ -169,7 +169,7 @@ class PreparedSwarm:
         reach, start = np.linalg.norm(body, axis=1).max(), self.start if self.by_structure else None
         self.neighbors = NeighborList(
             memory, center[order], connected,
-            docks=len(body), reach=reach, cutoff=(1.0 + SKIN) * self.spacing, start=start,
+            docks=len(body), reach=reach, cutoff=(1.0 + _SKIN) * self.spacing, start=start,
         )  # fmt: skip
         heights = (
             np.zeros(1) if target is None else np.nan_to_num(target[order], nan=kernels.UNKNOWN)
@@ -249,7 +249,7 @@ class PreparedSwarm:
                     ):
                         kernels.step_robots(
                             neighbors.docks, neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
+                            0.5 * _SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
                             control, self.moves,
                         )  # fmt: skip
             taken = int(control[kernels.TAKEN])

@@ -14,7 +14,7 @@ CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometr
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
 
-Width = Annotated[float, Field(gt=0.0)]
+_Width = Annotated[float, Field(gt=0.0)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -191,16 +191,16 @@ class LeastSquaresParams(CueParams):
     solve_yaw: bool = True
     """Solve for each robot's bias of yaw where the log states one; else yaw is taken as sensed."""
 
-    contact_width: Width = 0.05
+    contact_width: _Width = 0.05
     """Width of the residual of a contact: the distance of its docks less D [R]."""
 
-    overlap_width: Width = 0.05
+    overlap_width: _Width = 0.05
     """Width of the overlap of two docks that are not in contact [R]."""
 
-    height_width: Width = 0.05
+    height_width: _Width = 0.05
     """Width of the residual of a height, from flips or the ground [R]."""
 
-    odometry_width: Width = 0.5
+    odometry_width: _Width = 0.5
     """Width of the residual of each coordinate that flips give from a known spawn [R]."""
 
     loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear"

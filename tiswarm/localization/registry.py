@@ -19,8 +19,11 @@ METHODS: dict[str, ModuleType] = {
     "virtual-force": virtual_force,
     "least-squares": least_squares,
 }
-"""Modules with the functions `localize_batch`, which localizes logs side by side given settings for
-each, and `batch_key`: logs that with their settings have equal keys may share a batch."""
+"""Modules with the functions `batch_key` and `localize_batch`.
+
+`localize_batch` takes one log a structure and settings for each, and returns an estimate for each.
+All logs of a batch have, with their settings, the same `batch_key`.
+"""
 
 
 def localize(log: SensingLog, params: LocalizationParams) -> Estimate:

@@ -57,10 +57,6 @@ def localize_batch(
 ) -> list[Estimate]:
     """Localize structures side by side.
 
-    Args:
-        logs: One log a structure, all of one batch key with their settings.
-        params: Settings for each.
-
     Returns:
         One estimate a log. The residual is the root mean square step of the robots.
     """

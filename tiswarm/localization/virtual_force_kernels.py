@@ -110,7 +110,7 @@ def _gains_of(gains: Ref, structure):
 
 
 @ti.func
-def dock_at(robots: Ref, robot, k):
+def _dock_at(robots: Ref, robot, k):
     """Compute where dock `k` of a robot is estimated to be."""
     return vector_at(robots.position, robot) + vector_in(robots.dock_offset, robot, k)
 
@@ -144,8 +144,8 @@ def _connected_force(
     for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
         partner = measured.contact[row, 1]
         if partner < placed:
-            own = dock_at(robots, robot, measured.contact[row, 0])
-            other = dock_at(robots, base + partner, measured.contact[row, 2])
+            own = _dock_at(robots, robot, measured.contact[row, 0])
+            other = _dock_at(robots, base + partner, measured.contact[row, 2])
             pull = dock_pair_force(
                 other - own, gains.attraction_gain, gains.repulsion_gain, gains.spacing, ramp
             )
@@ -169,13 +169,13 @@ def _undocked_force(
     here = vector_at(robots.position, robot)
     force = with_torque(0.0 * here, here)
     for k in range(docks):
-        own = dock_at(robots, robot, k)
+        own = _dock_at(robots, robot, k)
         cube = cube_of(own, 1.0 / gains.spacing)
         for which in range(27):
             item = first_item(cells, structure, cube, which)
             while item >= 0:
                 other = item // docks
-                offset = dock_at(robots, base + other, item % docks) - own
+                offset = _dock_at(robots, base + other, item % docks) - own
                 if offset.norm_sqr() < gains.spacing * gains.spacing and other != robot - base:
                     repels = gains.undocked == ALL_DOCKS
                     connected = False
@@ -194,7 +194,7 @@ def _undocked_force(
 
 
 @ti.func
-def virtual_force(
+def _virtual_force(
     gains: Ref, robot, base, structure, placed, ramp, attract_inward, measured: Ref, robots: Ref,
     cells: Ref,
 ):  # fmt: skip
@@ -228,8 +228,8 @@ def _misfit(gains: Ref, robot, base, measured: Ref, robots: Ref):
     for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
         partner = measured.contact[row, 1]
         if partner < robot - base:
-            own = dock_at(robots, robot, measured.contact[row, 0])
-            other = dock_at(robots, base + partner, measured.contact[row, 2])
+            own = _dock_at(robots, robot, measured.contact[row, 0])
+            other = _dock_at(robots, base + partner, measured.contact[row, 2])
             total += ((other - own).norm() - gains.spacing) ** 2
             count += 1
     if not ti.math.isnan(measured.height[robot]):
@@ -269,7 +269,7 @@ def _write_position(robots: Ref, robot, place):
 
 
 @ti.func
-def record(trace: Ref, frame, robot, place, moved):
+def _record(trace: Ref, frame, robot, place, moved):
     """Write a robot's estimated center in a frame, and the length of its last step."""
     for c in ti.static(range(3)):
         trace.position[frame, robot, c] = place[c]
@@ -295,14 +295,14 @@ def _turn_of(gains: Ref, torque, share, turned):
 
 
 @ti.func
-def move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref):
+def _move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref):
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     docks = robots.dock_offset.shape[1]
     for k in range(docks):
         item = (robot - base) * docks + k
-        old = cube_of(dock_at(robots, robot, k), 1.0 / gains.spacing)
+        old = cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing)
         turn_dock(turn, robot, k, robots.dock_offset)
-        new = cube_of(dock_at(robots, robot, k) + step, 1.0 / gains.spacing)
+        new = cube_of(_dock_at(robots, robot, k) + step, 1.0 / gains.spacing)
         relink(cells, structure, item, old, new)
     robots.yaw[robot] += turn
     _write_position(robots, robot, vector_at(robots.position, robot) + step)
@@ -354,7 +354,7 @@ def localize_in_join_order(
                 for t in range(iterations + 1):
                     _write_position(robots, robot, here)
                     if t % trace_every == 0 or t == iterations:
-                        record(trace, frame, robot, here, moved)
+                        _record(trace, frame, robot, here, moved)
                         frame += 1
                     if gains.stop_error > 0.0 and is_moving and taken > 0:
                         misfit = _misfit(gains, robot, base, measured, robots)
@@ -362,7 +362,7 @@ def localize_in_join_order(
                     moved = 0.0
                     if is_moving and t < iterations:
                         taken += 1
-                        force = virtual_force(
+                        force = _virtual_force(
                             gains, robot, base, s, robot - base, (t + 1.0) / iterations, 0.0,
                             measured, robots, cells,
                         )  # fmt: skip
@@ -376,19 +376,19 @@ def localize_in_join_order(
                 steps[robot] = taken
                 for k in range(dock_offset.shape[1]):
                     item = (robot - base) * dock_offset.shape[1] + k
-                    link(cells, s, item, cube_of(dock_at(robots, robot, k), 1.0 / gains.spacing))
+                    link(cells, s, item, cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing))
                 placed = robot - base + 1
                 if placed % sweep_every == 0 or robot == start[s + 1] - 1:
                     for sweep in range(sweeps):
                         left = 1.0 - (sweep + 1.0) / sweeps
                         ramp = 1.0 - gains.sweep_repulsion * left
                         for j in range(ti.max(base, base + placed - recent), base + placed):
-                            force = virtual_force(
+                            force = _virtual_force(
                                 gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
                             )
                             share = ti.select(j > base, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
                             turn = _turn_of(gains, force[3], gains.sweep_gain, yaw[j])
-                            move(gains, j, base, s, step, turn, robots, cells)
+                            _move(gains, j, base, s, step, turn, robots, cells)
                             there = vector_at(position, j)
-                            record(trace, frame + sweep // trace_every, j, there, step.norm())
+                            _record(trace, frame + sweep // trace_every, j, there, step.norm())

@@ -14,7 +14,7 @@ from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.records.sensing_log import SensingLog
 
-UP = np.array([0.0, 0.0, 1.0])
+_UP = np.array([0.0, 0.0, 1.0])
 _FLIPS_ASSUMED = 10
 """Flips that a height is taken to come from where the log has no stances."""
 
@@ -32,18 +32,18 @@ class Precision(NamedTuple):
     """Deviation of each coordinate of a spawn position whose log states none."""
 
 
-Rows = Distances | Places
-Producer = Callable[[SensingLog, Odometry, Precision], Rows]
+_Rows = Distances | Places
+_Producer = Callable[[SensingLog, Odometry, Precision], _Rows]
 
 
-def contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
+def _contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that touch at the end are D apart."""
     i, a, j, b = log.contacts.T
     final = odometry.final
     return Distances.of(final[j], b, final[i], a, length=SPACING, sd=precision.contact)
 
 
-def walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
+def _walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that touched at an earlier stance were D apart; the flips since then are known."""
     rows = np.empty((0, 4), np.int64) if log.stances is None else log.stances.contacts
     stance, b, i, a = rows.T
@@ -51,20 +51,20 @@ def walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) -> 
     return Distances.of(at, b, final[i], a, length=SPACING, sd=precision.contact)
 
 
-def ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     """A dock on flat ground is one dock radius above it."""
     robot, dock = log.ground_docks.T
     return _on_ground(log, odometry.final[robot], dock, precision)
 
 
-def walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     """A dock that stood on flat ground at an earlier stance was one dock radius above it."""
     rows = np.empty((0, 2), np.int64) if log.stances is None else log.stances.ground_docks
     stance, dock = rows.T
     return _on_ground(log, odometry.row[stance], dock, precision)
 
 
-def height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     """A center is as high as its flips from the ground imply."""
     first = odometry.first
     variance = precision.height**2
@@ -72,10 +72,10 @@ def height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
         reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
         variance += _FLIPS_ASSUMED * (2.0 * reach * odometry.tilt) ** 2
     value = log.flip_height / log.dock_radius + odometry.shift[first, 2]
-    return Places.of(first, np.full_like(first, CENTER), UP, value, variance=variance)
+    return Places.of(first, np.full_like(first, CENTER), _UP, value, variance=variance)
 
 
-def odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     """A robot that knows where it started went as far as its flips say."""
     stated = None if log.noise is None else log.noise.spawn
     sd = precision.spawn if stated is None else stated / log.dock_radius
@@ -92,16 +92,16 @@ def odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precisio
 def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Places:
     level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
     value = np.full(len(stance), level)
-    return Places.of(stance, dock, UP, value, variance=precision.height**2)
+    return Places.of(stance, dock, _UP, value, variance=precision.height**2)
 
 
-CUES: list[tuple[tuple[str, ...], Producer]] = [
-    (("contacts",), contacts),
-    (("ground",), ground),
-    (("height",), height),
-    (("walk_contacts",), walk_contacts),
-    (("ground", "walk_contacts"), walk_ground),
-    (("odometry",), odometry_from_spawn),
+CUES: list[tuple[tuple[str, ...], _Producer]] = [
+    (("contacts",), _contacts),
+    (("ground",), _ground),
+    (("height",), _height),
+    (("walk_contacts",), _walk_contacts),
+    (("ground", "walk_contacts"), _walk_ground),
+    (("odometry",), _odometry_from_spawn),
 ]
 """Every producer, after the names of the cues that must be in use for it."""
 

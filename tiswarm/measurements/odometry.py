@@ -30,7 +30,7 @@ class Odometry:
         stances = log.stances or _no_stances(log.robot_count)
         noise = noise or log.noise or ASSUMED
         robots = log.robot_count
-        owner = np.concatenate([owners(stances), np.arange(robots)])
+        owner = np.concatenate([_owners(stances), np.arange(robots)])
         order = np.argsort(owner, kind="stable")
         self.owner: Ints = owner[order]
         """Robot of each stance, shape (S,)."""
@@ -110,7 +110,7 @@ class Odometry:
         return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
 
 
-def owners(stances: Stances) -> Ints:
+def _owners(stances: Stances) -> Ints:
     """Find the robot of each earlier stance, shape (M,)."""
     count = np.diff(stances.start)
     return np.repeat(np.arange(len(count)), count)
@@ -129,12 +129,12 @@ def displacements(log: SensingLog, stances: Stances) -> Reals:
     final = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
     after = np.where(
         is_last[:, None],
-        final[owners(stances), stances.pivot_dock],
+        final[_owners(stances), stances.pivot_dock],
         before[(row + 1) % max(len(row), 1), stances.pivot_dock],
     )
     step = before[row, stances.pivot_dock] - after
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    moved: Reals = walked[:-1] - walked[stances.start[1:]][owners(stances)]
+    moved: Reals = walked[:-1] - walked[stances.start[1:]][_owners(stances)]
     return moved
 
 

@@ -31,7 +31,7 @@ MOST_UNKNOWNS = 400_000
 """Matrices of more are not factored: too much memory. Those of 100,000 robots take some 1 GB."""
 
 
-class Constraints(NamedTuple):
+class _Constraints(NamedTuple):
     """Constraints between bodies, all between the same two taken together."""
 
     first: AnyInts
@@ -52,7 +52,7 @@ class Bodies(NamedTuple):
     center: Reals
     """Mean of the centers of each body's robots, seen from the anchor [R], shape (bodies, 3)."""
 
-    constraints: Constraints
+    constraints: _Constraints
 
     @property
     def size(self) -> int:
@@ -109,7 +109,7 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
     way = np.concatenate([direction, np.eye(_SHIFTS, dof)])
     count = len(center)
     body: AnyInts = np.arange(count)
-    held = Constraints(first, second, way[:, :, None] * way[:, None, :])
+    held = _Constraints(first, second, way[:, :, None] * way[:, None, :])
     while True:
         held = _summed(held, count)
         members = np.bincount(body, minlength=count)[:, None]
@@ -123,7 +123,7 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
         )
         count, joined = connected_components(graph, directed=False)
         body = joined[body]
-        held = Constraints(joined[held.first], joined[held.second], held.stiffness)
+        held = _Constraints(joined[held.first], joined[held.second], held.stiffness)
 
 
 def floppy_modes(bodies: Bodies) -> int | None:
@@ -173,13 +173,13 @@ def _swept(turn: Reals, arm: Reals) -> Reals:
     return np.stack([-turn * y, turn * x], axis=1)
 
 
-def _summed(constraints: Constraints, bodies: int) -> Constraints:
+def _summed(constraints: _Constraints, bodies: int) -> _Constraints:
     """Sum constraints of the same two bodies, and drop those of a body with itself."""
     apart = constraints.first != constraints.second
     low, high = np.sort(np.stack([constraints.first[apart], constraints.second[apart]]), axis=0)
     pair, row = np.unique(low.astype(np.int64) * bodies + high, return_inverse=True)
     total = _by_row(row, constraints.stiffness[apart], len(pair))
-    return Constraints(pair // bodies, pair % bodies, total)
+    return _Constraints(pair // bodies, pair % bodies, total)
 
 
 def _by_row(row: AnyInts, matrix: Reals, rows: int) -> Reals:
@@ -247,9 +247,11 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
         rests &= ~peels
         cut = peels[constraints.first] | peels[constraints.second]
         modes += bodies.dof * int(peels.sum()) - int(rank[cut].sum())
-        constraints, rank = Constraints(*(column[~cut] for column in constraints)), rank[~cut]
+        constraints, rank = _Constraints(*(column[~cut] for column in constraints)), rank[~cut]
     number = np.cumsum(rests) - 1
-    left = Constraints(number[constraints.first], number[constraints.second], constraints.stiffness)
+    left = _Constraints(
+        number[constraints.first], number[constraints.second], constraints.stiffness
+    )
     core = Bodies(number[[bodies.fixed]], np.zeros((1, 3)), center[rests], left)
     return modes, core
 

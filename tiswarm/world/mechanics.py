@@ -38,7 +38,7 @@ _GROUND = -1
 _MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
 _UNHELD = "a part of the structure is held by nothing"
-SIDE = 6
+_SIDE = 6
 """Unknowns of a node."""
 _ROW_BITS = 32
 
@@ -92,12 +92,12 @@ class Loads:
         return float(max(self.contact_stress.max(initial=0.0), self.ground_stress.max(initial=0.0)))
 
 
-class BlockMatrix:
+class _BlockMatrix:
     """A symmetric sparse matrix of 6 x 6 blocks that grows; blocks of one place add up in order."""
 
     def __init__(self) -> None:
         self.place: Ints = np.empty(0, np.int64)
-        self.block: Reals = np.empty((0, SIDE, SIDE))
+        self.block: Reals = np.empty((0, _SIDE, _SIDE))
         self.waiting: list[tuple[Ints, Reals]] = []
 
     def add(self, nodes: NDArray[np.intp], square: Reals) -> None:
@@ -108,7 +108,7 @@ class BlockMatrix:
             square: The matrices, shape (n, 6 m, 6 m).
         """
         n, m = nodes.shape
-        blocks = square.reshape(n, m, SIDE, m, SIDE).swapaxes(2, 3).reshape(-1, SIDE, SIDE)
+        blocks = square.reshape(n, m, _SIDE, m, _SIDE).swapaxes(2, 3).reshape(-1, _SIDE, _SIDE)
         row = np.repeat(nodes, m, axis=1).ravel()
         column = np.tile(nodes, (1, m)).ravel()
         place = (row.astype(np.int64) << _ROW_BITS) | column  # one sortable number
@@ -125,7 +125,7 @@ class BlockMatrix:
         self.waiting = []
         row, column = self.place >> _ROW_BITS, self.place & ((1 << _ROW_BITS) - 1)
         start = np.searchsorted(row, np.arange(nodes + 1))
-        matrix = bsr_matrix((self.block, column, start), shape=(SIDE * nodes, SIDE * nodes))
+        matrix = bsr_matrix((self.block, column, start), shape=(_SIDE * nodes, _SIDE * nodes))
         by_row = matrix.tocsr()
         # The matrix is symmetric, so rows of one format are columns of the other.
         return csc_matrix((by_row.data, by_row.indices, by_row.indptr), shape=by_row.shape)
@@ -144,7 +144,7 @@ class Frame:
         self.ends: NDArray[np.intp] = np.empty((0, 2), np.intp)
         self.span: Reals = np.empty((0, 3))
         self.beams: list[Reals] = []
-        self.blocks = BlockMatrix()
+        self.blocks = _BlockMatrix()
         self.waiting: list[tuple[Reals, Reals, NDArray[np.int32], Reals]] = []
 
     def join(self, center: Reals, turn: Reals, contacts: NDArray[np.int32], footing: Reals) -> None:

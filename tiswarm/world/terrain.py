@@ -14,7 +14,7 @@ from tiswarm.aliases import Reals
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""
 
-FAR = 1e9
+_FAR = 1e9
 """Where an edge lies that nobody reaches [R]."""
 
 
@@ -25,16 +25,16 @@ class Terrain:
     ground_z: float = 0.0
     """Height of the flat ground [R]."""
 
-    left_edge: float = FAR
+    left_edge: float = _FAR
     """Where the slab that comes from the left begins to round off [R]."""
 
-    right_edge: float = FAR
-    """Where the slab that comes from the right begins to round off [R]; FAR if there is none."""
+    right_edge: float = _FAR
+    """The same of the slab that comes from the right [R]; out of reach if there is none."""
 
     @property
     def is_plane(self) -> bool:
         """Whether there is no edge to be reached."""
-        return self.left_edge >= FAR
+        return self.left_edge >= _FAR
 
     def foot(self, point: Reals) -> Reals:
         """Find the nearest place on the ground's surface to each point outside [R], (n, 3)."""
@@ -60,7 +60,7 @@ class Terrain:
     def _spine_x(self, point: Reals) -> list[Reals]:
         """Nearest x on the spine of each slab."""
         slabs = [np.minimum(point[:, 0], self.left_edge)]
-        if self.right_edge < FAR:
+        if self.right_edge < _FAR:
             slabs.append(np.maximum(point[:, 0], self.right_edge))
         return slabs
 

@@ -26,7 +26,7 @@ from tiswarm.world.join_kernels import join_undisturbed
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.terrain import Terrain
 
-Slots = NDArray[np.int32]
+_Slots = NDArray[np.int32]
 
 
 def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> ClimbLimits:
@@ -72,7 +72,7 @@ class Walks:
     """Room for the walks of as many robots as climb at once, one slot each."""
 
     def __init__(
-        self, structure_of: Slots, limits: ClimbLimits, climb: ClimbParams, robot: RobotGeometry
+        self, structure_of: _Slots, limits: ClimbLimits, climb: ClimbParams, robot: RobotGeometry
     ) -> None:
         """Reserve memory: about 90 kB a slot at the default cap on flips.
 
@@ -113,7 +113,7 @@ class Walks:
         self.climbers.settles[slot] = spawn.settles
         self.climbers.first_stance[slot] = 0
 
-    def climb(self, structures: StructureArrays, movers: Slots) -> None:
+    def climb(self, structures: StructureArrays, movers: _Slots) -> None:
         """Let the robots in the slots `movers` walk on from their first stance."""
         cells, *docks = structures
         flip_kernels.climb(
@@ -124,7 +124,7 @@ class Walks:
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
 
-    def join(self, structures: StructureArrays, movers: Slots, wants: NDArray[np.int32]) -> None:
+    def join(self, structures: StructureArrays, movers: _Slots, wants: NDArray[np.int32]) -> None:
         """Let movers join whose walks no earlier one disturbs; see `join_undisturbed`.
 
         Args:
