@@ -1,21 +1,25 @@
 """A run folder that somebody else made or damaged is refused in one line, before it can do harm."""
 
 import os
+import resource
 import shutil
 from collections.abc import Callable
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from tests.report.conftest import write_table
 from tiswarm import study
-from tiswarm.errors import InputError
+from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.interop.exports import export_case
 from tiswarm.progress import Progress
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
-from tiswarm.report.render.pictures import build_pictures
+from tiswarm.report.render import animation, pictures
 from tiswarm.report.run_data import load_run
 
 ROBOTS = "cases/0-baseline/robots.csv"
@@ -42,9 +46,35 @@ def page(run):
     return write_page(load_run(run), Progress()).read_text()
 
 
-def pictures(run):
+def scenes(run):
     """Build all scenes of a run's first case."""
-    return build_pictures(load_run(run).choose(None))
+    return pictures.build_pictures(load_run(run).choose(None))
+
+
+def figures(run):
+    """Draw the figures of a run."""
+    draw_figures(load_run(run), Progress())
+
+
+def renders(run):
+    """Draw the 3D pictures of a run."""
+    pictures.render_run(load_run(run), progress=Progress())
+
+
+def movie(form):
+    """Return a function that animates a run."""
+    return lambda run: animation.animate_run(load_run(run), form, progress=Progress())
+
+
+@contextmanager
+def no_room():
+    """Let files of this process have no more than a hundred bytes, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def export(run):
@@ -59,6 +89,18 @@ def cell(column, value, *, row=-1):
         header, *rows = [line.split(",") for line in path.read_text().splitlines()]
         rows[row][header.index(column)] = value
         write_table(path, ",".join(header), rows)
+
+    return change
+
+
+def swept(value):
+    """Return a change of a summary: the number of robots is swept, and one is wrong."""
+
+    def change(path):
+        header, *rows = [line.split(",") for line in path.read_text().splitlines()]
+        place = header.index("status")
+        rows = [[*row[:place], value, *row[place:-1]] for row in rows]
+        write_table(path, ",".join([*header[:place], "robots", *header[place:-1]]), rows)
 
     return change
 
@@ -127,18 +169,19 @@ KINDS = {
         (page, "summary.csv", without("seed"), ":1: seed: there is no such column"),
         (page, "summary.csv", lines(0, 1), ":2: there are no rows"),
         (page, "summary.csv", cell("robots", "many", row=0), ":2: robots: 'many' is not a number"),
+        (page, "summary.csv", swept("many"), ":2: robots: 'many' is not a number"),
         (page, "table.csv", cell("rmse_R_mean", "<b>"), ":2: rmse_R_mean: '<b>' is not a number"),
         (page, "table.csv", lines(0, 1), ":2: there are no rows"),
         (page, "table.csv", without("cases"), ":1: cases: there is no such column"),
         (page, "figures/accuracy.png", written("no picture"), ": is no PNG picture"),
         (page, "figures/accuracy.png", large_picture, ": is no PNG picture"),
-        (pictures, ROBOTS, Path.unlink, ": cannot be read"),
-        (pictures, ROBOTS, lines(0, 8), ":9: has 7 robots, the log 12"),
-        (pictures, ROBOTS, lines(0, 1), ":2: there are no rows"),
-        (pictures, ROBOTS, cell("x_R", "", row=3), ":5: x_R: an empty cell is not"),
-        (pictures, ROBOTS, cell("z_R", "1e308", row=3), ":5: z_R: '1e.308' is not a number"),
-        (pictures, ROBOTS, cell("qw", "inf"), ":13: qw: 'inf' is not a number"),
-        (pictures, ROBOTS, without("sensed_force"), ":1: sensed_force: there is no such column"),
+        (scenes, ROBOTS, Path.unlink, ": cannot be read"),
+        (scenes, ROBOTS, lines(0, 8), ":9: has 7 robots, the log 12"),
+        (scenes, ROBOTS, lines(0, 1), ":2: there are no rows"),
+        (scenes, ROBOTS, cell("x_R", "", row=3), ":5: x_R: an empty cell is not"),
+        (scenes, ROBOTS, cell("z_R", "1e308", row=3), ":5: z_R: '1e.308' is not a number"),
+        (scenes, ROBOTS, cell("qw", "inf"), ":13: qw: 'inf' is not a number"),
+        (scenes, ROBOTS, without("sensed_force"), ":1: sensed_force: there is no such column"),
         (export, ROBOTS, lines(0, 8), ":9: has 7 robots, the log 12"),
         *[
             (command, file, damage, ":")
@@ -148,7 +191,7 @@ KINDS = {
                 (page, "summary.csv"),
                 (page, "figures/accuracy.png"),
                 (page, ROBOTS),
-                (pictures, LOG),
+                (scenes, LOG),
             ]
             for damage in KINDS.values()
         ],
@@ -166,6 +209,21 @@ def test_damage_is_refused_in_one_line(run, command, file, damage, problem):
     assert "\n" not in str(refusal.value)
     assert "; " in refusal.value.problem
     assert {path: path.lstat().st_mtime_ns for path in run.rglob("*")} == before
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of imageio
+@pytest.mark.parametrize("command", [figures, renders, movie("gif"), movie("mp4"), page, export])
+def test_a_full_disk_ends_in_one_line(run, monkeypatch, command):
+    """Pictures and tables appear whole or not at all, and cases stay as they are."""
+    drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    for room in (pictures, animation):
+        monkeypatch.setattr(room, "draw_scenes", lambda of, _: ([drawn] * len(of), "none", ""))
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+    with no_room(), pytest.raises(EnvironmentTroubleError, match="free space"):
+        command(run)
+
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
 def test_a_report_of_a_pipe_is_refused(run):

@@ -33,7 +33,7 @@ def read_frame(
         words: Columns of text that the table must have; an empty cell is NaN.
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
-        numbers_after: Column that it must have, and after which all columns are of this kind.
+        numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
         empty: Whether the table may have no rows.
 
     Raises:
@@ -58,7 +58,8 @@ def read_frame(
         raise InputError("there are no rows; run the scenario again", path=path, line=2)
     found = list(table.columns)
     after = found[found.index(numbers_after) + 1 :] if numbers_after else []
-    for column in [*numbers, *gaps, *after]:
+    swept = [name for name in found if name == "robots"]
+    for column in [*numbers, *gaps, *after, *swept]:
         _check_numbers(table[column], path, gaps=column not in numbers)
     return table
 

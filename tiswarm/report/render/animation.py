@@ -99,9 +99,14 @@ def _mp4(frames: Sequence[Image.Image]) -> bytes:
     except ImportError as error:
         problem = "MP4 needs imageio and imageio-ffmpeg; pip install 'tiswarm[video]', or use GIF"
         raise EnvironmentTroubleError(problem) from error
-    with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
-        path = Path(place, "growth.mp4")
-        pictures = [np.asarray(frame) for frame in frames]
-        pictures += pictures[-1:] * (LAST_MS // _FRAME_MS)
-        iio.imwrite(path, pictures, plugin="FFMPEG", fps=1000 / _FRAME_MS, macro_block_size=2)
-        return path.read_bytes()
+    pictures = [np.asarray(frame) for frame in frames]
+    pictures += pictures[-1:] * (LAST_MS // _FRAME_MS)
+    try:
+        with tempfile.TemporaryDirectory(prefix="tiswarm-movie-") as place:
+            path = Path(place, "growth.mp4")
+            iio.imwrite(path, pictures, plugin="FFMPEG", fps=1000 / _FRAME_MS, macro_block_size=2)
+            iio.immeta(path, plugin="FFMPEG")  # ffmpeg does not report a full disk
+            return path.read_bytes()
+    except (OSError, RuntimeError, ValueError, IndexError) as error:
+        problem = f"{tempfile.gettempdir()}: no movie can be written; check the free space"
+        raise EnvironmentTroubleError(problem) from error
