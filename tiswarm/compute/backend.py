@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.linalg
+import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -94,7 +94,8 @@ def start(
     require_address_space(_START_MB + _THREAD_MB * count)
     # Linear algebra with threads of its own would fight the kernels' and round differently.
     threadpool_limits(1, user_api="blas")
-    for solve in (np.linalg.solve, scipy.linalg.solve):  # it would wait for its buffer for ever
+    # Each library takes its buffer by this; where memory ran out it would wait for it for ever.
+    for solve in (np.linalg.solve, scipy.linalg.blas.dtrsv):  # type: ignore[attr-defined]
         solve(np.eye(2), np.ones(2))
     cache = _cache_folder()
     _started = None  # a start that fails may leave nothing running
