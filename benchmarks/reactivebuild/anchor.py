@@ -1,0 +1,113 @@
+"""Compares ways to start and settle with what the paper says of its structures.
+
+    python -m benchmarks.reactivebuild.anchor          # minutes
+    python -m benchmarks.reactivebuild.anchor --seeds 2 --robots 30 --out anchor.csv
+
+Grows towers and cantilevers over a grid of rules, and prints facts of the structures alone: when
+robots touch the anchor, how many structures are completed, how large they are. It localizes
+nothing. `docs/notes/anchor-gap.md` has the criterion by which one rule was chosen.
+"""
+
+import argparse
+import itertools
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.compute import backend
+from tiswarm.evaluation.metrics import rms_radius
+from tiswarm.evaluation.tables import totals
+from tiswarm.robot import RobotGeometry
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
+
+FIRST_SEED = 1000
+"""Seed of the first training structure; results are reported on seeds 0 to 24."""
+
+ON_ANCHOR = ("first_on_anchor", "second_on_anchor", "third_on_anchor")
+KINDS: dict[str, Callable[..., TowerParams | CantileverParams]] = {
+    "tower": TowerParams,
+    "cantilever": CantileverParams,
+}
+
+SETTLE = (0.0, 0.5, 1.0)
+"""Shares of the robots that settle."""
+
+GRIDS: tuple[dict[str, tuple[Any, ...]], ...] = (
+    {"kind": ("tower",), "anchor": (None, 0.0), "settle": SETTLE},
+    {"kind": ("cantilever",), "anchor": (None,), "settle": SETTLE},
+    {
+        "kind": ("cantilever",),
+        "anchor": (2.0, 3.5, 5.0, 6.5),
+        "founders": (2,),
+        "spawn_behind": ("rear", "placed", "leading"),
+        "settle": SETTLE,
+    },
+)
+"""Values of each key, in all combinations. A tower has no edge: its anchor is put on the axis. In a
+cantilever robot 1 has to stay alone on the ground, else it would be the one on the anchor."""
+
+
+def rules() -> Iterator[dict[str, Any]]:
+    """Yield every rule of the grids by key."""
+    for grid in GRIDS:
+        for values in itertools.product(*grid.values()):
+            yield dict(zip(grid, values, strict=True))
+
+
+def facts(structures: Sequence[History], robots: int) -> dict[str, object]:
+    """Summarize structures of one rule.
+
+    Returns:
+        Medians of join indices, where a touch that never happens counts as infinite; shares of
+        structures; means of sizes [R, rho].
+    """
+    table = pd.DataFrame([totals(history) for history in structures])
+    touched = table[[*ON_ANCHOR]].fillna(np.inf)
+    radius = np.mean([rms_radius(history.position) for history in structures])
+    return {
+        "structures": len(table),
+        "complete": np.mean([history.robot_count == robots for history in structures]),
+        **{str(name): median for name, median in touched.median().items()},
+        "first_quartile": touched["first_on_anchor"].quantile(0.25, interpolation="lower"),
+        "third_quartile": touched["first_on_anchor"].quantile(0.75, interpolation="higher"),
+        "both_at_once": (touched["second_on_anchor"] == 2).mean(),  # noqa: PLR2004 - robots 1, 2
+        "rms_radius_R": radius,
+        "rms_radius_rho": radius / structures[0].robot.rho,
+        "height_R": table["height_R"].mean(),
+        "reach_R": table["reach_R"].mean(),
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Grow the grid, print its facts and, if asked, write them; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.reactivebuild.anchor",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--seeds", type=int, default=25, help="structures of each rule")
+    parser.add_argument("--robots", type=int, default=100, help="robots in each structure")
+    parser.add_argument("--out", type=Path, help="file for the table, as CSV")
+    options = parser.parse_args(arguments)
+    backend.start()
+    seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
+    rows = []
+    for rule in rules():
+        keys = {key: value for key, value in rule.items() if key not in {"kind", "settle"}}
+        params = KINDS[rule["kind"]](**keys, climb=ClimbParams(settle=rule["settle"]))
+        grown = grow(params, robots=options.robots, seeds=seeds, robot=RobotGeometry())
+        rows.append({**rule, **facts(grown, options.robots)})
+        if options.out:
+            pd.DataFrame(rows).to_csv(options.out, index=False, lineterminator="\n")
+    print(pd.DataFrame(rows).to_string(index=False, float_format="{:.2f}".format, na_rep=""))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
