@@ -1,0 +1,42 @@
+"""The comparison of rules for the anchor counts what structures are, and localizes nothing."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.reactivebuild import anchor
+
+
+def test_facts_are_those_of_the_structures(towers):
+    """A robot that never touches the anchor is infinitely late, not left out."""
+    short = replace(towers[0], walks=towers[0].walks[:1], loads=towers[0].loads[:1])
+
+    found = anchor.facts([towers[1], towers[2], short], robots=30)
+
+    assert found["complete"] == 2 / 3
+    late = [2 not in set(history.contacts[history.contacts[:, 0] == 0, 2]) for history in towers]
+    assert found["both_at_once"] == (2 - sum(late[1:])) / 3
+    assert (found["first_quartile"], found["first_on_anchor"]) == (1.0, 1.0)
+    assert found["third_quartile"] == np.inf
+    spread = [history.position - history.position.mean(axis=0) for history in towers[1:]]
+    size = sum(np.sqrt((offset**2).sum(axis=1).mean()) for offset in spread) / 3
+    np.testing.assert_allclose(found["rms_radius_R"], size)
+
+
+def test_every_rule_can_be_grown():
+    """Towers have no edge to put the anchor behind."""
+    found = list(anchor.rules())
+
+    assert len(found) == 45
+    assert {rule["anchor"] for rule in found if rule["kind"] == "tower"} == {None, 0.0}
+
+
+def test_no_estimate_is_in_reach():
+    """Rules are to be chosen by structures: the program imports no localizer."""
+    tree = ast.parse(Path(anchor.__file__).read_text())
+
+    modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    assert modules
+    assert not [name for name in modules if "localization" in name or "sensing" in name]
