@@ -1,13 +1,14 @@
 """Contacts that cannot be are found and told with their line; those that can are let be."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from tiswarm.measurements.consistency import contradictions, inconsistent_places
 from tiswarm.measurements.cues import measure
-from tiswarm.records.sensing_log import SensingLog, SensingNoise
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("ground", "height", "walk_contacts")
@@ -108,3 +109,29 @@ def test_a_ground_contact_that_its_robots_flips_contradict_is_found(towers):
             flips = np.diff(log.stances.start)
             expected = [[robot, flips[robot], 0] for robot in high.tolist()]
             assert found.tolist() == expected
+
+
+def test_a_long_walk_takes_memory_in_proportion():
+    """A robot of 10,000 stances compares a sample of its coordinates with all."""
+    stances = 10_000
+    standing = np.column_stack([np.arange(stances), np.zeros(stances)]).astype(np.int32)
+    walked = Stances(
+        start=np.array([0, 0, stances, stances]),
+        orientation_wxyz=np.tile(UPRIGHT, (stances, 1)),
+        pivot_dock=np.ones(stances, np.int32),
+        contacts=np.empty((0, 4), np.int32),
+        ground_docks=standing,
+    )
+    log = dataclasses.replace(
+        _log([], heights=(np.nan, 9.0, np.nan), noise=1e-3), stances=walked, ground_z=0.0
+    )
+    rows = measure(log, CUES)
+
+    tracemalloc.start()
+    found = inconsistent_places(rows)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+
+    assert len(rows) == stances + 1
+    assert rows.select(found).places.value.tolist() == [9.0]
+    assert peak < 300e6  # 2.5 GB before

@@ -25,6 +25,9 @@ ALLOWED_SD = 4.0
 _ALLOWED_GAP = 0.05
 """Docks may sense each other though this much lies between them [R]."""
 
+_MOST_PAIRS = 4_000_000
+"""Pairs of coordinates that are compared; of more than 2,000, a sample is compared with all."""
+
 HEADER_LINES = 1
 
 
@@ -125,9 +128,10 @@ def inconsistent_places(rows: Measurements) -> Bools:
     order = np.argsort(group, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
     for mine in groups if len(order) else []:
+        some = mine[:: math.ceil(len(mine) ** 2 / _MOST_PAIRS)]
         # Both arms share the noise of all stances after the later one.
-        between = np.abs(walked[mine, None] - walked[mine])
-        allowed = ALLOWED_SD**2 * (between + own[mine, None] + own[mine])
-        agrees = (value[mine, None] - value[mine]) ** 2 <= allowed
+        between = np.abs(walked[some, None] - walked[mine])
+        allowed = ALLOWED_SD**2 * (between + own[some, None] + own[mine])
+        agrees = (value[some, None] - value[mine]) ** 2 <= allowed
         found[contacts + mine] = ~agrees[agrees.sum(axis=1).argmax()]
     return found
