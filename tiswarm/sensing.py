@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.params import STRICT
-from tiswarm.records.sensing_log import Fraction, SensingLog, SensingNoise, Stances
+from tiswarm.records.sensing_log import Angle, Fraction, SensingLog, SensingNoise, Stances
 from tiswarm.world.history import History
 
 
@@ -23,18 +23,18 @@ class SensingParams:
     Each contact of each stance has its own random draw.
     """
 
-    tilt_noise_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.0
+    tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
     each stance [deg]."""
 
-    yaw_noise_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
+    yaw_noise_deg: Angle = 0.0
     """Standard deviation of the sensed orientation about the vertical, with a new draw at each
     stance [deg]."""
 
-    yaw_bias_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
+    yaw_bias_deg: Angle = 0.0
     """Standard deviation of a further turn about the vertical, with one draw a robot [deg]."""
 
-    spawn_noise: Annotated[float, Field(ge=0.0)] | None = None
+    spawn_noise: Annotated[float, Field(ge=0.0, le=1e9)] | None = None
     """Standard deviation of each coordinate of the sensed spawn position [R]; if null, robots do
     not sense where they spawn."""
 

@@ -12,7 +12,7 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
-number = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)
+number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
 place = st.tuples(number, number, number)
 dock = st.integers(0, 2)
 docks = st.sets(dock).map(sorted)
@@ -22,7 +22,8 @@ orientation = (
     .map(lambda wxyz: np.array(wxyz) / np.linalg.norm(wxyz))
 )
 
-spreads = st.floats(0.0, allow_infinity=False, allow_subnormal=False)
+spreads = st.just(0.0) | st.floats(1e-9, 4.0)
+letters = st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters=',"')
 fractions = st.floats(0.0, 1.0, allow_subnormal=False)
 noises = st.builds(
     SensingNoise,
@@ -81,7 +82,7 @@ def logs(draw):
     unknown = (np.nan,) * 3
     return SensingLog(
         robot_id=np.array(draw(names), dtype=np.int64),
-        dock_radius=draw(st.floats(1e-300, 1e300)),
+        dock_radius=draw(st.floats(1e-9, 1e9)),
         dock_offset_body=np.array([draw(place) for _ in range(3)]),
         anchor_position=np.array(draw(place)),
         orientation_wxyz=np.array([draw(orientation) for _ in range(robots)]),
@@ -96,7 +97,7 @@ def logs(draw):
         spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
         stances=draw(st.none() | stances_of(robots, ground=ground_z is not None)),
         noise=draw(st.none() | noises),
-        length_unit=draw(st.text(st.characters(codec="utf-8"), min_size=1, max_size=5)),
+        length_unit=draw(st.text(letters, min_size=1, max_size=5)),
     )
 
 

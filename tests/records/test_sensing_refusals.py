@@ -28,6 +28,11 @@ def header(**changes):
     return [_changed(HEADER, changes), ANCHOR]
 
 
+def noise(**changes):
+    """Give a whole file that states noise."""
+    return header(noise={"tilt_deg": 1.0, "yaw_deg": 2.0, **changes})
+
+
 def joiner(**changes):
     """Give a whole file whose third line is changed; a key set to ... is left out."""
     return [HEADER, ANCHOR, _changed(JOINER, changes)]
@@ -52,7 +57,14 @@ REFUSED = [
     (header(version=2), 1, "version", "2 is not supported; this program reads version 1"),
     (header(version=True), 1, "version", "true is not supported"),
     (header(version=...), 1, "version", "null is not supported"),
-    (header(dock_radius=0), 1, "dock_radius", "0 should be greater than 0"),
+    (header(dock_radius=0), 1, "dock_radius", "0 should be greater than or equal to 0.000000001"),
+    (header(dock_radius=1e-200), 1, "dock_radius", "1e-200 should be greater than or equal to"),
+    (
+        header(dock_radius=1e308),
+        1,
+        "dock_radius",
+        "1e+308 should be less than or equal to 1000000000",
+    ),
     (header(dock_radius="1"), 1, "dock_radius", '"1" should be a valid number'),
     (header(dock_radius=...), 1, "dock_radius", "is missing; add it"),
     (header(dock_radius=10**400), 1, "dock_radius", "should be a finite number"),
@@ -64,11 +76,27 @@ REFUSED = [
         "List should have at least 3 items, not 2",
     ),
     (header(dock_offsets=[[1, NAN, 0]]), 1, "dock_offsets[0][1]", "NaN should be a finite number"),
+    (
+        header(dock_offsets=[[0, 0, 0], [1e160, 0, 0]]),
+        1,
+        "dock_offsets[1]",
+        "[1e+160, 0.0, 0.0] should be within 1000 R of 0.0, 1000 times dock_radius; correct one",
+    ),
+    (header(dock_offsets=[[0, 1001, 0]]), 1, "dock_offsets[0]", "[0.0, 1001.0, 0.0] should be"),
+    (header(dock_offsets=[[1, 0, 0]] * 65), 1, "dock_offsets", "at most 64 items"),
+    (header(anchor_position=[0, 0, 1e11]), 1, "anchor_position", "should be within 1e+10 R of 0.0"),
+    (header(ground_z=-1e308), 1, "ground_z", "-1e+308 should be within 1e+10 R of 1.0"),
     (header(anchor_position=[0, 0, 0, 0]), 1, "anchor_position", "at most 3 items, not 4"),
     (header(anchor_position={}), 1, "anchor_position", "{} should be a valid array"),
     (header(ground_z="flat"), 1, "ground_z", '"flat" should be a valid number'),
     (header(ground_z=...), 1, "ground_z", "is missing; add it"),
     (header(length_unit=""), 1, "length_unit", "String should have at least 1 character"),
+    (header(length_unit="m,m"), 1, "length_unit", '"m,m" cannot be part of a column'),
+    (header(length_unit='m"'), 1, "length_unit", "cannot be part of a column's name; write a name"),
+    (header(length_unit="m\n"), 1, "length_unit", "cannot be part of a column's name"),
+    (header(length_unit="\x1b[2J"), 1, "length_unit", "cannot be part of a column's name"),
+    (header(length_unit=" m"), 1, "length_unit", "cannot be part of a column's name"),
+    (header(length_unit="m" * 41), 1, "length_unit", "at most 40 characters"),
     (header(length_unit=3), 1, "length_unit", "3 should be a valid string"),
     (header(noise={"tilt_deg": 1.0}), 1, "noise.yaw_deg", "is missing; add it"),
     (
@@ -77,6 +105,9 @@ REFUSED = [
         "noise.tilt_deg",
         "-1 should be greater than or equal to 0",
     ),
+    (noise(yaw_deg=1e5), 1, "noise.yaw_deg", "100000.0 should be less than or equal to 180"),
+    (noise(yaw_bias_deg=1e-300), 1, "noise.yaw_bias_deg", "1e-300 should be 0 or at least 1e-9"),
+    (noise(spawn=1e308), 1, "noise.spawn", "1e+308 should be within 1e+10 R of 0.0"),
     (
         header(noise={"tilt_deg": 1, "yaw_deg": 0, "yaw": 0}),
         1,
@@ -102,6 +133,9 @@ REFUSED = [
     (joiner(orientation_wxyz=[1e200] * 4), 3, "orientation_wxyz", "length 2e+200; scale it"),
     (joiner(orientation_wxyz=[NAN] * 4), 3, "orientation_wxyz[0]", "NaN should be a finite number"),
     (joiner(flip_height=float("inf")), 3, "flip_height", "Infinity should be a finite number"),
+    (joiner(orientation_wxyz=[-1e308] * 4), 3, "orientation_wxyz", "length inf; scale it to 1"),
+    (joiner(flip_height=1e12), 3, "flip_height", "1000000000000.0 should be within 1e+10 R of 1.0"),
+    (joiner(spawn_position=[0, 1e15, 0]), 3, "spawn_position", "within 1e+10 R of [0.0, 0.0, 1.0]"),
     (joiner(flip_height="high"), 3, "flip_height", '"high" should be a valid number'),
     (
         joiner(spawn_position=[1, 2]),
@@ -135,6 +169,12 @@ REFUSED = [
         2,
         "contacts[0]",
         "robot 11 is not on an earlier line; list a contact at the later robot",
+    ),
+    (
+        [HEADER, ANCHOR, *({**JOINER, "robot": 100 + n} for n in range(25))],
+        27,
+        "contacts",
+        "dock 1 of robot 10 has more than 24 contacts; delete false ones",
     ),
     # the ground
     (joiner(ground_docks=[0, 5]), 3, "ground_docks[1]", "no dock 5; the header has docks 0 to 2"),

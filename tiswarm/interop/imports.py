@@ -16,16 +16,14 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.records.io import Table, make_folder
+from tiswarm.records.io import Table, at_line, make_folder
 from tiswarm.records.messages import counted
 from tiswarm.records.positions import write_positions
-from tiswarm.records.sensing_file import FAR_FROM_UNIT, write_sensing_log
-from tiswarm.records.sensing_log import SensingLog, canonical_contacts
+from tiswarm.records.sensing_file import FAR_FROM_UNIT, check_header, write_sensing_log
+from tiswarm.records.sensing_log import FARTHEST, SensingLog, canonical_contacts
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _WHOLE = ["robot", "sphere", "join"]
-_FARTHEST = 1e12
-"""Largest coordinate [dock radii]; to 1e-4 of a radius, numbers still resolve it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +76,8 @@ def import_poses(
     contacts, too_close = _contacts(docks, assumed)
     order = _join_order(poses, contacts, assumed.anchor, path, progress)
     log = _log(poses, contacts, docks, order, assumed)
+    with at_line(path, 1):
+        check_header(log)
     make_folder(out)
     write_sensing_log(log, out / "sensing.jsonl")
     write_positions(out / "truth.csv", log.robot_id, poses.position[order], length_unit=unit)
@@ -96,7 +96,7 @@ def _read_poses(path: Path, dock_offset_body: Reals, assumed: Assumptions) -> _P
         for name, column in columns.items()
     }
     for axis in "xyz":
-        far = np.flatnonzero(np.abs(numbers[axis]) > _FARTHEST * assumed.dock_radius)
+        far = np.flatnonzero(np.abs(numbers[axis]) > FARTHEST * assumed.dock_radius)
         if len(far):
             problem = f"{numbers[axis][far[0]]:g} is too far out; move the origin to the robots"
             raise InputError(problem, path=path, line=text.line(far[0]), key=columns[axis])
@@ -162,7 +162,7 @@ def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     """Scale quaternions to length 1; refuse those whose length is far from it."""
     quaternion = table[_QUATERNION].to_numpy()
     length = np.linalg.norm(quaternion, axis=1)
-    far = np.flatnonzero(np.abs(length - 1.0) > FAR_FROM_UNIT)
+    far = np.flatnonzero(~(np.abs(length - 1.0) <= FAR_FROM_UNIT))
     if len(far):
         problem = f"the quaternion has length {length[far[0]]:.6g}; scale it to 1"
         raise InputError(problem, path=path, line=int(table["line"].iloc[far[0]]), key="qw")
@@ -176,7 +176,7 @@ def _align(offset: Reals, first: pd.DataFrame, path: Path, tolerance: float) -> 
     for own, robot, line in zip(offset, first["robot"], first["line"], strict=True):
         rotation, _ = Rotation.align_vectors(own, offset[0])
         off = np.linalg.norm(rotation.apply(offset[0]) - own, axis=1).max()
-        if off > tolerance:
+        if not off <= tolerance:
             problem = (
                 f"the spheres of robot {robot} are up to {off:.3g} off the first robot's shape; "
                 "give rigid robots of one shape, or a larger --tolerance"

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 import os
 import secrets
 import stat
@@ -21,6 +20,9 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 
 _Content = TypeVar("_Content")
+
+LARGEST = 1e22
+"""Larger numbers in tables are refused: no position is as large in any unit of a log."""
 
 MAX_LINE_BYTES = 64 * 2**20
 """Longest line that is read [byte]."""
@@ -140,8 +142,8 @@ class Table:
 
     def numbers(self, column: str, *, empty: float | None = None) -> Reals:
         """Read a column of finite numbers, shape (rows,); empty cells are `empty`, or refused."""
-        wanted = "a finite number; write it like 0.5 or 1e-3"
-        return np.array(self._values(column, _finite, wanted, empty), np.float64)
+        wanted = f"a finite number up to {LARGEST:g}; write it like 0.5 or 1e-3"
+        return np.array(self._values(column, _real, wanted, empty), np.float64)
 
     def _values(
         self, column: str, parse: Callable[[str], float], wanted: str, empty: float | None = None
@@ -171,9 +173,9 @@ def _integer(cell: str) -> int:
     return number
 
 
-def _finite(cell: str) -> float:
+def _real(cell: str) -> float:
     number = float(cell)
-    if "_" in cell or not math.isfinite(number):
+    if "_" in cell or not abs(number) <= LARGEST:
         raise ValueError
     return number
 

@@ -8,6 +8,7 @@ memory for the log and one line.
 import json
 import math
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
@@ -23,6 +24,7 @@ from tiswarm.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
 from tiswarm.records.sensing_format import (
     FORMAT,
+    MOST_CONTACTS,
     ROBOT_NUMBERS,
     STANCE_LISTS,
     VERSION,
@@ -93,6 +95,11 @@ def write_sensing_log(log: SensingLog, path: Path) -> None:
             file.write(f"{json.dumps(entries, allow_nan=False)}\n".encode())
 
 
+def check_header(log: SensingLog) -> None:
+    """Raise InputError, with the key alone, where a reader would refuse a log's header."""
+    parse_header(json.dumps(_header_entries(log)))
+
+
 class SensingLogBuilder:
     """Builds a log robot by robot; checks each against the robots before it."""
 
@@ -100,6 +107,7 @@ class SensingLogBuilder:
         """Start a log without robots."""
         self._header = header
         self._index_of: dict[int, int] = {}
+        self._touching = array("B")  # final contacts of every dock, robot after robot
         self._final = _StanceColumns()
         self._earlier = _StanceColumns()
         self._numbers = {key: array("d") for key in ROBOT_NUMBERS}
@@ -116,8 +124,12 @@ class SensingLogBuilder:
             problem = f"robot {line.robot} has a line already; give every robot its own number"
             raise InputError(problem, key="robot")
         robot, stances = line.robot, line.stances or []
+        for key in ROBOT_NUMBERS:
+            number, anchor = getattr(line, key), self._header.anchor_position
+            self._header.refuse_far(key, number, anchor if np.ndim(number) else anchor[2])
         final = self._checked(line, "", robot)
         earlier = [self._checked(each, f"stances[{n}].", robot) for n, each in enumerate(stances)]
+        self._count_contacts(robot, final)
         self._index_of[line.robot] = len(self._index_of)
         self._final.append(final)
         for stance in earlier:
@@ -181,6 +193,23 @@ class SensingLogBuilder:
             lists[name] = sorted(first)
         return SensedStance(orientation, lists)
 
+    def _count_contacts(self, robot: int, final: SensedStance) -> None:
+        docks, mine = len(self._header.dock_offsets), len(self._index_of)
+        touching = Counter[int]()
+        for dock, other, its in final.lists["contacts"]:
+            touching.update([docks * mine + dock, docks * other + its])
+        for place, more in touching.items():
+            before = self._touching[place] if place < len(self._touching) else 0
+            if before + more > MOST_CONTACTS:
+                name = [*self._index_of, robot][place // docks]
+                problem = (
+                    f"dock {place % docks} of robot {name} has more than {MOST_CONTACTS} contacts"
+                )
+                raise InputError(f"{problem}; delete false ones", key="contacts")
+        self._touching.extend(bytes(docks))
+        for place, more in touching.items():
+            self._touching[place] += more
+
     def _robot_index(self, myself: int, name: int, key: str) -> int:
         if name == myself:
             problem = "the robot touches itself; name another robot or delete the contact"
@@ -222,7 +251,7 @@ class _StanceColumns:
 
 def _unit(orientation_wxyz: list[float], key: str) -> list[float]:
     length = math.hypot(*orientation_wxyz)
-    if abs(length - 1.0) > FAR_FROM_UNIT:
+    if not abs(length - 1.0) <= FAR_FROM_UNIT:  # as for lengths that are NaN
         raise InputError(f"the quaternion has length {length:.6g}; scale it to 1", key=key)
     scale = 1.0 if abs(length - 1.0) <= _CLOSE_TO_UNIT else length
     return [part / scale for part in orientation_wxyz]

@@ -12,16 +12,36 @@ from collections import Counter
 from dataclasses import fields
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field, ValidationError
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
 from tiswarm.errors import InputError
 from tiswarm.params import STRICT
 from tiswarm.records.messages import dotted, explain, shown
-from tiswarm.records.sensing_log import SensingNoise
+from tiswarm.records.sensing_log import FARTHEST, SensingNoise
 
 FORMAT = "tiswarm-sensing"
 VERSION = 1
 
+MOST_DOCKS = 64
+"""Docks of a robot; `joint` takes 20 s on one core for eight robots of so many."""
+
+MOST_CONTACTS = 24
+"""Contacts of a dock at the end: twice the twelve spheres that can touch one sphere."""
+
+_LONGEST_ARM = 1e3
+"""From a center to a dock [dock radii]; the analysis of floppy modes needs digits to spare."""
+
+
+def _column_part(unit: str) -> str:
+    if unit.isprintable() and unit == unit.strip() and not {*unit} & {*',"'}:
+        return unit
+    raise ValueError(f"{shown(unit)} cannot be part of a column's name; write a name like mm")
+
+
+_Radius = Annotated[float, Field(ge=1e-9, le=1e9)]
+_Unit = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(_column_part)]
 _Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 _Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
@@ -36,12 +56,34 @@ class HeaderLine(BaseModel):
 
     format: Literal["tiswarm-sensing"]
     version: Literal[1]
-    dock_radius: Annotated[float, Field(gt=0.0)]
-    dock_offsets: Annotated[list[_Vector], Field(min_length=1, fail_fast=True)]
+    dock_radius: _Radius
+    dock_offsets: Annotated[
+        list[_Vector], Field(min_length=1, max_length=MOST_DOCKS, fail_fast=True)
+    ]
     anchor_position: _Vector
     ground_z: float | None
-    length_unit: Annotated[str, Field(min_length=1)]
+    length_unit: _Unit
     noise: SensingNoise | None = None
+
+    @model_validator(mode="after")
+    def _refuse_far_lengths(self) -> "HeaderLine":
+        for dock, offset in enumerate(self.dock_offsets):
+            self.refuse_far(f"dock_offsets[{dock}]", offset, 0.0, _LONGEST_ARM)
+        self.refuse_far("anchor_position", self.anchor_position, 0.0)
+        self.refuse_far("ground_z", self.ground_z, self.anchor_position[2])
+        self.refuse_far("noise.spawn", self.noise.spawn if self.noise else None, 0.0)
+        return self
+
+    def refuse_far(
+        self, key: str, lengths: ArrayLike | None, start: ArrayLike, limit: float = FARTHEST
+    ) -> None:
+        """Raise InputError where lengths, if given, are beyond a limit [dock radii] of a start."""
+        farthest = limit * self.dock_radius
+        if lengths is None or (np.abs(np.subtract(lengths, start)) <= farthest).all():
+            return
+        within = f"within {farthest:g} {self.length_unit} of {shown(start)}"
+        why = f"{limit:g} times dock_radius"
+        raise InputError(f"{shown(lengths)} should be {within}, {why}; correct one", key=key)
 
 
 class StanceEntry(BaseModel):

@@ -7,12 +7,22 @@ from typing import Annotated
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
 
-_Sd = Annotated[float, Field(ge=0.0)]
+FARTHEST = 1e10
+"""Lengths in a log are smaller [dock radii]; float64 resolves 1e-6 dock radii there."""
+
+
+def _not_tiny(angle: float) -> float:
+    if 0.0 < angle < 1e-9:  # noqa: PLR2004 - its inverse square is a number of float32
+        raise ValueError(f"{angle:g} should be 0 or at least 1e-9; correct it")
+    return angle
+
+
+Angle = Annotated[float, Field(ge=0.0, le=180.0), AfterValidator(_not_tiny)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
@@ -23,16 +33,16 @@ class SensingNoise:
     The orientation noise of each stance is drawn anew, except for the bias.
     """
 
-    tilt_deg: _Sd
+    tilt_deg: Angle
     """Standard deviation about a horizontal axis [deg]."""
 
-    yaw_deg: _Sd
+    yaw_deg: Angle
     """Standard deviation about the vertical [deg]."""
 
-    yaw_bias_deg: _Sd | None = None
+    yaw_bias_deg: Angle | None = None
     """Standard deviation about the vertical that a robot keeps at all its stances [deg]."""
 
-    spawn: _Sd | None = None
+    spawn: Annotated[float, Field(ge=0.0)] | None = None
     """Standard deviation of each coordinate of a spawn position [log unit]."""
 
     missed_contacts: Fraction | None = None
