@@ -1,12 +1,22 @@
 """Lines on an estimate name robots, and quantify their uncertainty."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tiswarm.inspection import MOST_SHOWN, describe_residual, describe_solutions
+from tiswarm.inspection import (
+    MOST_SHOWN,
+    convergence_warning,
+    describe_residual,
+    describe_solutions,
+    inspect,
+)
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.registry import localize
 from tiswarm.records.estimate import Solution
+from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 
 
@@ -77,3 +87,27 @@ def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
     assert describe_residual(log, found) == expected
     found.solutions, found.residual_sd = (), None
     assert describe_residual(log, found) == "30 robots, residual 0.25 R rms"
+
+
+def test_a_method_without_a_verdict_warns_where_contacts_do_not_reach(log):
+    """A height far above its contacts pulls robots off; the estimate is no good."""
+    high = replace(log, flip_height=np.where(np.arange(30) == 29, 1e9, log.flip_height))
+
+    lines = [
+        convergence_warning(each, localize(each, VirtualForceParams())) for each in (log, high)
+    ]
+
+    assert lines[0] == ""
+    assert lines[1].startswith("not converged: beyond the reach of their contacts are ")
+
+
+def test_check_warns_of_unlikely_positions(log, tmp_path):
+    """They are possible, unlike those that the reader refuses."""
+    path = tmp_path / "sensing.jsonl"
+    write_sensing_log(log, path)
+    assert "unlikely" not in inspect(path).summary
+
+    far = np.where(np.arange(30)[:, None] == 7, 1e6, np.zeros((30, 3)))
+    write_sensing_log(replace(log, spawn_position=far), path)
+
+    assert f"{path}:9: spawn_position: 1e+06 R from the anchor is unlikely" in inspect(path).summary

@@ -10,15 +10,24 @@ import numpy as np
 from tiswarm.aliases import AnyInts
 from tiswarm.errors import InputError
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
-from tiswarm.measurements.contacts import contact_count
+from tiswarm.measurements.contacts import contact_count, parts, reach
+from tiswarm.measurements.cues import measure
+from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.observability import by_cue
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_format import ROBOT_NUMBERS
 from tiswarm.records.sensing_log import SensingLog
 
 MOST_SHOWN = 10
+
+_STRETCH = 1.5
+"""A chain of contacts this many times as long as it can be is no error of a few dock radii."""
+
+_MARGIN = 20
+"""Robots in a row that a spawn position may be beyond all others."""
 
 
 class Inspection(NamedTuple):
@@ -36,13 +45,32 @@ def inspect(path: Path) -> Inspection:
 def convergence_warning(log: SensingLog, estimate: Estimate) -> str:
     """Return a warning if an estimate did not converge, else an empty text."""
     found = estimate.convergence
-    if found is None or found.converged:
+    if found is None:
+        return _reach_warning(log, estimate)
+    if found.converged:
         return ""
     residual = f"residual of the best chain {estimate.solutions[0].residual:.2g} {log.length_unit}"
     return (
         f"not converged: chi-square exceeds its expectation by {found.misfit_sd:.0f} sd "
         f"({residual}); positions and sd may be far off. Try twice the steps or chains; if that "
         "does not help, look for wrong contacts or state the log's noise"
+    )
+
+
+def _reach_warning(log: SensingLog, estimate: Estimate) -> str:
+    """Return a warning if robots are where no chain of their contacts ends, else an empty text."""
+    rows = measure(log, ["contacts"])
+    arms = np.linalg.norm([rows.arm, rows.other_arm], axis=2).sum(axis=0)
+    part = parts(rows)
+    bound = reach(np.column_stack([rows.robot, rows.other]), SPACING + arms, part)
+    first = np.unique(part, return_index=True)[1][part]
+    away = np.linalg.norm(estimate.position - estimate.position[first], axis=1)
+    beyond = np.flatnonzero(away > _STRETCH * bound * log.dock_radius)
+    if not beyond.size:
+        return ""
+    return (
+        f"not converged: beyond the reach of their contacts are {_robots(log, beyond)}; "
+        "look for wrong contacts, heights and spawn positions"
     )
 
 
@@ -157,7 +185,20 @@ def _inspect_log(path: Path) -> Inspection:
     stances = 0 if log.stances is None else len(log.stances.pivot_dock)
     sizes = {"robot": log.robot_count, "contact": len(log.contacts), "stance": stances}
     summary = ", ".join(counted(number, noun) for noun, number in sizes.items())
-    return Inspection(summary="\n".join([summary, *unknowns(log, path, by_cue(log))]))
+    found = [*_unlikely(log, path), *unknowns(log, path, by_cue(log))]
+    return Inspection(summary="\n".join([summary, *found]))
+
+
+def _unlikely(log: SensingLog, path: Path) -> Iterator[str]:
+    """Describe in lines positions farther from the anchor than all robots in a row."""
+    size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() + log.spacing
+    farthest = (log.robot_count + _MARGIN) * size
+    for key in ROBOT_NUMBERS:
+        number = getattr(log, key).reshape(log.robot_count, -1)
+        away = np.abs(number - log.anchor_position[-number.shape[1] :]).max(axis=1)
+        for robot in np.flatnonzero(away > farthest)[:MOST_SHOWN].tolist():
+            text = f"{away[robot]:.3g} {log.length_unit} from the anchor is unlikely"
+            yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {text}; correct it or leave it out"
 
 
 def _inspect_scenario(path: Path) -> Inspection:
