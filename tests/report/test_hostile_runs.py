@@ -36,6 +36,8 @@ def run(run_folder):
     """A whole run with a figure."""
     (run_folder / "scenario.yaml").write_text("name: odd\nstructure: {kind: tower}\n")
     write_table(run_folder / "table.csv", TABLE, [["baseline", 2, 1.0, 0.1, 0.5, 0.2, "", ""]])
+    header = "condition,against,measure,structures,difference_mean,smaller,wilcoxon_p"
+    write_table(run_folder / "paired.csv", header, [["no-z", "baseline", "rmse_R", 2, 0.1, 1, 0.5]])
     (run_folder / "figures").mkdir()
     Image.new("RGB", (4, 4)).save(run_folder / "figures" / "accuracy.png")
     return run_folder
@@ -173,6 +175,7 @@ KINDS = {
         (page, "table.csv", cell("rmse_R_mean", "<b>"), ":2: rmse_R_mean: '<b>' is not a number"),
         (page, "table.csv", lines(0, 1), ":2: there are no rows"),
         (page, "table.csv", without("cases"), ":1: cases: there is no such column"),
+        (page, "paired.csv", without("smaller"), ":1: smaller: there is no such column"),
         (page, "figures/accuracy.png", written("no picture"), ": is no PNG picture"),
         (page, "figures/accuracy.png", large_picture, ": is no PNG picture"),
         (scenes, ROBOTS, Path.unlink, ": cannot be read"),
@@ -209,6 +212,14 @@ def test_damage_is_refused_in_one_line(run, command, file, damage, problem):
     assert "\n" not in str(refusal.value)
     assert "; " in refusal.value.problem
     assert {path: path.lstat().st_mtime_ns for path in run.rglob("*")} == before
+
+
+@pytest.mark.parametrize("measure", ["", "other"])
+def test_a_page_leaves_out_measures_that_it_does_not_know(run, measure):
+    """No row of differences may be left."""
+    cell("measure", measure)(run / "paired.csv")
+
+    assert "Differences on the same structures" in page(run)
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of imageio

@@ -34,7 +34,7 @@ def read_frame(
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
-        empty: Whether the table may have no rows.
+        empty: Whether the table may have no rows; it then needs no columns of numbers.
 
     Raises:
         InputError: the table is missing or malformed; names file, line and column.
@@ -50,16 +50,18 @@ def read_frame(
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
         raise damaged(path, "rows have more cells than the header")
-    for column in filter(None, [*words, *numbers, *gaps, numbers_after]):
+    found, columns = list(table.columns), [*numbers, *gaps]
+    if table.empty and empty:
+        table = table.reindex(columns=list(dict.fromkeys([*found, *columns])))
+    for column in filter(None, [*words, *columns, numbers_after]):
         if column not in table:
             problem = "there is no such column; run the scenario again to restore it"
             raise InputError(problem, path=path, line=1, key=column)
     if table.empty and not empty:
         raise InputError("there are no rows; run the scenario again", path=path, line=2)
-    found = list(table.columns)
     after = found[found.index(numbers_after) + 1 :] if numbers_after else []
     swept = [name for name in found if name == "robots"]
-    for column in [*numbers, *gaps, *after, *swept]:
+    for column in [*columns, *after, *swept]:
         _check_numbers(table[column], path, gaps=column not in numbers)
     return table
 

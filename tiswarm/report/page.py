@@ -98,7 +98,8 @@ def _gather(run: RunData) -> dict[str, Any]:
     numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
     words = ["condition", "against", "measure"]
-    paired = run.table("paired.csv", words, [], after="measure", optional=True)
+    numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
+    paired = run.table("paired.csv", words, numbers, after="measure", optional=True)
     arch = manifest.backend.get("arch", "cpu")
     return {
         "name": stated.get("name", run.folder.name),

@@ -199,7 +199,8 @@ def _mean(table: pd.DataFrame, name: str, digits: int, *, sign: str = "") -> "pd
 
 def _numbers(values: pd.Series, digits: int, *, sign: str = "") -> "pd.Series[str]":
     """Format numbers; unknown ones are empty."""
-    return values.astype(float).map(lambda v: "" if pd.isna(v) else f"{v:{sign}.{digits}f}")
+    texts = values.astype(float).map(lambda v: "" if pd.isna(v) else f"{v:{sign}.{digits}f}")
+    return texts.astype(str)  # of no values too
 
 
 def warnings_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
