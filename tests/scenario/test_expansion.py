@@ -8,7 +8,7 @@ from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from tiswarm.errors import InputError
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.params import STRICT
 from tiswarm.scenario import model
 from tiswarm.scenario.expansion import MAX_LABEL, find_mistakes, variants
@@ -119,6 +119,18 @@ def test_a_case_is_settled_to_the_last_value():
     assert base.robots == 100
 
 
+def test_a_condition_may_replace_a_section():
+    """Another method needs none of the settings of the first."""
+    base = scenario(
+        localization=VirtualForceParams(initial_offset=2.0),
+        conditions={"a": {}, "b": {"localization": {"method": "joint", "chains": 3}}},
+    )
+
+    cases = {case.condition: case.settings.localization for case in variants(base)}
+
+    assert cases == {"a": VirtualForceParams(initial_offset=2.0), "b": JointParams(chains=3)}
+
+
 def test_a_condition_has_the_last_word():
     """Where sweep and condition set the same key, the condition holds."""
     (case,) = variants(
@@ -218,8 +230,8 @@ def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
 
     assert str(mistake) == (
         f"{path}:6: conditions.new.localization.method: would drop iterations, set for "
-        "virtual-force; sweep localization as a whole, or move the settings into the conditions of "
-        "virtual-force"
+        "virtual-force; sweep localization as a whole, or give localization as a whole in the "
+        "condition"
     )
 
 

@@ -19,13 +19,14 @@ slugs |= st.sampled_from(["1e3", "0x1", "0o7", "no", "null", "010", "1.5", "true
 texts = st.text(st.characters(codec="utf-8"), max_size=40)
 texts |= st.sampled_from(["1e-3", "0o17", ".inf", "~", "", "on", "=", "a: b", " x", "x\n", "\x85"])
 positive = st.floats(1e-300, 1e300)
+angles = st.just(0.0) | st.floats(1e-9, 90.0)
 conditions = st.fixed_dictionaries(
     {},
     optional={
         "localization.z_correction": st.booleans(),
         "localization.attraction_gain": positive | st.integers(0, 10**20),
         "localization.initial_offset_axis": st.sampled_from(["world", "body"]),
-        "sensing.yaw_noise_deg": st.floats(0.0, 180.0, allow_subnormal=False),
+        "sensing.yaw_noise_deg": angles,
     },
 )
 sweeps = st.fixed_dictionaries(
@@ -50,7 +51,7 @@ scenarios = st.builds(
         goal_height=positive,
         climb=st.builds(ClimbParams, max_flips=st.integers(1, 10**25)),
     ),
-    sensing=st.builds(SensingParams, tilt_noise_deg=st.floats(0.0, 90.0, allow_subnormal=False)),
+    sensing=st.builds(SensingParams, tilt_noise_deg=angles),
     localization=st.builds(VirtualForceParams, initial_offset=positive, z_correction=st.booleans()),
     conditions=st.dictionaries(slugs.map(str.lower), conditions, min_size=1, max_size=3),
     sweep=sweeps,

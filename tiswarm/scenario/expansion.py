@@ -319,7 +319,7 @@ def _reset_section(data: Plain, change: _Change) -> str:
     problem = f"would drop {names}, set for {old}; sweep {section} as a whole"
     if section not in CONDITION_SECTIONS:
         return problem
-    return f"{problem}, or move the settings into the conditions of {old}"
+    return f"{problem}, or give {section} as a whole in the condition"
 
 
 @cache

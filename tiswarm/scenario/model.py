@@ -34,8 +34,8 @@ def _slug(text: str) -> str:
 
 
 def _condition_key(key: str) -> str:
-    if key.partition(".")[0] not in CONDITION_SECTIONS or "." not in key:
-        message = "conditions change localization.* and sensing.* only; use sweep for the rest"
+    if key.partition(".")[0] not in CONDITION_SECTIONS:
+        message = "conditions change localization and sensing only; use sweep for the rest"
         raise ValueError(message)
     return key
 
