@@ -1,0 +1,165 @@
+"""A study whose processes are killed at random moments ends in the bytes of an undisturbed one."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results, environment
+
+pytestmark = pytest.mark.slow
+
+STUDY = (
+    "robots=6",
+    "seeds=4",
+    "conditions={a: {}, b: {localization.method: joint, localization.steps: 40}}",
+)
+"""Settings of eight cases of two methods."""
+CASES = 8
+END_S = 600.0
+"""Wall time in which a study ends that nobody disturbs [s]."""
+NOBODY_S = 20.0
+"""Wall time in which processes end whose parent was killed [s]; they look once a second."""
+
+
+class _Study:
+    """Command of a study, and its folder."""
+
+    def __init__(self, out: Path, cache: Path) -> None:
+        self.out = out
+        self.said = out.with_suffix(".txt")
+        # A separate cache of kernels, since a killed process may leave a damaged one.
+        self.environment = environment(XDG_CACHE_HOME=str(cache))
+
+    def start(self, *options: str) -> "subprocess.Popen[bytes]":
+        """Start the command in its own process group."""
+        settings = [part for text in STUDY for part in ("--set", text)]
+        command = [sys.executable, "-m", "tiswarm", "run", "scenarios/tower.yaml", *settings]
+        with self.said.open("wb") as said:
+            return subprocess.Popen(
+                [*command, "--out", self.out, *options],
+                cwd=REPOSITORY,
+                env=self.environment,
+                stdout=said,
+                stderr=said,
+                start_new_session=True,
+            )
+
+    def moment(self) -> str:
+        """Return how many cases are stored, or else which drawing was reported last."""
+        stored = len([*self.out.glob("*/cases/[!.]*/case.json")])
+        if stored < CASES:
+            return f"{'no' if stored == 0 else 'some'} cases stored"
+        drawn = re.findall(r"^(figures|renders)/", self.said.read_text(), flags=re.MULTILINE)
+        return f"all cases stored{''.join(f', some {what} drawn' for what in drawn[-1:])}"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Cache of kernels; by option, an undisturbed run's parent folder and time [s]."""
+    temporary = tmp_path_factory.mktemp("undisturbed")
+    cache, found = temporary / "cache", {}
+    for pictures in ("compiling", "--no-pictures", "--pictures"):
+        study = _Study(temporary / pictures, cache)
+        begun = time.monotonic()
+        drawn = pictures if pictures.startswith("--") else "--pictures"
+        assert study.start(drawn).wait(END_S) == 0, study.said.read_text()
+        found[pictures] = study.out, time.monotonic() - begun
+    return cache, found
+
+
+@pytest.fixture
+def study(undisturbed, tmp_path):
+    """Return a study to disturb."""
+    cache, _ = undisturbed
+    return _Study(tmp_path / "killed", cache)
+
+
+def _assert_nothing_amiss(whole: Path, study: _Study, compare) -> None:
+    """Compare all bytes except measured ones, and look for leftovers; then remove the folder."""
+    a, b = next(whole.iterdir()), next(study.out.iterdir())
+    compare(a, b)
+    manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (a, b)]
+    assert manifests[0].keys() == manifests[1].keys()
+    assert all(json.loads(path.read_text()) for path in b.glob("cases/*/cost.json"))
+    assert len([*b.glob("cases/*/cost.json")]) == CASES
+    assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
+    shutil.rmtree(study.out)
+
+
+@pytest.mark.parametrize(
+    ("end", "kills"),
+    [
+        pytest.param(lambda process: os.killpg(process.pid, signal.SIGKILL), 100, id="all at once"),
+        pytest.param(lambda process: process.kill(), 50, id="the parent alone"),
+    ],
+)
+def test_killed_studies_lose_and_double_nothing(trial, undisturbed, study, end, kills):
+    """Kill and give the same command again at once, until it ends; children soon end too."""
+    random = trial.random()
+    pictures, orphans = "--no-pictures", []
+    killed, number = 0, len(trial.numbers(kills))
+    while killed < number or study.out.exists():
+        if not study.out.exists():  # a new study
+            pictures = random.choice(["--no-pictures", "--no-pictures", "--pictures"])
+        whole, takes = undisturbed[1][pictures]
+        process = study.start(pictures, *random.choice([[], ["--workers", "2"]]))
+        with suppress(subprocess.TimeoutExpired):
+            # Late moments are more likely: a study spends half of its time on imports.
+            process.wait(END_S if killed == number else takes * random.random() ** 0.5)
+        status = process.poll()
+        if status is None and killed < number:
+            orphans = psutil.Process(process.pid).children(recursive=True)
+            end(process)
+            process.wait()
+            killed += 1
+            trial.outcomes[study.moment()] += 1
+            continue
+        with trial.attempt(killed, study.said):
+            assert status == 0, study.said.read_text()
+            assert psutil.wait_procs(orphans, timeout=NOBODY_S)[1] == []
+            _assert_nothing_amiss(whole, study, assert_same_results)
+        if status is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        shutil.rmtree(study.out, ignore_errors=True)
+
+    assert trial.failures == []
+
+
+def test_studies_outlive_children_that_are_killed(trial, undisturbed, study):
+    """Kill workers and renderers one by one; what they did is done again, here or elsewhere."""
+    random = trial.random()
+    killed, number = 0, len(trial.numbers(50))
+    while killed < number:
+        whole, takes = undisturbed[1]["--pictures"]
+        process = study.start("--pictures", "--workers", "2")
+        at = time.monotonic() + random.uniform(0.0, takes)
+        while process.poll() is None and killed < number:
+            time.sleep(0.02)
+            children = psutil.Process(process.pid).children(recursive=True)
+            if children and time.monotonic() > at:
+                with suppress(psutil.NoSuchProcess):  # it has just ended
+                    random.choice(children).kill()
+                    killed += 1
+                    trial.outcomes[study.moment()] += 1
+                at = time.monotonic() + random.uniform(0.0, takes / 2.0)
+        status, said = process.wait(END_S), study.said.read_text()
+        again = study.start("--pictures").wait(END_S)
+        with trial.attempt(killed, study.said):
+            assert status in {0, 3}, said  # 3: a case lost its process each time
+            assert "Traceback" not in said
+            assert again == 0, study.said.read_text()
+            # Pictures may be those of another renderer.
+            _assert_nothing_amiss(whole, study, assert_same_bytes)
+        shutil.rmtree(study.out, ignore_errors=True)
+
+    assert trial.failures == []
