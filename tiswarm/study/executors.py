@@ -5,13 +5,14 @@ started by `subprocess`: those of `multiprocessing` are forbidden within workers
 need a guard in the scripts of users.
 """
 
+import logging
 import os
 import signal
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
@@ -98,9 +99,13 @@ def _connected(address: str) -> Iterator[Any]:
     except (OSError, ValueError) as error:
         msg = f"no Dask scheduler answers at {address}; start one, or correct --scheduler"
         raise EnvironmentTroubleError(msg) from error
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost scheduler: below
     with client:
         try:
             yield client
+        except CancelledError as error:
+            msg = f"the Dask scheduler at {address} was lost; start it, then run again to continue"
+            raise EnvironmentTroubleError(msg) from error
         finally:
             _end_all()  # processes of a cluster within this process
 
