@@ -3,8 +3,10 @@
 It works without the kernel language, which only the children import that examine devices.
 """
 
+import contextlib
 import ctypes
 import importlib.util
+import io
 import subprocess
 import sys
 import time
@@ -59,6 +61,7 @@ def examine() -> Iterator[Finding]:
     for name, value in machine().items():
         unit = " MB" if name.endswith("_MB") else ""
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
+    yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
     for arch in ARCHS:
         yield Finding(f"backend {arch}", *_in_child(start_backend, arch))
     for renderer in TRACERS:
@@ -87,6 +90,15 @@ def start_backend(arch: Arch) -> str:
 
     found = backend.start(arch)
     return f"{found.library}, {found.threads} threads"
+
+
+def start_cache(arch: Arch) -> str:
+    """Start a backend; return the folder of its kernels, or that they were damaged and cleared."""
+    from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
+
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        found = backend.start(arch)
+    return said.getvalue().removeprefix("tiswarm: warning: ") or found.cache
 
 
 def draw_test_picture(renderer: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_results
+from tiswarm.compute import backend
 from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
@@ -112,6 +113,37 @@ def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
         2: "its process was killed by SIGKILL, perhaps for lack of memory",
     }
     assert (mended.found, mended.failed) == (1, ())
+
+
+@pytest.mark.slow
+def test_a_crash_of_machine_code_is_tried_again_with_new_kernels(
+    tmp_path, monkeypatch, inject, capsys
+):
+    """One line says so."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("CRASHES", str(tmp_path / "crashes"))
+    inject("""
+        import os, pathlib, signal
+        import tiswarm.sensing
+        observe = tiswarm.sensing.observe
+
+        def stumble(history, params):
+            crashes = pathlib.Path(os.environ["CRASHES"])
+            if not crashes.exists():
+                crashes.touch()
+                os.kill(os.getpid(), signal.SIGSEGV)
+            return observe(history, params)
+
+        tiswarm.sensing.observe = stumble
+    """)
+    monkeypatch.delenv("TISWARM_DEBUG")  # the library would exit instead of crashing
+    for threads in (1, 2):  # the second start stores the kernels of the first
+        backend.start(threads=threads)
+
+    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+
+    assert result.failed == ()
+    assert "killed by SIGSEGV; kernel cache cleared, trying once more" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -10,8 +10,6 @@ import ctypes
 import gc
 import io
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tiswarm.compute import kernel_cache
 from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
@@ -97,17 +96,29 @@ def start(
     # Each library takes its buffer by this; where memory ran out it would wait for it for ever.
     for solve in (np.linalg.solve, scipy.linalg.blas.dtrsv):  # type: ignore[attr-defined]
         solve(np.eye(2), np.ones(2))
-    cache = _cache_folder()
-    _started = None  # a start that fails may leave nothing running
     gc.collect()  # an array let go later is freed by its address, where another may lie by then
-    _init(arch, count, precision, cache)
+    _stop()
     library = f"{LIBRARY} {'.'.join(map(str, ti.__version__))}"
+    cache = kernel_cache.find_folder(library.replace(" ", "-"))
+    with kernel_cache.sealed(cache):
+        pass  # finds damage before the library reads it
+    atexit.register(_stop)
+    _init(arch, count, precision, cache)
     started = Backend(
         arch=arch, threads=count, precision=precision, library=library, cache=str(cache)
     )
     _check_arithmetic(started)
     _started = started
     return started
+
+
+def _stop() -> None:
+    """End what is running; the library writes its new kernels now, not later without a seal."""
+    global _started  # noqa: PLW0603
+    if _started:
+        with kernel_cache.sealed(Path(_started.cache)):
+            _started = None  # a start that fails may leave nothing running
+            ti.reset()
 
 
 def current() -> Backend:
@@ -180,28 +191,6 @@ def faulty_driver() -> EnvironmentTroubleError:
         f"backend {current().arch} returned without placing every robot; "
         "its driver is faulty: use --arch cpu"
     )
-
-
-def _cache_folder() -> Path:
-    """Find a folder for compiled kernels; one that cannot be written would crash at exit."""
-    folders = [os.environ.get("TI_OFFLINE_CACHE_FILE_PATH"), os.environ.get("XDG_CACHE_HOME")]
-    if home := os.environ.get("HOME"):
-        folders.append(str(Path(home) / ".cache"))
-    for folder in filter(None, folders):
-        choice = Path(folder) / "tiswarm" / "kernels"
-        with contextlib.suppress(OSError):
-            choice.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=choice):
-                return choice
-    try:
-        temporary = Path(tempfile.mkdtemp(prefix="tiswarm-kernels-"))
-    except OSError as error:
-        raise EnvironmentTroubleError(
-            "no folder can be written, not even a temporary one; set XDG_CACHE_HOME to one"
-        ) from error
-    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-    atexit.register(ti.reset)  # runs first, since the library still writes to the folder
-    return temporary
 
 
 def _check_arithmetic(backend: Backend) -> None:

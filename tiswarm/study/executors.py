@@ -9,6 +9,7 @@ import logging
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,10 +17,12 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 from tiswarm.child import child_command
+from tiswarm.compute import backend, kernel_cache
 from tiswarm.compute.backend import available_threads
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.progress import Progress
@@ -28,6 +31,7 @@ from tiswarm.study.runner import Job, Outcome, run_job
 CONNECT_S = 30  # time that a scheduler has to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 _READY = "ready"
+_CRASHES = {"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +47,10 @@ class Execution:
 
 class _JobError(Exception):
     """A job could not be done, for the reason in the text."""
+
+
+class _CrashError(_JobError):
+    """Machine code crashed, perhaps that of a damaged kernel."""
 
 
 class Executor(NamedTuple):
@@ -133,6 +141,17 @@ _own = threading.local()
 
 
 def _run_in_process(job: Job, limit_s: float | None) -> Outcome:
+    """Run a job in another process; where machine code crashes it, once more with new kernels."""
+    try:
+        return _attempt(job, limit_s)
+    except _CrashError as crash:
+        if not kernel_cache.clear(Path(backend.current().cache)):
+            raise
+        sys.stderr.write(f"tiswarm: warning: {crash}; kernel cache cleared, trying once more\n")
+        return _attempt(job, limit_s)
+
+
+def _attempt(job: Job, limit_s: float | None) -> Outcome:
     """Run a job in the process of this thread, which is replaced after any failure."""
     process: _Process = getattr(_own, "process", None) or _Process()
     _own.process = None
@@ -191,17 +210,18 @@ class _Process:
                 raise _JobError(problem.format(limit_s))
             return self.connection.recv()
         except (EOFError, OSError) as error:
-            raise _JobError(self._cause_of_death()) from error
+            raise self._cause_of_death() from error
 
-    def _cause_of_death(self) -> str:
+    def _cause_of_death(self) -> _JobError:
         status = self.process.wait()
         if status < 0:
             name = signal.Signals(-status).name
             hint = ", perhaps for lack of memory" if name == "SIGKILL" else ""
-            return f"its process was killed by {name}{hint}"
+            kind = _CrashError if name in _CRASHES else _JobError
+            return kind(f"its process was killed by {name}{hint}")
         self.output.seek(0)
         lines = self.output.read().decode(errors="replace").splitlines() or ["without a message"]
-        return f"its process ended with status {status}: {lines[-1]}"
+        return _JobError(f"its process ended with status {status}: {lines[-1]}")
 
 
 def _end_all() -> None:
