@@ -1,6 +1,7 @@
 """The kernel language is the one that can be imported; house rules of writing kernels."""
 
 import ast
+import os
 import sys
 from pathlib import Path
 
@@ -76,3 +77,8 @@ def test_a_library_that_is_asked_for_is_not_replaced(without_taichi, monkeypatch
 
     with pytest.raises(EnvironmentTroubleError, match=r"libX11.*; on Debian, run: .* libx11-6"):
         lang.load_library()
+
+
+def test_child_processes_print_as_they_would_alone():
+    """How this process prints is in no variable that they inherit."""
+    assert not [name for name in os.environ if name.endswith("_ENABLE_PYBUF")]

@@ -80,10 +80,11 @@ def logs(draw):
     ground_z = draw(st.none() | number)
     contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(sensed(i))]
     unknown = (np.nan,) * 3
+    radius = draw(st.floats(1e-9, 1e9))
     return SensingLog(
         robot_id=np.array(draw(names), dtype=np.int64),
-        dock_radius=draw(st.floats(1e-9, 1e9)),
-        dock_offset_body=np.array([draw(place) for _ in range(3)]),
+        dock_radius=radius,
+        dock_offset_body=min(1.0, 100.0 * radius) * np.array([draw(place) for _ in range(3)]),
         anchor_position=np.array(draw(place)),
         orientation_wxyz=np.array([draw(orientation) for _ in range(robots)]),
         contacts=table(contacts, np.int32, 4),

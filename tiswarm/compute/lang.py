@@ -50,7 +50,9 @@ def load_library() -> tuple[str, Any]:
     notebook = "0" if sys.stdout is sys.__stdout__ else "1"
     for name in filter(find_spec, LIBRARIES if asked is None else (asked,)):
         os.environ.setdefault(f"ENABLE_{name.upper()}_HEADER_PRINT", "0")
-        os.environ.setdefault(f"{LIBRARIES[name]}_ENABLE_PYBUF", notebook)
+        print_buffer = f"{LIBRARIES[name]}_ENABLE_PYBUF"
+        is_ours = print_buffer not in os.environ
+        os.environ.setdefault(print_buffer, notebook)
         try:
             with redirect_stdout(io.StringIO()):  # a failed import prints; a notebook looks alike
                 library = import_module(name)
@@ -61,6 +63,9 @@ def load_library() -> tuple[str, Any]:
             if trouble:
                 sys.stderr.write(f"tiswarm: warning: {trouble}; computing with {name}\n")
             return name, library
+        finally:
+            if is_ours:  # read at import only; child processes decide for themselves
+                del os.environ[print_buffer]
     if trouble:
         raise EnvironmentTroubleError(f"{trouble}; on Debian, run: apt-get install libx11-6")
     raise EnvironmentTroubleError(

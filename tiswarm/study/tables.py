@@ -165,7 +165,7 @@ def _differences(
 
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
     """Tabulate errors by join, height, hops and contacts, for each point and condition."""
-    parts = []
+    parts, names_of = [], []
     done = [record for record in records if record.is_done]
     for of_row in _grouped(done, lambda record: record.series):
         folders = [cases / record.case for record in of_row]
@@ -177,12 +177,13 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
             read_frame(folder / "relative.csv", numbers=names, empty=True) for folder in folders
         ]
         errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
-        profile = pd.concat(errors)
+        parts.append(pd.concat(errors))
         first = {"condition": of_row[0].condition, **of_row[0].point}
-        for place, (name, value) in enumerate(first.items()):
-            profile.insert(place, name, [value] * len(profile))
-        parts.append(profile)
-    return pd.concat(parts) if parts else pd.DataFrame(columns=["condition", "by"])
+        names_of += [first] * len(parts[-1])
+    if not parts:
+        return pd.DataFrame(columns=["condition", "by"])
+    every = pd.concat(parts, ignore_index=True)
+    return pd.concat([pd.DataFrame(names_of), every], axis=1)
 
 
 def headline(folder: Path) -> str:
