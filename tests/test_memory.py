@@ -9,6 +9,7 @@ import textwrap
 import weakref
 
 import numpy as np
+import psutil
 import pytest
 
 from tiswarm.cli import main
@@ -129,6 +130,22 @@ def test_a_start_without_memory_does_not_blame_the_device(monkeypatch):
 
     with pytest.raises(OutOfMemoryError, match=r"allocation \(777 B\) failed;"):
         backend.start(threads=1)
+
+
+def test_the_kernel_library_says_nothing_beside_its_error(capfd):
+    """Its own line, and two empty ones, would come before ours."""
+    allocator = backend.Allocator(backend.current(), on_host=False)
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = psutil.Process().memory_info().vms
+
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2**28, before[1]))
+    try:
+        with pytest.raises(OutOfMemoryError, match=r" \(1600000000 B\) failed;"), naming_shortage():
+            allocator.reals(200_000_000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+    assert capfd.readouterr().err == ""
 
 
 def test_linear_algebra_does_not_wait_for_memory_for_ever():

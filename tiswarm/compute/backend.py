@@ -156,7 +156,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
     }
     try:
         with contextlib.redirect_stdout(io.StringIO()), _float_state_kept(), naming_shortage():
-            ti.init(arch=wanted, log_level=ti.ERROR, **options)
+            ti.init(arch=wanted, log_level=ti.CRITICAL, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
             f"backend {arch} is not available on this machine; use --arch cpu"
