@@ -11,15 +11,12 @@ REPOSITORY = Path(__file__).parents[1]
 MEASURED = {"manifest.json", "cost.json", "report.html"}
 """Files of a run that depend on the machine and the clock."""
 
-_OF_TESTS = {"TISWARM_DEBUG", "TI_ENABLE_PYBUF", "QD_ENABLE_PYBUF"}
-"""Variables for kernels of this process: bounds checks, and output that pytest captures."""
-
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 def environment(**env: str) -> dict[str, str]:
     """Return the environment of a user's process, whose kernels run without bounds checks."""
-    return {name: value for name, value in os.environ.items() if name not in _OF_TESTS} | env
+    return {name: value for name, value in os.environ.items() if name != "TISWARM_DEBUG"} | env
 
 
 def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):

@@ -15,6 +15,7 @@ import psutil
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results, environment
+from tiswarm.compute.backend import available_threads
 
 pytestmark = pytest.mark.slow
 
@@ -68,11 +69,15 @@ def undisturbed(tmp_path_factory):
     """Cache of kernels; by option, an undisturbed run's parent folder and time [s]."""
     temporary = tmp_path_factory.mktemp("undisturbed")
     cache, found = temporary / "cache", {}
-    for pictures in ("compiling", "--no-pictures", "--pictures"):
-        study = _Study(temporary / pictures, cache)
+    half = max(1, available_threads() // 2)  # threads of each of two workers
+    # Workers keep no kernels: the first two runs compile them, for workers and for the parent.
+    plain = "--no-pictures"
+    runs = [(plain, half), (plain, None), (plain, None), ("--pictures", None)]
+    for number, (pictures, threads) in enumerate(runs):
+        study = _Study(temporary / str(number), cache)
+        limited = [] if threads is None else ["--threads", str(threads)]
         begun = time.monotonic()
-        drawn = pictures if pictures.startswith("--") else "--pictures"
-        assert study.start(drawn).wait(END_S) == 0, study.said.read_text()
+        assert study.start(pictures, *limited).wait(END_S) == 0, study.said.read_text()
         found[pictures] = study.out, time.monotonic() - begun
     return cache, found
 
@@ -140,8 +145,9 @@ def test_studies_outlive_children_that_are_killed(trial, undisturbed, study):
     random = trial.random()
     killed, number = 0, len(trial.numbers(50))
     while killed < number:
-        whole, takes = undisturbed[1]["--pictures"]
-        process = study.start("--pictures", "--workers", "2")
+        pictures = random.choice(["--no-pictures", "--pictures"])
+        whole, takes = undisturbed[1][pictures]
+        process = study.start(pictures, "--workers", "2")
         at = time.monotonic() + random.uniform(0.0, takes)
         while process.poll() is None and killed < number:
             time.sleep(0.02)
@@ -153,7 +159,7 @@ def test_studies_outlive_children_that_are_killed(trial, undisturbed, study):
                     trial.outcomes[study.moment()] += 1
                 at = time.monotonic() + random.uniform(0.0, takes / 2.0)
         status, said = process.wait(END_S), study.said.read_text()
-        again = study.start("--pictures").wait(END_S)
+        again = study.start(pictures).wait(END_S)
         with trial.attempt(killed, study.said):
             assert status in {0, 3}, said  # 3: a case lost its process each time
             assert "Traceback" not in said
