@@ -152,7 +152,12 @@ def test_published_numbers_have_a_table_of_their_own():
     found = {t.title: t.frame for t in result_tables(table, pd.DataFrame())}
 
     assert found["Beside the paper"].to_dict("records") == [
-        {"condition": "a", "published RMSE [robot radii]": "1.64", "RMSE [R]": "2.00", "[mm]": "66"}
+        {
+            "condition": "a",
+            "published RMSE [robot radii]": "1.64",
+            "RMSE [R]": "2.00",
+            "RMSE [mm]": "66",
+        }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())
     assert "Beside the paper" not in [t.title for t in silent]

@@ -44,8 +44,8 @@ _ANCHOR = [
 _PUBLISHED = [
     ("published RMSE [robot radii]", "paper_rmse_radii", 2),
     ("RMSE [R]", "rmse_R_mean", 2),
-    ("[rho]", "rmse_rho_mean", 2),
-    ("[mm]", "rmse_mm_mean", 0),
+    ("RMSE [rho]", "rmse_rho_mean", 2),
+    ("RMSE [mm]", "rmse_mm_mean", 0),
     ("best structure [R]", "rmse_R_least", 2),
     ("published change [%]", "paper_rmse_change_percent", 0),
     ("change [%]", "rmse_change_percent", 0),
