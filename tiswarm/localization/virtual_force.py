@@ -75,10 +75,7 @@ def localize_batch(
     ]
     placed = _robots(np.concatenate(offsets).astype(dtype))
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
-    shape = (len(frames), len(placed.yaw))
-    trace = Trace(
-        np.empty((*shape, 3), dtype), np.empty(shape, dtype), np.empty(shape[1], np.int32)
-    )
+    trace = Trace.allocate(len(frames), len(placed.yaw), dtype)
     recent = rounds.recent or len(placed.yaw)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     kernels.localize_in_join_order(
@@ -236,11 +233,7 @@ class Localizer:
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(self._contact_start, contact, self._direction, self._height)
         capacity = len(self._height)
-        trace = Trace(
-            np.empty((2, capacity, 3), dtype),
-            np.empty((2, capacity), dtype),
-            np.empty(capacity, np.int32),
-        )
+        trace = Trace.allocate(2, capacity, dtype)
         kernels.localize_in_join_order(
             every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)], dtype),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,

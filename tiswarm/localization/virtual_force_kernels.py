@@ -6,6 +6,9 @@ Forces are gathered, never scattered, so runs repeat bit for bit. Lengths in R.
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import DTypeLike
+
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
 from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import vector_at, vector_in
@@ -101,6 +104,15 @@ class Trace(NamedTuple):
 
     steps: Ints1
     """Steps that each robot took before the next one joined, shape (N,)."""
+
+    @classmethod
+    def allocate(cls, frames: int, robots: int, dtype: DTypeLike) -> "Trace":
+        """Reserve a trace of so many frames and robots."""
+        return cls(
+            np.empty((frames, robots, 3), dtype),
+            np.empty((frames, robots), dtype),
+            np.empty(robots, np.int32),
+        )
 
 
 @ti.func
