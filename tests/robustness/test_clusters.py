@@ -24,7 +24,7 @@ WAIT_S = 300.0
 
 
 def _run(out, **execution):
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", SMALL)
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", SMALL)
     return run(scenario, out, progress=Progress(), execution=Execution(**execution))
 
 
@@ -51,13 +51,14 @@ def _dask(program: str, *options: object):
 class _Cluster:
     """A scheduler and two workers; `kill` ends one of them without a word."""
 
-    def __init__(self, processes: ExitStack, folder: Path) -> None:
-        note = folder / "scheduler.json"
+    def __init__(self, processes: ExitStack, folder: Path, port: int = 0) -> None:
+        note = folder / f"scheduler-{port}.json"
         self.scheduler = processes.enter_context(
-            _dask("scheduler", "--port", 0, "--scheduler-file", note)
+            _dask("scheduler", "--port", port, "--scheduler-file", note)
         )
         _wait_for(note.exists)
         self.address = json.loads(note.read_text())["address"]
+        self.port = int(self.address.rpartition(":")[2])
         single = (self.address, "--nthreads", 1, "--no-nanny", "--local-directory", folder)
         self.workers = [processes.enter_context(_dask("worker", *single)) for _ in range(2)]
         with distributed.Client(self.address, set_as_default=False) as client:
@@ -95,7 +96,7 @@ def _killed_amid(out: Path, victim: "subprocess.Popen[bytes]"):
 def _command(out: Path, address: str):
     settings = [part for text in SMALL for part in ("--set", text)]
     return call(
-        "run", "scenarios/tower.yaml", *settings, "--no-pictures", "--out", out,
+        "run", "tests/tower.yaml", *settings, "--no-pictures", "--out", out,
         "--scheduler", address, "--quiet",
     )  # fmt: skip
 
@@ -119,6 +120,21 @@ def test_a_run_without_its_scheduler_ends_and_resumes(cluster, whole, tmp_path):
     assert (done.returncode, done.stderr) == (1, f"tiswarm: error: {lost} to continue\n")
     assert resumed.found > 0
     assert_same_results(whole, resumed.folder)
+
+
+def test_a_run_survives_a_scheduler_that_starts_anew(cluster, whole, tmp_path):
+    """A cluster at the same address finishes the run, or the same command does so."""
+    with ExitStack() as processes:
+        with _killed_amid(tmp_path / "out", cluster.scheduler), ThreadPoolExecutor() as pool:
+            first = pool.submit(_command, tmp_path / "out", cluster.address)
+            cluster.scheduler.wait(WAIT_S)
+            _Cluster(processes, tmp_path, cluster.port)
+        done = first.result()
+        again = _command(tmp_path / "out", cluster.address)
+
+    assert done.returncode == 0 or "was lost; start it, then run again" in done.stderr, done.stderr
+    assert again.returncode == 0, again.stderr
+    assert_same_results(whole, next((tmp_path / "out").iterdir()))
 
 
 def test_two_studies_share_a_scheduler_but_no_folder(cluster, whole, tmp_path):

@@ -21,7 +21,7 @@ RESTORED_EVERY = 40
 
 
 def _run(out):
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", SMALL)
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", SMALL)
     return run(scenario, out, progress=Progress())
 
 

@@ -87,14 +87,14 @@ def prepared(tmp_path, monkeypatch, capsys) -> Path:
         figure.set_dpi(20)
         return figure
 
-    def blank(scenes, renderer=None):
+    def blank(scenes, *_):
         assert all(np.isfinite(scene.start).all() for scene in scenes)
         return [np.zeros((s.camera.height, s.camera.width, 3), np.uint8) for s in scenes], "-", ""
 
     monkeypatch.setattr(figure_style, "new_figure", coarse)
     monkeypatch.setattr(pictures, "draw_scenes", blank)
     status, said = _call(
-        monkeypatch, capsys, "run", REPOSITORY / "scenarios" / "tower.yaml", "--set", "robots=6",
+        monkeypatch, capsys, "run", REPOSITORY / "tests" / "tower.yaml", "--set", "robots=6",
         "--set", "seeds=2", "--set", "conditions={a: {}, b: {localization.iterations: 20}}",
         "--out", tmp_path / "made",
     )  # fmt: skip

@@ -44,7 +44,7 @@ class _Study:
     def start(self, *options: str) -> "subprocess.Popen[bytes]":
         """Start the command in its own process group."""
         settings = [part for text in STUDY for part in ("--set", text)]
-        command = [sys.executable, "-m", "tiswarm", "run", "scenarios/tower.yaml", *settings]
+        command = [sys.executable, "-m", "tiswarm", "run", "tests/tower.yaml", *settings]
         with self.said.open("wb") as said:
             return subprocess.Popen(
                 [*command, "--out", self.out, *options],

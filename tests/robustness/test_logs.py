@@ -8,10 +8,11 @@ import pytest
 
 from tests.robustness.mutations import as_json_lines, damaged, mutated, other_number
 from tests.structures import Rule, structure, with_heights
+from tiswarm.drawing import draw_log
 from tiswarm.errors import InputError
-from tiswarm.inspection import inspect
+from tiswarm.inspection import explain_estimate, inspect
 from tiswarm.localization.registry import localize
-from tiswarm.records.positions import read_positions, write_estimate
+from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import localization_params
@@ -58,14 +59,18 @@ def _write_mutant(random, logs, path):
 def _assert_localized(path, log, method):
     estimate = localize(log, localization_params(method, METHODS[method]))
     written = path.with_name("estimate.csv")
-    write_estimate(written, estimate, length_unit=log.length_unit)
-    _, position = read_positions(written, length_unit=log.length_unit)
-    assert position.shape == (log.robot_count, 3)
-    assert np.isfinite(position).all()
+    write_estimate(written, estimate)
+    back = read_estimate(log, written)
+    assert back.position.shape == (log.robot_count, 3)
+    assert np.isfinite(back.position).all()
+    page = path.with_name("view.html")
+    for found in (estimate, back):
+        draw_log(page, log, found, name="log", **explain_estimate(log, path, found)._asdict())
+    assert "NaN" not in page.read_text().partition('id="data">')[2].partition("</script>")[0]
 
 
 def test_malformed_logs_are_refused_or_localized(trial, logs, tmp_path):
-    """Reader, check and methods raise InputError alone; an estimate is finite and reads back."""
+    """Nothing but InputError is raised; an estimate is finite, reads back and becomes a page."""
     path = tmp_path / "sensing.jsonl"
     for number in trial.numbers(2000):
         _write_mutant(trial.random(number), logs, path)

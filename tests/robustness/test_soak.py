@@ -28,7 +28,7 @@ def test_five_hundred_cases_need_the_memory_of_the_first_hundred(trial, tmp_path
     process, memory_mb = psutil.Process(), []  # resident
     for number in range(50):
         sizes = [f"robots={4 + number % 7}", f"seeds=[{', '.join(map(str, range(5)))}]"]
-        scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [METHODS, *sizes])
+        scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", [METHODS, *sizes])
         with trial.attempt(number):
             result = run(scenario, tmp_path / str(number), progress=Progress())
             assert result.computed == CASES_EACH
