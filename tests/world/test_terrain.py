@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from tests import oracle, oracle_terrain
 from tests.strategies import unit_vectors
 from tiswarm.compute.lang import Reals2, ti
+from tiswarm.records.terrain import Terrain
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.flip_kernels import ClimbLimits
 from tiswarm.world.params import ClimbParams
-from tiswarm.world.terrain import Terrain
 from tiswarm.world.turn_kernels import slab_angles
 from tiswarm.world.walks import climb_limits
 

@@ -13,7 +13,7 @@ another zone less 2; so a call fades with distance (Swissler and Rubenstein, Rea
 2021).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -24,6 +24,7 @@ from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import uniform
+from tiswarm.progress import Advance, ignore
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
@@ -41,7 +42,7 @@ def grow(
     robots: int,
     seeds: Sequence[int],
     robot: RobotGeometry,
-    on_progress: Callable[[int], None] = lambda _joined: None,
+    on_progress: Advance = ignore,
 ) -> list[History]:
     """Grow one structure for each seed.
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Reals
 from tiswarm.records.io import replacing
+from tiswarm.records.terrain import Terrain
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.params import StructureParams
-from tiswarm.world.terrain import Terrain
 
 
 @dataclass(frozen=True, kw_only=True)

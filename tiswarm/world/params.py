@@ -9,8 +9,8 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
+from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.world.mechanics import MechanicsParams
-from tiswarm.world.terrain import EDGE_RADIUS, Terrain
 
 
 def _share(value: object) -> object:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Reals
 from tiswarm.errors import TiswarmError
+from tiswarm.records.terrain import Terrain
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world import flip_kernels
 from tiswarm.world.flip_kernels import (
@@ -24,7 +25,6 @@ from tiswarm.world.flip_kernels import (
 from tiswarm.world.history import Walk
 from tiswarm.world.join_kernels import join_undisturbed
 from tiswarm.world.params import ClimbParams
-from tiswarm.world.terrain import Terrain
 
 _Slots = NDArray[np.int32]
 

@@ -14,8 +14,8 @@ from tiswarm.aliases import Reals
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""
 
-_FAR = 1e9
-"""Where an edge lies that nobody reaches [R]."""
+NO_EDGE = 1e9
+"""Where an edge lies that does not exist: nobody reaches it [R]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,16 +25,16 @@ class Terrain:
     ground_z: float = 0.0
     """Height of the flat ground [R]."""
 
-    left_edge: float = _FAR
+    left_edge: float = NO_EDGE
     """Where the slab that comes from the left begins to round off [R]."""
 
-    right_edge: float = _FAR
+    right_edge: float = NO_EDGE
     """The same of the slab that comes from the right [R]; out of reach if there is none."""
 
     @property
     def is_plane(self) -> bool:
         """Whether there is no edge to be reached."""
-        return self.left_edge >= _FAR
+        return self.left_edge >= NO_EDGE
 
     def foot(self, point: Reals) -> Reals:
         """Find the nearest place on the ground's surface to each point outside [R], (n, 3)."""
@@ -60,7 +60,7 @@ class Terrain:
     def _spine_x(self, point: Reals) -> list[Reals]:
         """Nearest x on the spine of each slab."""
         slabs = [np.minimum(point[:, 0], self.left_edge)]
-        if self.right_edge < _FAR:
+        if self.right_edge < NO_EDGE:
             slabs.append(np.maximum(point[:, 0], self.right_edge))
         return slabs
 
