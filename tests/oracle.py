@@ -204,17 +204,17 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
     force, torque = np.zeros_like(position), np.zeros(len(position))
     contacts = Counter(log.contacts[:, [0, 2]].ravel().tolist())
-    for i, j, shift, lever, variance, is_final in zip(
+    for i, j, shift, lever, variance, is_final, measured in zip(
         known.robot, known.other, known.shift, known.lever, known.variance, known.is_final,
-        strict=True,
+        known.rows.distances.length, strict=True,
     ):  # fmt: skip
         own, its = np.append(lever[:2], 0.0), np.append(lever[2:], 0.0)
         upward = (shift - own + its)[2] * np.array([0.0, 0.0, 1.0])
         apart = position[i] + turn[i] @ own + upward - position[j] - turn[j] @ its
-        gap = np.linalg.norm(apart) - 2.0
+        gap = np.linalg.norm(apart) - measured
         within = tolerance**2 + variance
         stiff = tolerance**2 / within / (1.0 + (gap / width) ** 2 / within)
-        slope = gap if gap > 0.0 else _slope_inside(gap + 2.0, 2.0)
+        slope = gap if gap > 0.0 else _slope_inside(gap + measured, measured)
         pull = -stiff * slope * apart / np.linalg.norm(apart)
         force[i] += pull
         force[j] -= pull
@@ -249,6 +249,11 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
     hold = known.place - walk - position
     hold *= known_well / (1.0 + known_well + known.precision * (hold / width) ** 2)
     torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
+    for robot, x, y, z, value, sd in log.fixes:
+        normal = np.array([x, y, z])
+        gap = value - normal @ position[int(robot)]
+        stiff = (tolerance / sd) ** 2
+        hold[int(robot)] += normal * gap * stiff / (1.0 + stiff + (gap / width / sd) ** 2)
     return force + hold, torque
 
 

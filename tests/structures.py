@@ -4,6 +4,7 @@ Robots with any number of docks are put down one by one, so that one dock touche
 there, and turn about it until another one touches. Lengths in R.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.world.history import History
 
 SPACING = 2.0
 GAP = 1e-3
@@ -166,6 +168,29 @@ def _log(
         flip_height=np.full(robots, np.nan),
         spawn_position=np.full((robots, 3), np.nan),
     )
+
+
+def with_fixes(
+    log: SensingLog, history: History, robots: Iterable[int], *, each: int, sd: float
+) -> SensingLog:
+    """Add to a log fixes of final centers, along random directions, with random errors."""
+    rng = np.random.default_rng(0)
+    robot = np.repeat([*robots], each)
+    direction = rng.normal(size=(len(robot), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    value = (direction * history.position[robot]).sum(axis=1) + sd * rng.normal(size=len(robot))
+    width = np.full(len(robot), sd)
+    return replace(log, fixes=np.column_stack([robot, direction, value, width]))
+
+
+def with_ranges(log: SensingLog, history: History, *, reach: float, sd: float) -> SensingLog:
+    """Add to a log ranges of all robots within reach of each other, with random errors."""
+    rng = np.random.default_rng(0)
+    pair = cKDTree(history.position).query_pairs(reach, output_type="ndarray")
+    other, robot = np.sort(pair, axis=1)[np.lexsort(np.sort(pair, axis=1).T)].T
+    length = np.linalg.norm(history.position[robot] - history.position[other], axis=1)
+    length += sd * rng.normal(size=len(robot))
+    return replace(log, ranges=np.column_stack([robot, other, length, np.full(len(robot), sd)]))
 
 
 def with_heights(log: SensingLog, truth: NDArray[np.float64]) -> SensingLog:

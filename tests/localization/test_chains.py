@@ -106,7 +106,7 @@ def test_a_chain_that_lost_a_robot_is_annealed_again_and_never_averaged(monkeypa
     torn = dataclasses.replace(sound, last=last, temperature=sound.temperature + hot)
     asked = []
 
-    def annealed_again(*_args, halvings=0):
+    def annealed_again(*_args, halvings=0, **_):
         asked.append(halvings)
         return [torn if halvings < 2 else sound]
 

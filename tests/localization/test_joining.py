@@ -97,9 +97,9 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
     assert estimate.observability.cues == ("contacts", "height")
     assert len(estimate.iteration) == 2
     for call, message in (
-        ({"method": "guess"}, "--method: "),
+        ({"method": "guess"}, "method: "),
         ({"chainz": 3}, "chainz: unknown key; did you mean chains"),
-        ({"method": "least-squares", "cues": ["smell"]}, "--cues: smell is not a cue"),
+        ({"method": "least-squares", "cues": ["smell"]}, "cues: smell is not a cue"),
         ({"chains": -1}, "chains: -1 should be greater"),
     ):
         with pytest.raises(InputError, match=message):

@@ -8,6 +8,7 @@ import pytest
 
 from tests import oracle
 from tests.localization.test_problem import true_yaw
+from tests.structures import with_fixes, with_ranges
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
@@ -47,9 +48,11 @@ def _rmse(position, history):
 def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, steps):
     """Contacts, overlaps and known places pull and turn as sums over all of them say.
 
-    Docks grow in the first tenth of the steps.
+    Docks grow in the first tenth of the steps. Every third robot has four fixes, and robots
+    measure how far others are.
     """
-    log = observe(towers[0], noise)
+    log = with_fixes(observe(towers[0], noise), towers[0], range(3, 30, 3), each=4, sd=0.2)
+    log = with_ranges(log, towers[0], reach=5.0, sd=0.1)
     params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
     known = pose_problem(log, params)
     annealer = annealing.Annealer([log], [params], [known])

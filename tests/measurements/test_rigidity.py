@@ -1,14 +1,16 @@
 """The count of floppy modes is what moving the robots shows."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import rigidity
+from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.observability import by_cue, observability
+from tiswarm.measurements.observability import by_cue, common_modes, observability
 from tiswarm.measurements.odometry import displacements
 from tiswarm.measurements.rigidity import SHIFTED, floppy_modes, floppy_robots, weld
 from tiswarm.sensing import SensingParams, observe
@@ -150,6 +152,39 @@ def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, mon
     assert unknown.floppy_modes is None
     assert peeled.floppy is unknown.floppy is None
     assert set(peeled.known) == {""}
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_common_modes_are_those_of_two_bodies(towers, logs, turning):
+    """They move and turn all robots tied to the anchor alike; its only dock resists no turn."""
+    for tower, log in zip(towers, logs, strict=True):
+        of_anchor = log.contacts[log.contacts[:, 0] == 0, 1]
+        others = (log.contacts[:, 0] == 0) & (log.contacts[:, 1] != of_anchor[0])
+        for each in (log, replace(log, contacts=log.contacts[~others])):
+            known = observability(each, ["contacts", "height"], yaw_unknown=turning)
+            modes, docks = common_modes(each, known)
+            place = tower.position - tower.position[0]
+            tied = np.isfinite(hops(each, np.array([0]))[0]) & (np.arange(each.robot_count) > 0)
+            body = tied[:, None, None] * np.eye(3 + turning)
+            if turning:
+                body[tied, :2, 3] = np.column_stack([-place[tied, 1], place[tied, 0]])
+            matrix = _matrix(tower.position, each, known.cues, turning=turning)
+            rank = np.linalg.matrix_rank(matrix @ body.reshape(-1, 3 + turning), tol=1e-5)
+
+            assert modes == 3 + turning - rank
+            assert modes >= turning * (len(docks) == 1)
+            assert {*docks} == ({*of_anchor} if each is log else {of_anchor[0]})
+
+
+def test_cues_without_measurements_are_left_out(logs):
+    """A log without heights has no such cue, even if it is in use."""
+    bare = replace(
+        logs[0], stances=None, ground_docks=logs[0].ground_docks[:0],
+        flip_height=np.full(logs[0].robot_count, np.nan),
+    )  # fmt: skip
+
+    assert observability(bare, CUES).cues == ("contacts", "odometry")
+    assert observability(logs[0], CUES).cues == CUES
 
 
 def test_each_cue_leaves_fewer_motions(logs):

@@ -1,13 +1,23 @@
 """Positions come back from their table; malformed tables are refused with file and line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.structures import Rule, structure
 from tiswarm.errors import InputError
-from tiswarm.records.positions import read_positions, write_positions
+from tiswarm.records.estimate import Estimate, Observability
+from tiswarm.records.positions import (
+    read_estimate,
+    read_positions,
+    read_positions_of,
+    write_estimate,
+    write_positions,
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +59,12 @@ def test_the_table_looks_as_documented(tmp_path):
     assert read_positions(path)[0].tolist() == [7, 3]
 
     write_positions(
-        path, np.array([7, 3]), position, {"known": ["yes", "loose"], "yaw_deg": [0.0, -9.0]}
+        path, np.array([7, 3]), position, {"known": ["yes", "floppy"], "yaw_deg": [0.0, -9.0]}
     )
 
     assert path.read_text() == (
         "robot,x_R,y_R,z_R,known,yaw_deg\n7,0.0,1.0,-2.5,yes,0.0\n"
-        "3,1e-09,0.3333333333333333,1e+22,loose,-9.0\n"
+        "3,1e-09,0.3333333333333333,1e+22,floppy,-9.0\n"
     )
     assert read_positions(path)[0].tolist() == [7, 3]
 
@@ -120,3 +130,53 @@ def test_a_malformed_table_is_refused(tmp_path, text, problem):
         read_positions(path)
 
     assert str(refusal.value).startswith(problem.format(path=path))
+
+
+@pytest.fixture
+def log():
+    """A log of five robots."""
+    log, _ = structure(Rule(), 5, 0)
+    return replace(log, robot_id=np.array([40, 10, 50, 20, 30]))
+
+
+def test_an_estimate_comes_back_in_join_order(log, tmp_path):
+    """Rows may have any order; unknown standard deviations stay unknown."""
+    path, empty = tmp_path / "estimate.csv", np.empty(0)
+    known = Observability(
+        cues=(), yaw_unknown=True, unknowns=16, gauge_yaw_sd=None, floppy_modes=1,
+        floppy=np.arange(5) == 2, disconnected=np.arange(5) == 3,
+    )  # fmt: skip
+    estimate = Estimate(
+        robot_id=log.robot_id, position=np.arange(15.0).reshape(5, 3),
+        disconnected=known.disconnected, sd=np.array([0.0, 0.1, np.nan, 0.3, 0.4]),
+        yaw=np.linspace(0.0, 1.0, 5),
+        observability=known, iteration=empty, trace=empty, residual=empty,
+    )  # fmt: skip
+    write_estimate(path, estimate)
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *sorted(rows)]))
+
+    back = read_estimate(log, path)
+
+    for name in ("robot_id", "position", "sd", "disconnected"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(estimate, name))
+    np.testing.assert_allclose(back.yaw, estimate.yaw)
+    assert back.observability.known == ["yes", "yes", "floppy", "disconnected", "yes"]
+    np.testing.assert_array_equal(read_positions_of(log, path), estimate.position)
+
+
+@pytest.mark.parametrize(
+    ("cells", "problem"),
+    [
+        ("7,0,0,0,yes", "robot: robot 7 is only here or only in the log"),
+        ("10,0,0,0,perhaps", "csv:2: known: 'perhaps' should be yes, floppy or disconnected"),
+    ],
+)
+def test_an_estimate_of_another_log_is_refused(log, tmp_path, cells, problem):
+    """Robots and words must be those that the log and the method have."""
+    path = tmp_path / "estimate.csv"
+    rows = [f"{name},0,0,0,yes" for name in (20, 30, 40, 50)]
+    path.write_text("\n".join(["robot,x_R,y_R,z_R,known", cells, *rows]))
+
+    with pytest.raises(InputError, match=problem):
+        read_estimate(log, path)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import fields, is_dataclass
 
+import jsonschema
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
+from tiswarm.records.sensing_format import line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
@@ -23,6 +25,7 @@ orientation = (
 )
 
 spreads = st.just(0.0) | st.floats(1e-9, 4.0)
+widths = st.floats(1e-5, 1e5)
 letters = st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters=',"')
 fractions = st.floats(0.0, 1.0, allow_subnormal=False)
 noises = st.builds(
@@ -51,7 +54,7 @@ def sensed(earlier_robots):
 
 
 @st.composite
-def stances_of(draw, robots, *, ground):
+def stances_of(draw, robots, radius, *, ground):
     """Draw up to three earlier stances of every robot."""
     counts = [draw(st.integers(0, 3)) for _ in range(robots)]
     owner = np.repeat(np.arange(robots), counts).tolist()
@@ -67,7 +70,31 @@ def stances_of(draw, robots, *, ground):
         ground_docks=table(
             [(row, a) for row in range(len(owner)) if ground for a in draw(docks)], np.int32, 2
         ),
+        fixes=draw(fixes_of(len(owner), radius)),
+        ranges=draw(ranges_of(owner, radius)),
     )
+
+
+@st.composite
+def fixes_of(draw, stances, radius):
+    """Draw up to two fixes, sorted by stance, in some stances."""
+    rows = [
+        (stance, *draw(st.permutations([0.6, -0.8, 0.0])), draw(number), radius * draw(widths))
+        for stance in range(stances)
+        for _ in range(draw(st.integers(0, 2)))
+    ]
+    return table(sorted(set(rows)), np.float64, 6)
+
+
+@st.composite
+def ranges_of(draw, owner, radius):
+    """Draw a range to an earlier robot in some stances of these robots, sorted by stance."""
+    rows = [
+        (stance, draw(st.integers(0, robot - 1)), *(radius * draw(widths) for _ in range(2)))
+        for stance, robot in enumerate(owner)
+        if robot > 0 and draw(st.booleans())
+    ]
+    return table(rows, np.float64, 4)
 
 
 @st.composite
@@ -96,7 +123,9 @@ def logs(draw):
         ),
         flip_height=np.array([draw(number | st.just(np.nan)) for _ in range(robots)]),
         spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
-        stances=draw(st.none() | stances_of(robots, ground=ground_z is not None)),
+        fixes=draw(fixes_of(robots, radius)),
+        ranges=draw(ranges_of(range(robots), radius)),
+        stances=draw(st.none() | stances_of(robots, radius, ground=ground_z is not None)),
         noise=draw(st.none() | noises),
         length_unit=draw(st.text(letters, min_size=1, max_size=5)),
     )
@@ -119,7 +148,7 @@ def scratch(tmp_path_factory):
 
 HEADER = {
     "format": "tiswarm-sensing",
-    "version": 1,
+    "version": 2,
     "dock_radius": 1.0,
     "dock_offsets": [[1.5, 0.0, 0.0], [-0.75, 1.3, 0.0], [-0.75, -1.3, 0.0]],
     "anchor_position": [0.0, 0.0, 1.0],
@@ -132,6 +161,8 @@ STANCE = {
     "pivot_dock": 1,
     "contacts": [[0, 7, 2]],
     "ground_docks": [1],
+    "fixes": [[0.6, 0.0, 0.8, 2.5, 0.1]],
+    "ranges": [[7, 4.5, 0.1]],
 }
 ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
 JOINER = {
@@ -139,6 +170,8 @@ JOINER = {
     "orientation_wxyz": [0.6, 0.0, 0.0, 0.8],
     "contacts": [[2, 7, 0], [0, 7, 1]],
     "ground_docks": [2],
+    "fixes": [[0.0, 0.6, -0.8, 3.0, 0.5], [1.0, 0.0, 0.0, 9.0, 0.5]],
+    "ranges": [[7, 9.0, 0.5]],
     "flip_height": 5.31,
     "spawn_position": [9.0, 0.0, 1.0],
     "stances": [STANCE],
@@ -165,6 +198,14 @@ def test_a_log_comes_back_bit_for_bit(scratch, log):
     assert scratch.read_bytes() == first
 
 
+@pytest.mark.parametrize("line", [HEADER, ANCHOR, JOINER])
+def test_the_schema_describes_each_line(line):
+    """Other programs can check their lines by it."""
+    jsonschema.validate(line, line_schema())
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**line, "flip_hight": 1.0}, line_schema())
+
+
 def test_the_format_is_the_published_one(tmp_path):
     """The keys of header, robot and stance stand as documented, in that order."""
     path = tmp_path / "sensing.jsonl"
@@ -173,10 +214,23 @@ def test_the_format_is_the_published_one(tmp_path):
     header, anchor, joiner = map(json.loads, path.read_text().splitlines())
 
     assert list(header.items()) == list(HEADER.items())
-    assert anchor == {**ANCHOR, "ground_docks": [], "stances": []}
+    assert anchor == {**ANCHOR, "ground_docks": [], "fixes": [], "ranges": [], "stances": []}
     assert joiner == {**JOINER, "contacts": [[0, 7, 1], [2, 7, 0]]}
     assert list(joiner) == list(JOINER)
     assert list(joiner["stances"][0]) == list(STANCE)
+
+
+def test_a_log_is_of_the_first_version_that_has_its_keys(tmp_path):
+    """Programs that know version 1 alone read what they can."""
+    path = tmp_path / "sensing.jsonl"
+    joiner = {**JOINER, "fixes": [], "ranges": []}
+    joiner["stances"] = [{**STANCE, "fixes": None, "ranges": None}]
+
+    write_sensing_log(read_sensing_log(written(path, HEADER, ANCHOR, joiner)), path)
+
+    header, *robots = path.read_text().splitlines()
+    assert json.loads(header)["version"] == 1
+    assert not any(key in robot for robot in robots for key in ("fixes", "ranges"))
 
 
 def test_names_become_numbers_in_join_order(tmp_path):

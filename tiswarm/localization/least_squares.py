@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_array, diags_array, vstack
-from scipy.spatial import cKDTree
 
 from tiswarm.aliases import Reals
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import LeastSquaresParams
-from tiswarm.measurements.contacts import disconnected
+from tiswarm.measurements.contacts import close_docks, disconnected
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import SPACING, Distances, Measurements, turned
+from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -84,7 +84,9 @@ def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:
 
 
 def localize_batch(
-    logs: Sequence[SensingLog], params: Sequence[LeastSquaresParams]
+    logs: Sequence[SensingLog],
+    params: Sequence[LeastSquaresParams],
+    on_progress: Callable[[float], None] = ignore,
 ) -> list[Estimate]:
     """Localize structures one after the other, started side by side.
 
@@ -93,9 +95,11 @@ def localize_batch(
         docks in contact, in the log's unit.
     """
     starts = virtual_force.localize_batch(logs, [p.start for p in params])
-    return [
-        improve(log, p, start.position) for log, p, start in zip(logs, params, starts, strict=True)
-    ]
+    estimates: list[Estimate] = []
+    for log, p, start in zip(logs, params, starts, strict=True):
+        estimates.append(improve(log, p, start.position))
+        on_progress(len(estimates) / len(logs))
+    return estimates
 
 
 def trust_region(problem: Problem, unknowns: Reals, params: LeastSquaresParams) -> OptimizeResult:
@@ -183,19 +187,11 @@ def _close(
     final = measured.odometry.final
     arm = measured.odometry.arm[final]
     docks = arm.shape[1]
-    point = np.repeat(position, docks, axis=0)
-    point += turned(arm.reshape(-1, 3), np.repeat(yaw, docks))
-    pair = cKDTree(point).query_pairs(SPACING + _MARGIN, output_type="ndarray").astype(np.int64)
-    pair = pair[pair[:, 0] // docks != pair[:, 1] // docks]
-    pair = pair[np.lexsort(pair.T)]  # in an order that does not depend on the tree
-    i, a, j, b = log.contacts.T.astype(np.int64)
-    is_touching = np.isin(
-        pair[:, 0] * len(point) + pair[:, 1], (i * docks + a) * len(point) + j * docks + b
-    )
-    earlier, later = pair[~is_touching].T
+    point = turned(arm.reshape(-1, 3), np.repeat(yaw, docks)).reshape(arm.shape)
+    later, own, earlier, its = close_docks(log, position[:, None] + point, SPACING + _MARGIN).T
     return [
         Distances.of(
-            final[later // docks], later % docks, final[earlier // docks], earlier % docks,
+            final[later], own, final[earlier], its,
             length=SPACING, sd=params.overlap_width, is_hinge=True,
         )
     ]  # fmt: skip

@@ -8,7 +8,16 @@ from pydantic.dataclasses import dataclass
 from tiswarm.measurements.cues import cue_names
 from tiswarm.params import STRICT
 
-CUES = ("contacts", "non_overlap", "height", "ground", "walk_contacts", "odometry")
+CUES = (
+    "contacts",
+    "non_overlap",
+    "height",
+    "ground",
+    "walk_contacts",
+    "odometry",
+    "fixes",
+    "ranges",
+)
 """Cues that settings have a switch for."""
 
 LARGE = 3000
@@ -167,6 +176,12 @@ class CueParams:
         bool,
         Field(description="Robots that know where they started went as far as their flips say."),
     ] = True
+
+    fixes: Annotated[
+        bool, Field(description="Coordinates that a beacon or camera measured count.")
+    ] = True
+
+    ranges: Annotated[bool, Field(description="Measured distances of centers count.")] = True
 
     @property
     def cues(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Every localization method, by name."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from types import ModuleType
 
@@ -11,6 +11,7 @@ from tiswarm.localization import least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.measurements.observability import observability
+from tiswarm.progress import Advance, by_share, ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -21,14 +22,21 @@ METHODS: dict[str, ModuleType] = {
 }
 """Modules with the functions `batch_key` and `localize_batch`.
 
-`localize_batch` takes one log a structure and settings for each, and returns an estimate for each.
+`localize_batch` takes one log a structure, settings for each, and a function that it calls with the
+share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
 
 
-def localize(log: SensingLog, params: LocalizationParams) -> Estimate:
-    """Work out from what a swarm sensed where every robot is."""
-    return localize_many([log], [params], with_observability=True)[0]
+def localize(
+    log: SensingLog, params: LocalizationParams, *, on_progress: Advance = ignore
+) -> Estimate:
+    """Work out from what a swarm sensed where every robot is; the steps reported are robots."""
+
+    def in_robots(structures: float) -> None:
+        on_progress(structures * log.robot_count)
+
+    return localize_many([log], [params], with_observability=True, on_progress=in_robots)[0]
 
 
 def localize_many(
@@ -36,7 +44,7 @@ def localize_many(
     params: Sequence[LocalizationParams],
     *,
     with_observability: bool = False,
-    on_progress: Callable[[int], None] = lambda _done: None,
+    on_progress: Advance = ignore,
 ) -> list[Estimate]:
     """Localize structures side by side, as far as their settings let them share a launch.
 
@@ -45,7 +53,7 @@ def localize_many(
         params: Method and settings for each.
         with_observability: Whether to analyze what each log determines, which takes as long as some
             methods do.
-        on_progress: Called with the number of structures that were finished.
+        on_progress: Called with the number of structures, or parts of one, that were finished.
 
     Returns:
         One estimate a log; the same as if each had been localized alone.
@@ -57,35 +65,48 @@ def localize_many(
     for members in batches.values():
         method = METHODS[params[members[0]].method]
         centered = [_centered(logs[n]) for n in members]
-        batch = method.localize_batch(centered, [params[n] for n in members])
+        report = by_share(on_progress, len(members))
+        batch = method.localize_batch(centered, [params[n] for n in members], report)
         for n, relative in zip(members, batch, strict=True):
-            estimate = _moved(relative, logs[n].anchor_position)
+            estimate = _moved(relative, logs[n])
             if with_observability:
                 known = observability(
                     logs[n], params[n].cues, estimate.position, yaw_unknown=estimate.yaw is not None
                 )
                 estimate = replace(estimate, observability=known)
             estimates[n] = estimate
-        on_progress(len(members))
+        report(1.0)
     return [estimates[n] for n in range(len(logs))]
 
 
 def _centered(log: SensingLog) -> SensingLog:
     """Put the anchor at the origin: far from it, numbers lose the digits that robots differ by."""
     anchor = log.anchor_position
+    stances = log.stances
     return replace(
         log,
         anchor_position=np.zeros(3),
         ground_z=None if log.ground_z is None else log.ground_z - float(anchor[2]),
         flip_height=log.flip_height - anchor[2],
         spawn_position=log.spawn_position - anchor,
+        fixes=_moved_fixes(log.fixes, -anchor),
+        stances=stances and replace(stances, fixes=_moved_fixes(stances.fixes, -anchor)),
     )
 
 
-def _moved(estimate: Estimate, by: Reals) -> Estimate:
-    """Move an estimate by a vector, shape (3,)."""
+def _moved_fixes(fixes: Reals, by: Reals) -> Reals:
+    """Move the planes of fixes by a vector, shape (3,)."""
+    moved = fixes.copy()
+    moved[:, 4] += fixes[:, 1:4] @ by
+    return moved
+
+
+def _moved(estimate: Estimate, log: SensingLog) -> Estimate:
+    """Put an estimate relative to the anchor where the anchor of its log is."""
+    by = log.anchor_position
     return replace(
         estimate,
+        length_unit=log.length_unit,
         position=estimate.position + by,
         trace=estimate.trace + by,
         solutions=tuple(replace(s, position=s.position + by) for s in estimate.solutions),

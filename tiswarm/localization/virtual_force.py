@@ -11,7 +11,7 @@ yaw by dock geometry and neighbors.
 """
 
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from tiswarm.localization.params import (
 from tiswarm.localization.virtual_force_kernels import Gains, LogArrays, Robots, Trace
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import measure
+from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
@@ -53,9 +54,11 @@ def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
 
 
 def localize_batch(
-    logs: Sequence[SensingLog], params: Sequence[VirtualForceParams]
+    logs: Sequence[SensingLog],
+    params: Sequence[VirtualForceParams],
+    on_progress: Callable[[float], None] = ignore,
 ) -> list[Estimate]:
-    """Localize structures side by side.
+    """Localize structures side by side, in one launch.
 
     Returns:
         One estimate a log. The residual is the root mean square step of the robots.
@@ -84,6 +87,7 @@ def localize_batch(
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
         *trace,
     )  # fmt: skip
+    on_progress(1.0)
     if np.isnan(placed.position).any():
         raise backend.faulty_driver()
     estimates = []

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.model import Measurements
@@ -64,6 +65,42 @@ def disconnected(rows: Measurements) -> Bools:
     is_tied: Bools = np.linalg.matrix_rank(span) == span.shape[1]
     is_tied[part[0]] = True
     return np.logical_not(is_tied[part])
+
+
+def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:
+    """List docks of different robots that are close to each other and not in contact.
+
+    Args:
+        log: What was sensed.
+        point: Centers of the docks, shape (N, docks, 3).
+        within: Greatest distance of two that count as close, in the unit of `point`.
+
+    Returns:
+        Rows of (later robot, its dock, earlier robot, its dock), shape (n, 4).
+    """
+    robots, docks, _ = point.shape
+    shape = (robots, docks, robots, docks)
+    pair = dock_pairs(point, within)
+    in_contact = np.ravel_multi_index(tuple(log.contacts.T), shape)
+    apart = pair[~np.isin(np.ravel_multi_index(tuple(pair.T), shape), in_contact)]
+    return apart[:, [2, 3, 0, 1]]
+
+
+def dock_pairs(point: Reals, within: float) -> Ints:
+    """List docks of different robots that are close to each other, in an order that repeats.
+
+    Args:
+        point: Centers of the docks, shape (N, docks, 3).
+        within: Greatest distance of two that count as close, in the unit of `point`.
+
+    Returns:
+        Rows of (earlier robot, its dock, later robot, its dock), shape (n, 4).
+    """
+    docks = point.shape[1]
+    pair = cKDTree(point.reshape(-1, 3)).query_pairs(within, output_type="ndarray").astype(np.int64)
+    pair = pair[pair[:, 0] // docks != pair[:, 1] // docks]
+    pair = pair[np.lexsort(pair.T)]
+    return np.stack(np.divmod(pair, docks), axis=-1).reshape(-1, 4)
 
 
 def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import AnyInts, Ints
+from tiswarm.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.records.sensing_log import SensingLog
@@ -89,6 +89,32 @@ def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precisi
     )
 
 
+def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:  # noqa: ARG001
+    """A center was found along given directions, at the end or at an earlier stance."""
+    stance, rows = _of_all_stances("fixes", log, odometry)
+    length = np.linalg.norm(rows[:, :3], axis=1)
+    value, sd = rows[:, 3:].T / length / log.dock_radius
+    direction = rows[:, :3] / length[:, None]
+    return Places.of(stance, np.full_like(stance, CENTER), direction, value, variance=sd**2)
+
+
+def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:  # noqa: ARG001
+    """Two centers were found to be that far apart, at the end or at an earlier stance."""
+    stance, rows = _of_all_stances("ranges", log, odometry)
+    other = odometry.final[rows[:, 0].astype(np.int64)]
+    center = np.full_like(stance, CENTER)
+    length, sd = rows[:, 1:].T / log.dock_radius
+    return Distances.of(stance, center, other, center, length=length, sd=sd)
+
+
+def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints, Reals]:
+    """Take rows of final and earlier stances: the stance of each, and its other columns."""
+    final: Reals = getattr(log, key)
+    earlier = final[:0] if log.stances is None else getattr(log.stances, key)
+    stance = [odometry.final[final[:, 0].astype(int)], odometry.row[earlier[:, 0].astype(int)]]
+    return np.concatenate(stance), np.concatenate([final, earlier])[:, 1:]
+
+
 def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Places:
     level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
     value = np.full(len(stance), level)
@@ -102,6 +128,8 @@ CUES: list[tuple[tuple[str, ...], _Producer]] = [
     (("walk_contacts",), _walk_contacts),
     (("ground", "walk_contacts"), _walk_ground),
     (("odometry",), _odometry_from_spawn),
+    (("fixes",), _fixes),
+    (("ranges",), _ranges),
 ]
 """Every producer, after the names of the cues that must be in use for it."""
 
@@ -141,10 +169,11 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     """Sort rows, and drop those that a dock which stays put repeats at its next stance."""
     d, p, walks = rows.distances, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
-    shape = (len(walks.owner) + 1, docks, log.robot_count, docks)
-    number = np.ravel_multi_index((d.stance, d.dock, rows.other, d.other_dock), shape)
-    following = np.ravel_multi_index((d.stance + 1, d.dock, rows.other, d.other_dock), shape)
-    is_repeated = np.isin(following, number) & (d.dock == walks.pivot[d.stance])
+    shape = (len(walks.owner) + 1, docks + 1, log.robot_count, docks + 1)  # CENTER is a dock, too
+    ends = (d.dock + 1, rows.other, d.other_dock + 1)
+    number = np.ravel_multi_index((d.stance, *ends), shape)
+    following = np.ravel_multi_index((d.stance + 1, *ends), shape)
+    is_repeated = np.isin(following, number) & (d.dock == walks.pivot[d.stance]) & rows.is_contact
     _, kept = np.unique(np.where(is_repeated, -1, number), return_index=True)
     kept = kept[~is_repeated[kept]]
     touch = (docks + 1) * p.stance + p.dock + 1

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.odometry import CENTER, Odometry
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
@@ -26,19 +26,19 @@ _AXES = 3
 
 
 class Distances(NamedTuple):
-    """C measured distances between two docks; dock a of robot i senses dock b of robot j."""
+    """C measured distances of docks or centers; dock a of robot i senses dock b of robot j."""
 
     stance: Ints
     """Stance of robot i at which its dock was there, shape (C,)."""
 
     dock: Ints
-    """Dock a, shape (C,)."""
+    """Dock a, or CENTER, shape (C,)."""
 
     other_stance: Ints
     """Stance of robot j, shape (C,)."""
 
     other_dock: Ints
-    """Dock b, shape (C,)."""
+    """Dock b, or CENTER, shape (C,)."""
 
     length: Reals
     """Measured distance [R], shape (C,)."""
@@ -57,19 +57,19 @@ class Distances(NamedTuple):
         other_stance: AnyInts,
         other_dock: AnyInts,
         *,
-        length: float,
-        sd: float,
+        length: float | Reals,
+        sd: float | Reals,
         is_hinge: bool = False,
     ) -> "Distances":
-        """Make rows that share a length [R], a standard deviation [R] and a kind."""
+        """Make rows with their length [R] and standard deviation [R], of one kind."""
         rows = len(stance)
         return cls(
             stance=stance.astype(np.int64),
             dock=dock.astype(np.int64),
             other_stance=other_stance.astype(np.int64),
             other_dock=other_dock.astype(np.int64),
-            length=np.full(rows, length),
-            own_variance=np.full(rows, sd**2),
+            length=np.broadcast_to(length, rows),
+            own_variance=np.broadcast_to(np.square(sd), rows),
             is_hinge=np.full(rows, is_hinge),
         )
 
@@ -94,16 +94,22 @@ class Places(NamedTuple):
 
     @classmethod
     def of(
-        cls, stance: AnyInts, dock: AnyInts, direction: Reals, value: Reals, *, variance: float
+        cls,
+        stance: AnyInts,
+        dock: AnyInts,
+        direction: Reals,
+        value: Reals,
+        *,
+        variance: float | Reals,
     ) -> "Places":
-        """Make rows that share a variance [R^2]; a value that is not finite makes none."""
+        """Make rows with their variance [R^2]; a value that is not finite makes none."""
         is_known = np.isfinite(value)
         every = cls(
             stance.astype(np.int64),
             dock.astype(np.int64),
             np.broadcast_to(direction, (len(value), _AXES)),
             value,
-            np.full(len(value), variance),
+            np.broadcast_to(variance, len(value)),
         )
         return cls._make(column[is_known] for column in every)
 
@@ -164,8 +170,14 @@ class Measurements:
         return len(self.robot)
 
     @property
+    def is_contact(self) -> Bools:
+        """Which distances are those of docks that touch, shape (C,)."""
+        is_contact: Bools = self.distances.dock != CENTER
+        return is_contact
+
+    @property
     def sensed_contacts(self) -> Ints:
-        """Robot, its stance, own dock, other robot and its dock of each distance, shape (C, 5)."""
+        """Robot, its stance, own dock or CENTER, other robot and the same of it, shape (C, 5)."""
         d, robot = self.distances, self.robot[: len(self.other)]
         stance = d.stance - self.odometry.first[robot]
         return np.column_stack([robot, stance, d.dock, self.other, d.other_dock])

@@ -4,11 +4,12 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import normal
-from tiswarm.measurements.contacts import disconnected
+from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.measurements.rigidity import floppy_modes, floppy_robots, weld
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.rigidity import common_motions, floppy_modes, floppy_robots, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
@@ -27,20 +28,16 @@ def observability(
 
     Args:
         log: What was sensed.
-        cues: Cues in use; those without measurements are passed over.
+        cues: Cues in use; those without measurements in the log are left out.
         position: Estimated centers, in the log's unit, shape (N, 3). If None, they are drawn at
             random: what is determined hardly depends on where robots are.
         yaw_unknown: Whether each robot's yaw is unknown, too.
     """
     rows = measure(log, cues)
-    if position is None:
-        robot = np.arange(log.robot_count)[:, None]
-        center = _SPREAD * normal(0, "anywhere", robot, np.arange(3))
-    else:
-        center = position / log.dock_radius
+    center = _anywhere(log) if position is None else position / log.dock_radius
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     return Observability(
-        cues=tuple(cue for cue in cue_names() if cue in cues),
+        cues=tuple(_held(log, cues)),
         yaw_unknown=yaw_unknown,
         unknowns=bodies.dof * (log.robot_count - 1),
         gauge_yaw_sd=(
@@ -59,12 +56,43 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
     """
     yaw_unknown = log.yaw_bias > 0.0
     cues: list[str] = []
-    count = -1
-    for cue in cue_names():
-        more = len(measure(log, [*cues, cue]))
-        if more > count or cue == "contacts":
-            cues.append(cue)
-            count = more
-            yield observability(log, cues, yaw_unknown=yaw_unknown)
+    for cue in _held(log, cue_names()):
+        cues.append(cue)
+        yield observability(log, cues, yaw_unknown=yaw_unknown)
     if yaw_unknown:
         yield observability(log, cues)
+
+
+def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
+    """Count the floppy modes that move all robots tied to the anchor as one.
+
+    Contacts at a single dock of the anchor, for example, resist no turn about it.
+
+    Returns:
+        Number of such modes, and the docks of the anchor in contact, shape (n,).
+    """
+    rows = measure(log, known.cues)
+    modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=known.yaw_unknown)
+    ends = [rows.distances.other_dock[rows.other == 0]]
+    ends.append(rows.distances.dock[rows.robot[: len(rows.other)] == 0])
+    return modes, np.unique(np.concatenate(ends))
+
+
+def _anywhere(log: SensingLog) -> Reals:
+    """Draw centers at random [R], shape (N, 3)."""
+    robot = np.arange(log.robot_count)[:, None]
+    return _SPREAD * normal(0, "anywhere", robot, np.arange(3))
+
+
+def _held(log: SensingLog, cues: Collection[str]) -> Iterator[str]:
+    """List the contacts, and each further cue that adds measurements to those before it."""
+    held: list[str] = []
+    count, walks = -1, Odometry(log)
+    for cue in cue_names():
+        if cue not in cues:
+            continue
+        more = len(measure(log, [*held, cue], odometry=walks))
+        if more > count or cue == "contacts":
+            held.append(cue)
+            count = more
+            yield cue

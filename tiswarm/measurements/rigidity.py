@@ -8,6 +8,7 @@ robots whose orientations are known (Maxwell 1864; Thorpe 1983). Lengths in R.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
@@ -97,10 +98,7 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
             such angles beforehand is no measurement: it is off by degrees.
     """
     center = np.concatenate([position - position[0], np.zeros((1, 3))])
-    direction = rows.directions(position)
-    if yaw_unknown:
-        x, y, _ = (center[rows.robot] + rows.arm).T
-        direction = np.column_stack([direction, direction[:, 1] * x - direction[:, 0] * y])
+    direction = _directions(rows, position, yaw_unknown=yaw_unknown)
     dof = direction.shape[1]
     world, places = rows.robots, len(rows.places.value)
     # The world holds the anchor in all directions, and each measured coordinate in one.
@@ -126,6 +124,40 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
         held = _Constraints(joined[held.first], joined[held.second], held.stiffness)
 
 
+def common_motions(
+    rows: Measurements, position: Reals, part: NDArray[np.int32], *, yaw_unknown: bool
+) -> int:
+    """Count the independent motions of all robots tied to the anchor as one body.
+
+    They change no measurement, and neither move nor turn the anchor.
+
+    Args:
+        rows: Measurements.
+        position: Centers at which to linearize them [R], shape (N, 3).
+        part: Connected part of each robot, shape (N,); that of the anchor moves.
+        yaw_unknown: Whether the body may turn about the vertical, too.
+    """
+    direction = _directions(rows, position, yaw_unknown=yaw_unknown)
+    moves = part == part[0]
+    moves[0] = False
+    other = np.concatenate([moves[rows.other], np.zeros(len(rows.places.value), np.bool_)])
+    resisted = direction[moves[rows.robot] != other]
+    dof = direction.shape[1]
+    return dof - int(np.linalg.matrix_rank(resisted, tol=_UNNOTICED)) if moves.any() else 0
+
+
+def _directions(rows: Measurements, position: Reals, *, yaw_unknown: bool) -> Reals:
+    """Differentiate measurements by the motion of their robots, shape (E, dof).
+
+    A turn is about the vertical through the anchor.
+    """
+    direction = rows.directions(position)
+    if not yaw_unknown:
+        return direction
+    x, y, _ = (position[rows.robot] - position[0] + rows.arm).T
+    return np.column_stack([direction, direction[:, 1] * x - direction[:, 0] * y])
+
+
 def floppy_modes(bodies: Bodies) -> int | None:
     """Count the independent motions that change no measurement; None for too large structures.
 
@@ -142,27 +174,40 @@ def floppy_modes(bodies: Bodies) -> int | None:
     return peeled + left - bodies.has_gauge_yaw
 
 
-def floppy_robots(bodies: Bodies) -> Bools | None:
-    """Find the robots that floppy motions shift, shape (N,); None for too large structures.
+def floppy_motions(bodies: Bodies) -> Reals | None:
+    """Draw random motions that change no measurement; None for too large structures.
 
     Of random motions x, -s (K - s 1)^-1 x with s = _UNNOTICED^2 is the part that the stiffness
-    matrix K does not resist. Where the swarm may turn as a whole, we subtract the mean turn.
+    matrix K does not resist.
+
+    Returns:
+        Shift of each center and, where yaw is unknown, its turn, shape (N, dof, _PROBES).
     """
     if bodies.unknowns > MOST_UNKNOWNS:
         return None
     factors = _factors(bodies)
     if factors is None:
-        return np.zeros(len(bodies.of_robot) - 1, np.bool_)
+        return np.zeros((len(bodies.of_robot) - 1, bodies.dof, _PROBES))
     coordinate = np.arange(bodies.unknowns)[:, None]
     motion = normal(0, "floppy motion", coordinate, np.arange(_PROBES))
     left = -(_UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.dof, _PROBES)
     moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
     if bodies.dof > _SHIFTS:
-        turn, lever = moved[:, _SHIFTS], bodies.lever[:-1]
-        moved[:, :2] += _swept(turn, lever)
-        if bodies.has_gauge_yaw:
-            from_anchor = bodies.center[bodies.of_robot[:-1]] + lever
-            moved[:, :2] -= _swept(turn.mean(axis=0), from_anchor)
+        moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
+    return np.asarray(moved)
+
+
+def floppy_robots(bodies: Bodies) -> Bools | None:
+    """Find the robots that floppy motions shift, shape (N,); None for too large structures.
+
+    Where the swarm may turn as a whole, we subtract the mean turn.
+    """
+    moved = floppy_motions(bodies)
+    if moved is None:
+        return None
+    if bodies.has_gauge_yaw:
+        from_anchor = bodies.center[bodies.of_robot[:-1]] + bodies.lever[:-1]
+        moved[:, :2] -= _swept(moved[:, _SHIFTS].mean(axis=0), from_anchor)
     shifted = np.sqrt(np.mean(moved[:, :_SHIFTS] ** 2, axis=(1, 2)))
     return np.asarray(shifted > SHIFTED)
 

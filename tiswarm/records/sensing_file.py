@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints
 from tiswarm.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
+from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
     FORMAT,
     MOST_CONTACTS,
+    NEW_LISTS,
     ROBOT_NUMBERS,
     STANCE_LISTS,
-    VERSION,
     HeaderLine,
     RobotLine,
     StanceEntry,
@@ -44,11 +45,15 @@ _CLOSE_TO_UNIT = 1e-9
 bits."""
 
 
+_SD = (1e-6, 1e6)
+"""Least and greatest standard deviation of a fix or a range [dock radii]."""
+
+
 class SensedStance(NamedTuple):
     """One checked stance, with indices in place of the names of other robots."""
 
     orientation_wxyz: list[float]
-    lists: dict[str, list[tuple[int, ...]]]  # sorted items of each list in `STANCE_LISTS`
+    lists: dict[str, list[tuple[Any, ...]]]  # sorted items of each list in `STANCE_LISTS`
 
 
 def read_sensing_log(path: Path) -> SensingLog:
@@ -176,22 +181,48 @@ class SensingLogBuilder:
             problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
             raise InputError(problem, key=f"{prefix}ground_docks")
         orientation = _unit(entry.orientation_wxyz, f"{prefix}orientation_wxyz")
-        check: dict[str, Callable[[int, str], int]] = {
+        check: dict[str, Callable[[Any, str], Any]] = {
             "dock": self._check_dock,
             "robot": partial(self._robot_index, robot),
+            "number": lambda number, _: number,
         }
         lists = {}
         for name, kinds in STANCE_LISTS.items():
-            first: dict[tuple[int, ...], int] = {}
+            first: dict[tuple[float, ...], int] = {}
             for place, numbers in enumerate(getattr(entry, name) or []):
                 here = f"{prefix}{name}[{place}]"
                 pairs = zip(kinds, [numbers] if len(kinds) == 1 else numbers, strict=True)
                 item = tuple(check[kind](number, here) for kind, number in pairs)
+                if name == "fixes":
+                    self._check_fix(item, here)
+                if name == "ranges":
+                    self._check_range(item, here)
                 if first.setdefault(item, place) != place:
                     problem = f"repeats {prefix}{name}[{first[item]}]; list it once"
                     raise InputError(problem, key=here)
             lists[name] = sorted(first)
         return SensedStance(orientation, lists)
+
+    def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
+        *direction, value, sd = fix
+        length = math.hypot(*direction)
+        if not abs(length - 1.0) <= FAR_FROM_UNIT:
+            raise InputError(f"the direction has length {length:.6g}; scale it to 1", key=key)
+        self._header.refuse_far(key, value, np.dot(direction, self._header.anchor_position))
+        self._check_sd(sd, key)
+
+    def _check_range(self, measured: tuple[float, ...], key: str) -> None:
+        _, distance, sd = measured
+        self._header.refuse_far(key, distance, 0.0)
+        if not distance > 0.0:
+            raise InputError(f"the distance {distance:g} should be positive; correct it", key=key)
+        self._check_sd(sd, key)
+
+    def _check_sd(self, sd: float, key: str) -> None:
+        least, most = _SD[0] * self._header.dock_radius, _SD[1] * self._header.dock_radius
+        if not least <= sd <= most:
+            problem = f"the standard deviation {shown(sd)} should be from {least:g} to {most:g}"
+            raise InputError(f"{problem}; correct it", key=key)
 
     def _count_contacts(self, robot: int, final: SensedStance) -> None:
         docks, mine = len(self._header.dock_offsets), len(self._index_of)
@@ -232,7 +263,9 @@ class _StanceColumns:
 
     def __init__(self) -> None:
         self._orientation = array("d")
-        self._lists = {key: array("i") for key in STANCE_LISTS}
+        self._lists = {
+            key: array("d" if "number" in kinds else "i") for key, kinds in STANCE_LISTS.items()
+        }
 
     def append(self, stance: SensedStance) -> None:
         row = len(self._orientation) // 4
@@ -243,7 +276,7 @@ class _StanceColumns:
 
     def arrays(self) -> dict[str, Any]:
         lists = {
-            key: np.array(self._lists[key], dtype=np.int32).reshape(-1, 1 + len(kinds))
+            key: np.array(self._lists[key]).reshape(-1, 1 + len(kinds))
             for key, kinds in STANCE_LISTS.items()
         }
         return {"orientation_wxyz": np.array(self._orientation).reshape(-1, 4), **lists}
@@ -260,7 +293,7 @@ def _unit(orientation_wxyz: list[float], key: str) -> list[float]:
 def _header_entries(log: SensingLog) -> dict[str, object]:
     entries: dict[str, object] = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": 2 if any(_is_used(key, log) for key in NEW_LISTS) else 1,
         "dock_radius": log.dock_radius,
         "dock_offsets": log.dock_offset_body.tolist(),
         "anchor_position": log.anchor_position.tolist(),
@@ -277,11 +310,12 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
     stances = log.stances
     arrays = {key: getattr(log, key) for key in STANCE_LISTS}
     arrays["contacts"] = canonical_contacts(log.contacts)[:, [2, 3, 0, 1]]
-    if log.ground_z is None:
-        del arrays["ground_docks"]
+    unused = {key for key in NEW_LISTS if not _is_used(key, log)}
+    absent = unused | ({"ground_docks"} if log.ground_z is None else set())
+    arrays = {key: rows for key, rows in arrays.items() if key not in absent}
     final = _lists(arrays, log.robot_count, log.robot_id)
     if stances is not None:
-        arrays = {key: getattr(stances, key) for key in STANCE_LISTS}
+        arrays = {key: getattr(stances, key) for key in STANCE_LISTS if key not in unused}
         earlier = _lists(arrays, len(stances.pivot_dock), log.robot_id)
     for i, name in enumerate(log.robot_id.tolist()):
         orientation = log.orientation_wxyz[i].tolist()
@@ -302,14 +336,22 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
         yield entries
 
 
+def _is_used(key: str, log: SensingLog) -> bool:
+    """Whether any stance has items in a list."""
+    return any(len(getattr(part, key)) for part in (log, log.stances) if part is not None)
+
+
 def _lists(
-    arrays: dict[str, NDArray[np.int32]], count: int, names: Ints
+    arrays: dict[str, NDArray[Any]], count: int, names: Ints
 ) -> Iterator[dict[str, list[object]]]:
     """Yield the lists of each stance, from arrays whose first column names the stance, in order."""
     start, items = {}, {}
     for key, rows in arrays.items():
         pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
-        columns = [names[number] if kind == "robot" else number for kind, number in pairs]
+        columns = [names[number.astype(np.int64)] if kind == "robot" else number
+                   for kind, number in pairs]  # fmt: skip
+        if key == "ranges":  # a whole number among others
+            columns = [column.astype(object) for column in columns]
         items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
         start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))
     for stance in range(count):

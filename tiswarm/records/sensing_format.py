@@ -14,7 +14,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 
 from tiswarm.errors import InputError
 from tiswarm.params import STRICT
@@ -22,7 +29,8 @@ from tiswarm.records.messages import dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, SensingNoise
 
 FORMAT = "tiswarm-sensing"
-VERSION = 1
+VERSIONS = (1, 2)
+"""Versions of the format; a log is written as the first that has all of its keys."""
 
 MOST_DOCKS = 64
 """Docks of a robot; `joint` takes 20 s on one core for eight robots of so many."""
@@ -47,6 +55,10 @@ _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 _Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
 _Contacts = Annotated[list[_Contact], Field(fail_fast=True)]
 _Docks = Annotated[list[int], Field(fail_fast=True)]
+_Fix = Annotated[list[float], Field(min_length=5, max_length=5)]
+_Range = Annotated[list[int | float], Field(min_length=3, max_length=3)]
+_Ranges = Annotated[list[_Range], Field(fail_fast=True)]
+_Fixes = Annotated[list[_Fix], Field(fail_fast=True)]
 
 
 class HeaderLine(BaseModel):
@@ -55,15 +67,26 @@ class HeaderLine(BaseModel):
     model_config = STRICT
 
     format: Literal["tiswarm-sensing"]
-    version: Literal[1]
+    version: Literal[1, 2]
     dock_radius: _Radius
+    """Radius of a dock sphere [length unit]."""
+
     dock_offsets: Annotated[
         list[_Vector], Field(min_length=1, max_length=MOST_DOCKS, fail_fast=True)
     ]
+    """Vectors from the center to each dock, body frame [length unit]."""
+
     anchor_position: _Vector
-    ground_z: float | None
-    length_unit: _Unit
+    """Known center of the first robot [length unit]."""
+
+    ground_z: float | None = None
+    """Height of flat ground [length unit]."""
+
+    length_unit: _Unit = "unit"
+    """Name of the unit of length."""
+
     noise: SensingNoise | None = None
+    """Standard deviations and rates of errors; without them, those of an IMU are assumed."""
 
     @model_validator(mode="after")
     def _refuse_far_lengths(self) -> "HeaderLine":
@@ -93,8 +116,12 @@ class StanceEntry(BaseModel):
 
     orientation_wxyz: _Quaternion
     pivot_dock: int
+    """Dock that stays in place while the robot flips out of the stance."""
+
     contacts: _Contacts = []
     ground_docks: _Docks | None = None
+    fixes: _Fixes | None = None
+    ranges: _Ranges | None = None
 
 
 class RobotLine(BaseModel):
@@ -103,18 +130,47 @@ class RobotLine(BaseModel):
     model_config = STRICT
 
     robot: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
+    """Name, an integer that no other robot has."""
+
     orientation_wxyz: _Quaternion
+    """Sensed orientation, a unit quaternion from body to world."""
+
     contacts: _Contacts
+    """Rows of [own dock, other robot, other dock]; the other robot is on an earlier line."""
+
     ground_docks: _Docks | None = None
+    """Docks on flat ground."""
+
+    fixes: _Fixes | None = None
+    """Measured coordinates of the center, rows of [x, y, z, value, sd]: along the unit vector
+    (x, y, z) the center is at the value [length unit]. Version 2."""
+
+    ranges: _Ranges | None = None
+    """Measured distances of centers, rows of [other robot, distance, sd] [length unit]; the other
+    robot is on an earlier line. Version 2."""
+
     flip_height: float | None = None
+    """Height of the center that the flips imply [length unit]."""
+
     spawn_position: _Vector | None = None
+    """Center at the first stance [length unit]."""
+
     stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
+    """Stances before the final one, in time order."""
 
 
-STANCE_LISTS = {"contacts": ("dock", "robot", "dock"), "ground_docks": ("dock",)}
+STANCE_LISTS = {
+    "contacts": ("dock", "robot", "dock"),
+    "ground_docks": ("dock",),
+    "fixes": ("number",) * 5,
+    "ranges": ("robot", "number", "number"),
+}
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance."""
+
+NEW_LISTS = ("fixes", "ranges")
+"""Lists that version 1 does not have."""
 
 ROBOT_NUMBERS: dict[str, float | list[float]] = {
     "flip_height": math.nan,
@@ -129,14 +185,15 @@ def parse_header(text: str) -> HeaderLine:
     if entries.get("format") != FORMAT:
         problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
         raise InputError(problem, key="format")
-    version = entries.get("version")
-    if type(version) is not int or version != VERSION:
-        problem = f"{shown(version)} is not supported; this program reads version {VERSION}"
+    version = entries.get("version", VERSIONS[-1])
+    if type(version) is not int or version not in VERSIONS:
+        known = " and ".join(map(str, VERSIONS))
+        problem = f"{shown(version)} is not supported; this program reads versions {known}"
         raise InputError(problem, key="version")
     try:
         return HeaderLine.model_validate_json(text)  # Python values would be no SensingNoise
     except ValidationError as found:
-        raise _first_mistake(found, HeaderLine) from found
+        raise _mistake(found, HeaderLine) from found
 
 
 def parse_robot(text: str) -> RobotLine:
@@ -144,11 +201,21 @@ def parse_robot(text: str) -> RobotLine:
     try:
         return RobotLine.model_validate(_parse_json(text))
     except ValidationError as found:
-        raise _first_mistake(found, RobotLine) from found
+        raise _mistake(found, RobotLine) from found
 
 
-def _first_mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
-    error = found.errors(include_url=False)[0]
+def line_schema() -> dict[str, object]:
+    """Return the JSON Schema of a line, the header or a robot."""
+    return TypeAdapter(HeaderLine | RobotLine).json_schema()
+
+
+def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
+    """Describe all that is missing in a line, or else its first mistake."""
+    errors = found.errors(include_url=False)
+    missing = [dotted(error["loc"]) for error in errors if error["type"] == "missing"]
+    if len(missing) > 1:
+        return InputError("are missing; add them", key=", ".join(missing))
+    error = errors[0]
     path = error["loc"]
     noise = [field.name for field in fields(SensingNoise)]
     nested = {"stances": list(StanceEntry.model_fields), "noise": noise}

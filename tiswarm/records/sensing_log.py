@@ -1,7 +1,7 @@
 """The sensing log: what a swarm sensed while it grew, and all that a localizer reads."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.params import STRICT
+from tiswarm.records.messages import counted
 
 FARTHEST = 1e10
 """Lengths in a log are smaller [dock radii]; float64 resolves 1e-6 dock radii there."""
@@ -77,14 +78,20 @@ class Stances:
     ground_docks: NDArray[np.int32]
     """Docks on flat ground, rows of (stance, own dock), shape (G, 2)."""
 
+    fixes: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Fixes as in `SensingLog`, rows that start with the stance, shape (F, 6)."""
 
-@dataclass(frozen=True, kw_only=True)
+    ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
+    """Ranges as in `SensingLog`, rows that start with the stance, shape (D, 4)."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class SensingLog:
     """Everything a swarm of N robots sensed.
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
-    position except the anchor's. Rows of `contacts` and `ground_docks`, here and in `stances`, are
-    sorted and unique, so two logs with equal content have equal arrays.
+    position except the anchor's. Rows of `contacts`, `ground_docks`, `fixes` and `ranges`,
+    here and in `stances`, are sorted and unique, so two logs with equal content have equal arrays.
     """
 
     robot_id: Ints
@@ -114,6 +121,14 @@ class SensingLog:
     ground_docks: NDArray[np.int32]
     """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
 
+    fixes: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Measured coordinates of centers at the final stance, rows of (robot, direction (3), value,
+    standard deviation), shape (F, 6)."""
+
+    ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
+    """Measured distances from the final center to that of an earlier robot, rows of (robot, other
+    robot, distance, standard deviation), shape (D, 4)."""
+
     flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
@@ -129,10 +144,21 @@ class SensingLog:
     length_unit: str = "R"
     """Name of the log's unit of length."""
 
+    def __repr__(self) -> str:
+        """Describe the log in a line."""
+        return f"SensingLog({self.size}, lengths in {self.length_unit})"
+
     @property
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    @property
+    def size(self) -> str:
+        """Numbers of robots, contacts and stances, in words."""
+        stances = 0 if self.stances is None else len(self.stances.pivot_dock)
+        sizes = {"robot": self.robot_count, "contact": len(self.contacts), "stance": stances}
+        return ", ".join(counted(number, noun) for noun, number in sizes.items())
 
     @property
     def spacing(self) -> float:

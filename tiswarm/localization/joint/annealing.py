@@ -4,7 +4,7 @@ A chain cools from `start_sigma` to its end temperature and is held there. sigma
 of the temperature: the standard deviation by which measurements may be missed. Lengths in R.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -29,11 +29,12 @@ from tiswarm.localization.joint.kernels import (
     note_places,
     take_steps,
 )
-from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.joint.problem import Planes, Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.model import SPACING
+from tiswarm.progress import ignore
 from tiswarm.records.sensing_log import SensingLog
 
 _AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -46,9 +47,10 @@ def anneal(
     problems: Sequence[Problem],
     *,
     halvings: int = 0,
+    on_progress: Callable[[float], None] = ignore,
 ) -> list[Annealed]:
     """Anneal structures side by side, in steps halved so often; arguments as for `Annealer`."""
-    return Annealer(logs, params, problems, inertia_factor=4.0**halvings).run()
+    return Annealer(logs, params, problems, inertia_factor=4.0**halvings).run(on_progress)
 
 
 class Annealer:
@@ -147,12 +149,21 @@ class Annealer:
         )
 
     def _priors(self) -> Priors:
-        upload, problems = self.memory.upload, self.problems
+        planes = [p.planes() for p in self.problems]
+        robot = [own.robot + a for own, a in zip(planes, self.start[:-1], strict=True)]
+        number = np.argsort(self.order)[np.concatenate(robot)]
+        every = Planes.joined(planes)
+        every = Planes._make(column[np.argsort(number, kind="stable")] for column in every)
         return Priors(
-            place=upload(np.concatenate([p.place for p in problems])[self.order]),
-            precision=upload(np.concatenate([p.precision for p in problems])[self.order]),
-            walk=upload(np.concatenate([p.walk for p in problems])[self.order]),
-            yaw_precision=upload(np.repeat([p.yaw_precision for p in problems], self.size)),
+            start=self.memory.upload(_row_starts(number, len(self.order))),
+            point=_upload(self.memory, every.point),
+            direction=_upload(self.memory, every.direction),
+            precision=_upload(self.memory, every.precision),
+            crowd=_upload(self.memory, every.crowd),
+            walk=_upload(self.memory, every.walk),
+            yaw_precision=self.memory.upload(
+                np.repeat([p.yaw_precision for p in self.problems], self.size)
+            ),
         )
 
     def _swarm(self, arm: Reals, position: Reals) -> Swarm:
@@ -182,14 +193,15 @@ class Annealer:
             listed=upload(listed.ravel()),
         )
 
-    def run(self) -> list[Annealed]:
-        """Take all steps."""
+    def run(self, on_progress: Callable[[float], None] = ignore) -> list[Annealed]:
+        """Take all steps, and report the share of them that is done."""
         holding = self.shared.hold_steps
         frames = np.linspace(0, self.steps + holding, AnnealSchedule.frames).astype(np.int64)
         frames = np.union1d(frames, self.steps)
         trace, yaw_trace, heat = [], [], []
         for frame in frames.tolist():
             self.advance(frame)
+            on_progress(frame / (self.steps + holding))
             if AnnealSchedule.reinitialize_from * self.steps <= frame < self.steps:
                 self.reinitialize()
             trace.append(self.by_robot(self.swarm.position)[0])
@@ -337,21 +349,29 @@ def _contact_arrays(
     )
     shift = np.concatenate([e.shift for e in problems])
     lever = np.concatenate([e.lever for e in problems])
+    length = np.concatenate([e.rows.distances.length for e in problems])
     variance = np.concatenate([e.variance for e in problems])
     both = np.concatenate([robot, other])
     order = np.argsort(both, kind="stable")
-
-    def upload(values: NDArray[Any], padding: float = 0.0) -> DeviceArray:
-        room = 0 if len(values) else 1  # a kernel takes no empty array
-        width = [(0, room), *[(0, 0)] * (values.ndim - 1)]
-        return memory.upload(np.pad(values, width, constant_values=padding))
-
     return Contacts(
-        start=memory.upload(np.r_[0, np.bincount(both, minlength=start[-1]).cumsum()]),
-        partner=upload(np.concatenate([other, robot])[order]),
-        is_final=upload(np.tile(is_final, 2)[order]),
-        extension=upload(np.tile(extension, 2)[order]),
-        shift=upload(np.concatenate([shift, -shift])[order]),
-        lever=upload(np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order]),
-        variance=upload(np.tile(variance, 2)[order], 1.0),
+        start=memory.upload(_row_starts(both, int(start[-1]))),
+        partner=_upload(memory, np.concatenate([other, robot])[order]),
+        is_final=_upload(memory, np.tile(is_final, 2)[order]),
+        extension=_upload(memory, np.tile(extension, 2)[order]),
+        shift=_upload(memory, np.concatenate([shift, -shift])[order]),
+        lever=_upload(memory, np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order]),
+        length=_upload(memory, np.tile(length, 2)[order], 1.0),
+        variance=_upload(memory, np.tile(variance, 2)[order], 1.0),
     )
+
+
+def _row_starts(robot: NDArray[np.intp], robots: int) -> Ints:
+    """Find the first row of each robot in a sorted table, shape (N + 1,)."""
+    starts: Ints = np.r_[0, np.bincount(robot, minlength=robots).cumsum()]
+    return starts
+
+
+def _upload(memory: Allocator, values: NDArray[Any], padding: float = 0.0) -> DeviceArray:
+    """Copy an array to the device; a kernel takes no empty one."""
+    width = [(0, 0 if len(values) else 1), *[(0, 0)] * (values.ndim - 1)]
+    return memory.upload(np.pad(values, width, constant_values=padding))

@@ -49,7 +49,7 @@ class Robots(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Measured contacts in CSR form; every contact stands at both its robots, K entries in all."""
+    """Contacts and ranges in CSR form; every one stands at both its robots, K entries in all."""
 
     start: Ints1
     """First entry of each robot, shape (N + 1,)."""
@@ -69,21 +69,33 @@ class Contacts(NamedTuple):
     lever: Reals2
     """Horizontal arms, the robot's x and y and the partner's [R], shape (K, 4)."""
 
+    length: Reals1
+    """Measured distance [R], shape (K,)."""
+
     variance: Reals1
     """Variance of the measured distance [R^2], shape (K,)."""
 
 
 class Priors(NamedTuple):
-    """Measured positions and yaw of each robot."""
+    """Planes on which robots were measured to be, P of them in CSR form, and measured yaws."""
 
-    place: Reals2
-    """Measured center [R], shape (N, 3)."""
+    start: Ints1
+    """First plane of each robot, shape (N + 1,)."""
 
-    precision: Reals2
-    """Precision of each coordinate, 0 where nothing measures it [R^-2], shape (N, 3)."""
+    point: Reals2
+    """A point of each plane [R], shape (P, 3)."""
+
+    direction: Reals2
+    """Unit vector perpendicular to it, shape (P, 3)."""
+
+    precision: Reals1
+    """Precision of the distance from it [R^-2], shape (P,)."""
+
+    crowd: Reals1
+    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
 
     walk: Reals2
-    """Part of `place` which turns with the robot, x and y to be subtracted [R], shape (N, 2)."""
+    """Part of `point` which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
 
     yaw_precision: Reals1
     """Precision of the sensed yaw, 0 where robots do not turn [rad^-2], shape (N,)."""

@@ -1,4 +1,4 @@
-"""Forces on a robot in a chain: of contacts, overlaps and measured positions. Lengths in R.
+"""Forces on a robot in a chain: of contacts, overlaps and measured coordinates. Lengths in R.
 
 At the temperature T = sigma^2 a measurement of variance v has the stiffness sigma^2 / (sigma^2 +
 v): a small v is tempered, a large one acts as it is. Docks nearer than D repel with the energy
@@ -96,11 +96,12 @@ def _pull_of_contacts(
             apart[0] += arm[0] - its[0] - x + its_x
             apart[1] += arm[1] - its[1] - y + its_y
         length = ti.max(apart.norm(), _TINY)
-        residual = length - SPACING
+        measured = contacts.length[slot]
+        residual = length - measured
         within = square + contacts.variance[slot] + residual * residual * robots.robust[i]
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
-        inside = _push_inside(length * length, 0.5 / SPACING**2)
+        inside = _push_inside(length * length, 0.5 / ti.max(measured * measured, _TINY))
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
         overlap = contacts.is_final[slot] * _push_inside(length * length, slope)
         force -= with_torque((stiff * pull + overlap) * apart, arm)
@@ -180,18 +181,22 @@ def pull_robot(
         pull += push
         stiffness += hardness
         inertia += lag
-    walked = 0.0 * vector_at(swarm.position, r)
-    if ti.static(turning):
-        walked = _turned(priors.walk[i, 0], priors.walk[i, 1], swarm.heading, r)
-    hold = vector_at(priors.place, i) - walked - vector_at(swarm.position, r)
-    for c in ti.static(range(3)):
-        known = square * priors.precision[i, c]
-        torn = priors.precision[i, c] * hold[c] * hold[c] * robots.robust[i]  # Cauchy's loss, too
+    hold = with_torque(0.0 * vector_at(swarm.position, r), vector_at(swarm.position, r))
+    for plane in range(priors.start[i], priors.start[i + 1]):
+        walked = 0.0 * vector_at(swarm.position, r)
+        if ti.static(turning):
+            walked = _turned(priors.walk[plane, 0], priors.walk[plane, 1], swarm.heading, r)
+        normal = vector_at(priors.direction, plane)
+        off = vector_at(priors.point, plane) - walked - vector_at(swarm.position, r)
+        gap = normal.dot(off)
+        known = square * priors.precision[plane]
+        torn = priors.precision[plane] * gap * gap * robots.robust[i]  # Cauchy's loss, too
         stiff = known / (1.0 + known + torn)
-        hold[c] *= stiff
-        swarm.force[r, c] = pull[c] + hold[c]
-        stiffness += stiff / 3.0
+        hold += with_torque(stiff * gap * normal, walked)
+        stiffness += stiff * priors.crowd[plane] / 3.0
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
+    for c in ti.static(range(3)):
+        swarm.force[r, c] = pull[c] + hold[c]
     before = swarm.mass[r]
     swarm.mass[r] = _mass_for(stiffness / _MOST_STIFFNESS, before, step.inertia_factor)
     slower = ti.sqrt(before / swarm.mass[r])
@@ -199,7 +204,7 @@ def pull_robot(
         swarm.velocity[r, c] *= slower
     if ti.static(turning) and priors.yaw_precision[i] > 0.0:
         stiff = square * priors.yaw_precision[i]
-        torque = pull[3] + with_torque(hold, walked)[3] - stiff * swarm.heading[r, YAW]
+        torque = pull[3] + hold[3] - stiff * swarm.heading[r, YAW]
         swarm.heading[r, TORQUE] = torque
         before = swarm.heading[r, INERTIA]
         needed = (inertia + stiff) / _MOST_TURN_STIFFNESS

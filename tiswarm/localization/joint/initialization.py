@@ -10,13 +10,16 @@ from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.measurements.model import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
+_TINY = 1e-9
+
 
 def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> Reals:
     """Place each robot where its contacts with robots already placed meet, give or take one R.
 
     Robots follow each other along the chains of contacts, from the first robot of each part on.
     Nothing senses in which direction a dock lies from the one it touches. The guess takes robots to
-    stand across from each other there; otherwise thousands of them would begin in a heap.
+    stand across from each other there; otherwise thousands of them would begin in a heap. A robot
+    with ranges to robots already placed moves to where these meet best.
 
     Returns:
         Positions, other ones for each chain [R], shape (chains, N, 3).
@@ -28,8 +31,9 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     toward = np.concatenate([across, -across])
     partner = np.concatenate([problem.other, problem.robot])
     rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
-    is_measured = problem.precision > 0.0
-    place = problem.sensed_place
+    is_range = np.tile(~problem.rows.is_contact, 2)
+    length = np.tile(problem.rows.distances.length, 2)
+    place, is_measured = problem.sensed_place()
     guess[:, 0] = log.anchor_position / log.dock_radius
     is_placed = robot == 0
     for i in np.argsort(problem.reach(), kind="stable").tolist():
@@ -38,6 +42,11 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
         mine = rows[i][is_placed[partner[rows[i]]]]
         met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
         guess[:, i] += met.mean(axis=1)
+        ranged = mine[is_range[mine]]
+        for _ in range(AnnealSchedule.trilateration if len(ranged) else 0):
+            away = guess[:, i, None] - guess[:, partner[ranged]]
+            short = length[ranged] / np.maximum(np.linalg.norm(away, axis=2), _TINY)
+            guess[:, i] += ((short - 1.0)[:, :, None] * away).mean(axis=1)
         guess[:, i, is_measured[i]] = place[i, is_measured[i]]
         is_placed[i] = True
     return guess
@@ -60,6 +69,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     gap = np.abs(problem.residual(position, yaw))
     count = np.bincount(problem.robot, minlength=position.shape[1])
     across = _across(problem)
+    is_measured = problem.sensed_place()[1]
     rows = _rows(problem.robot, len(count))
     moved = 0
     far = np.maximum(AnnealSchedule.lost, AnnealSchedule.lost_sd * np.sqrt(problem.variance))
@@ -68,7 +78,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
         for i in np.flatnonzero(lost).tolist():
             mine = rows[i]
             met = np.median(here[problem.other[mine]] - across[mine], axis=0)
-            here[i] = np.where(problem.precision[i] > 0.0, here[i], met)
+            here[i] = np.where(is_measured[i], here[i], met)
             moved += 1
     return moved
 

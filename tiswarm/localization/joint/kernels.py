@@ -210,10 +210,14 @@ def take_steps(
     extension: Reals1,
     contact_shift: Reals2,
     lever: Reals2,
+    contact_length: Reals1,
     variance: Reals1,
     # Priors
-    place: Reals2,
-    precision: Reals2,
+    plane_start: Ints1,
+    point: Reals2,
+    direction: Reals2,
+    precision: Reals1,
+    crowd: Reals1,
     walk: Reals2,
     yaw_precision: Reals1,
     # Subtrees
@@ -279,9 +283,12 @@ def take_steps(
     """
     robots = ti.static(Robots(structure, number, non_overlap, robust))
     contacts = ti.static(
-        Contacts(contact_start, partner, is_final, extension, contact_shift, lever, variance)
-    )
-    priors = ti.static(Priors(place, precision, walk, yaw_precision))
+        Contacts(
+            contact_start, partner, is_final, extension, contact_shift, lever, contact_length,
+            variance,
+        )
+    )  # fmt: skip
+    priors = ti.static(Priors(plane_start, point, direction, precision, crowd, walk, yaw_precision))
     trees = ti.static(
         Subtrees(
             subtree, subtree_table, subtree_weight, first_subtree, subtree_pull, subtree_velocity,

@@ -1,6 +1,6 @@
 """The joint method: measurements, annealing, and one estimate from all chains."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.model import SPACING
+from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -23,8 +23,12 @@ def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     return (len(log.dock_offset_body), params.seed, chains, steps, params.hold_steps)
 
 
-def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) -> list[Estimate]:
-    """Localize structures side by side.
+def localize_batch(
+    logs: Sequence[SensingLog],
+    params: Sequence[JointParams],
+    on_progress: Callable[[float], None] = ignore,
+) -> list[Estimate]:
+    """Localize structures side by side, and report the share that is annealed.
 
     Returns:
         One estimate a log: the mean over the end of all chains that converged, refined where that
@@ -33,7 +37,7 @@ def localize_batch(logs: Sequence[SensingLog], params: Sequence[JointParams]) ->
         docks less D.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
-    annealed = anneal(logs, params, problems)
+    annealed = anneal(logs, params, problems, on_progress=on_progress)
     return [_estimate(*each) for each in zip(logs, params, problems, annealed, strict=True)]
 
 
@@ -96,12 +100,12 @@ def _restarted(
 def _curved(problem: Problem, annealed: Annealed) -> Reals:
     """Compute the variance of contacts about their linear form, since chains move, shape (C,).
 
-    A distance D grows by s^2 / 2D if the one dock is off by s across from the other.
+    A distance d grows by s^2 / 2d if the one dock is off by s across from the other.
     """
     i, j = problem.robot, problem.other
     between = (annealed.mean[:, i] - annealed.mean[:, j]).var(axis=0).sum(axis=1)
     within = (annealed.within[:, i] + annealed.within[:, j]).mean(axis=0)
-    variance: Reals = ((between + within) / (2.0 * SPACING)) ** 2
+    variance: Reals = ((between + within) / (2.0 * problem.rows.distances.length)) ** 2
     return variance
 
 

@@ -1,10 +1,12 @@
-"""What the annealer works on: measured distances, and one measured position a robot.
+"""What the annealer works on: measured distances, and measured coordinates of the robots.
 
 Coordinates along x, y and z are measured independently; of several measurements of a coordinate,
-the most precise one counts. Lengths in R.
+the most precise one counts, but all fixes do. Lengths in R.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +16,46 @@ from tiswarm.localization.params import JointParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import disconnected, parts, reach
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import ASSUMED, Odometry
 from tiswarm.records.sensing_log import SensingLog
+
+_PERPENDICULAR = 1e-6
+"""Cosine below which a direction has no part along an axis, or along another one."""
+
+_FLAT = 1e-12
+"""Part of the greatest precision below which nothing is measured along a direction."""
 
 _CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
 more than docks of two robots that could overlap."""
+
+
+class Planes(NamedTuple):
+    """P planes on which robots were measured to be, by robot."""
+
+    robot: Ints
+    """Robot of each, shape (P,)."""
+
+    direction: Reals
+    """Unit vector perpendicular to it, shape (P, 3)."""
+
+    point: Reals
+    """A point of it [R], with the robot's walk, see `walk`, shape (P, 3)."""
+
+    precision: Reals
+    """Precision of the distance from it [R^-2], shape (P,)."""
+
+    walk: Reals
+    """Part of `point` which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
+
+    crowd: Reals
+    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Planes]") -> "Planes":
+        """Concatenate planes."""
+        return cls._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +91,9 @@ class Problem:
     part: NDArray[np.int32]
     """Connected part of the contact graph that each robot is in, shape (N,)."""
 
+    fixes: Planes
+    """Coordinates that were fixed, in any direction; all of a robot count."""
+
     untied: Bools
     """Robots of parts that nothing ties to the world, shape (N,)."""
 
@@ -89,22 +127,58 @@ class Problem:
         own = self.rows.arm[: len(self.other)]
         return np.column_stack([own[:, :2], self.rows.other_arm[:, :2]])
 
-    @property
-    def sensed_place(self) -> Reals:
-        """Measured centers, yaw taken as sensed [R], shape (N, 3)."""
+    def planes(self) -> Planes:
+        """Gather measured coordinates along the axes, and fixes."""
+        robots, axis = np.nonzero(self.precision)
+        direction = np.eye(3)[axis]
+        aligned = Planes(
+            robot=robots,
+            direction=direction,
+            point=direction * self.place[robots],
+            precision=self.precision[robots, axis],
+            walk=self.walk[robots],
+            crowd=np.ones(len(robots)),
+        )
+        every = Planes.joined([aligned, self.fixes])
+        order = np.argsort(every.robot, kind="stable")
+        every = Planes._make(column[order] for column in every)
+        for robot in np.unique(self.fixes.robot):
+            mine = np.flatnonzero(every.robot == robot)
+            is_near = np.abs(every.direction[mine] @ every.direction[mine].T) > _PERPENDICULAR
+            every.crowd[mine] = np.where(is_near.sum(axis=1) > 1, 3.0, 1.0)
+        return every
+
+    def sensed_place(self) -> tuple[Reals, Bools]:
+        """Compute measured centers, yaw taken as sensed.
+
+        Returns:
+            Centers [R], and which coordinates are measured, both of shape (N, 3).
+        """
         place: Reals = self.place - np.pad(self.walk, ((0, 0), (0, 1)))
-        return place
+        is_measured = self.precision > 0.0
+        planes = self.planes()
+        for robot in np.unique(self.fixes.robot):
+            mine = planes.robot == robot
+            normal, weight = planes.direction[mine], planes.precision[mine]
+            away = planes.point[mine] - np.pad(planes.walk[mine], ((0, 0), (0, 1)))
+            information = (normal.T * weight) @ normal
+            value = (normal.T * weight) @ (normal * away).sum(axis=1)
+            inverse = np.linalg.pinv(information, rcond=_FLAT, hermitian=True)
+            is_measured[robot] = np.diag(inverse @ information) > 1.0 - _PERPENDICULAR
+            place[robot] = inverse @ value
+        return place, is_measured
 
     @property
     def unplaced(self) -> Bools:
         """Axes along which nothing but contacts measures where robots are, shape (3,)."""
         is_held = (self.precision[1:] > 0.0) & ~self.unobserved[1:]
-        return np.logical_not(is_held.any(axis=0))
+        is_fixed = np.abs(self.fixes.direction) > _PERPENDICULAR
+        return np.logical_not(is_held.any(axis=0) | is_fixed.any(axis=0))
 
     @property
     def underdetermination(self) -> float:
         """Share of unknown coordinates that measurements are too few for (Maxwell count)."""
-        count = len(self.other) + np.count_nonzero(self.precision[1:])
+        count = len(self.other) + np.count_nonzero(self.precision[1:]) + len(self.fixes.robot)
         return max(0.0, 1.0 - count / max(self.place[1:].size, 1))
 
     @property
@@ -115,14 +189,14 @@ class Problem:
         return fewest
 
     def residual(self, position: Reals, yaw: Reals) -> Reals:
-        """Compute the residuals of the contacts.
+        """Compute the residuals of the distances.
 
         Args:
             position: Final centers [R], shape (..., N, 3).
             yaw: Yaw corrections [rad], shape (..., N).
 
         Returns:
-            Distance of the docks less D [R], shape (..., C).
+            Distances less what was measured, D for docks that touch [R], shape (..., C).
         """
         return self.rows.residual(position, yaw)[..., : len(self.other)]
 
@@ -144,7 +218,9 @@ class Problem:
             own, its = np.split(self.lever, 2, axis=1)
             level = np.linalg.norm(own, axis=1) + np.linalg.norm(its, axis=1)
             fixed = np.hypot(level, self.shift[:, 2])
-        longest = fixed + SPACING + ALLOWED_SD * np.sqrt(self.variance + sigma**2)
+        longest = (
+            fixed + self.rows.distances.length + ALLOWED_SD * np.sqrt(self.variance + sigma**2)
+        )
         counts = slice(None) if inlier is None else inlier
         return reach(self.pair[counts], longest[counts], self.part)
 
@@ -161,7 +237,8 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     is_solved = params.solve_yaw and bias > 0.0
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
-    rows = measure(log, params.cues, odometry=odometry, precision=precision)
+    cues = [cue for cue in params.cues if cue != "fixes"]
+    rows = measure(log, cues, odometry=odometry, precision=precision)
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
@@ -177,23 +254,43 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     walk = arm[:, :2] if is_solved else np.zeros((log.robot_count, 2))
     weight = np.zeros((log.robot_count, 3))
     weight[mine] = 1.0 / variance[contacts:]
+    fixed = measure(log, {*params.cues} & {"fixes"}, odometry=odometry)
+    fixed = fixed.select(fixed.robot > 0)
+    rows = Measurements.gather(odometry, [rows.distances], [rows.places, fixed.places])
     part, untied = parts(rows), disconnected(rows)
     measured = np.zeros((part.max() + 1, 3), np.bool_)
     np.logical_or.at(measured, part, weight > 0.0)
+    is_fixed = np.abs(fixed.places.direction) > _PERPENDICULAR
+    np.logical_or.at(measured, part[fixed.robot], is_fixed)
     problem = Problem(
         rows=rows,
         inconsistent=inconsistent,
         variance=variance[:contacts],
-        is_final=rows.distances.stance == odometry.final[rows.robot[:contacts]],
+        is_final=rows.is_contact & (rows.distances.stance == odometry.final[rows.robot[:contacts]]),
         place=place - arm + np.pad(walk, ((0, 0), (0, 1))),
         precision=weight,
         unobserved=untied[:, None] & ~measured[part],
         walk=walk,
         part=part,
+        fixes=_fixed_planes(fixed, is_solved=is_solved),
         untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
     return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
+
+
+def _fixed_planes(rows: Measurements, *, is_solved: bool) -> Planes:
+    """Turn fixes into planes; if yaw is solved for, their walks turn with the robots."""
+    direction, level = rows.places.direction, rows.arm * np.array([1.0, 1.0, 0.0]) * is_solved
+    value = rows.places.value - (direction * (rows.arm - level)).sum(axis=1)
+    return Planes(
+        robot=rows.robot,
+        direction=direction,
+        point=direction * value[:, None],
+        precision=1.0 / rows.variance(),
+        walk=level[:, :2],
+        crowd=np.ones(len(rows)),
+    )
 
 
 def _most_precise(rows: Measurements) -> Bools:

@@ -56,8 +56,9 @@ def is_of_use(problem: Problem) -> bool:
     """Whether errors of measurements are correlated, as those of noisy walks are, and small."""
     walks = problem.rows.odometry
     is_noisy = max(walks.tilt, walks.yaw) > 0.0 and walks.bias == 0.0
+    is_earlier = problem.rows.distances.stance != walks.final[problem.robot]
     is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
-    return is_noisy and not is_biased and not bool(problem.is_final.all())
+    return is_noisy and not is_biased and bool(is_earlier.any())
 
 
 def refine(

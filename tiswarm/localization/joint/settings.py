@@ -46,6 +46,9 @@ class AnnealSchedule:
     join_memory: float = 5.0
     """Decay length of the join-location prior [joins]: robots join near the last ones that did."""
 
+    trilateration: int = 30
+    """Steps in which the first guess of a robot meets its ranges."""
+
     join_window: int = 200
     """Joins that the prior looks back on; the rest has no weight left."""
 

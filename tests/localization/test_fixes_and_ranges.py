@@ -1,0 +1,89 @@
+"""Measured coordinates and distances place robots, with contacts or without."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.structures import with_fixes, with_ranges
+from tiswarm.localization.params import JointParams, LeastSquaresParams, VirtualForceParams
+from tiswarm.localization.registry import localize
+from tiswarm.measurements.observability import observability
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams, observe
+
+METHODS = [
+    JointParams(chains=2, steps=600, hold_steps=200, non_overlap=False),
+    LeastSquaresParams(start=VirtualForceParams(iterations=40), non_overlap=False),
+]
+CONTACTS = ("contacts", "height", "ground", "walk_contacts")
+
+
+@pytest.fixture(scope="module")
+def log(towers) -> SensingLog:
+    """What the robots of a small tower sensed, without noise."""
+    return observe(towers[0], SensingParams())
+
+
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
+def test_fixes_alone_place_robots_as_well_as_they_can(log, towers, params):
+    """Five planes of one robot meet in a point, with the error that their directions imply."""
+    fixed = with_fixes(log, towers[0], range(1, 30), each=5, sd=0.1)
+    alone = dataclasses.replace(params, **dict.fromkeys(CONTACTS, False))
+
+    found = localize(fixed, alone)
+
+    error = found.position - towers[0].position
+    rows = fixed.fixes.reshape(29, 5, 6)
+    information = np.einsum("nki,nkj->nij", rows[:, :, 1:4], rows[:, :, 1:4]) / 0.1**2
+    squares = np.einsum("ni,nij,nj->n", error[1:], information, error[1:])
+    assert 0.6 < squares.mean() / 3.0 < 1.6
+    assert found.observability.floppy_modes == 0
+    assert not found.disconnected.any()
+
+
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
+def test_a_walk_carries_a_fix_to_where_it_ends(log, towers, params):
+    """Robots whose first stances were found are known at their last, at any yaw of the fixes."""
+    stances = log.stances
+    robot = np.flatnonzero(np.diff(stances.start))
+    center = np.array([towers[0].walks[i].center[0] for i in robot])
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    rows = [
+        np.column_stack([stances.start[robot], np.tile(n, (len(robot), 1)), center @ n,
+                         np.full(len(robot), 0.01)])
+        for n in turn
+    ]  # fmt: skip
+    fixes = np.concatenate(rows)
+    fixes = fixes[np.lexsort(fixes.T[::-1])]
+    fixed = dataclasses.replace(log, stances=dataclasses.replace(stances, fixes=fixes))
+    alone = dataclasses.replace(params, **dict.fromkeys(CONTACTS, False))
+
+    found = localize(fixed, alone)
+
+    error = np.linalg.norm(found.position - towers[0].position, axis=1)
+    assert error[robot].max() < 0.1
+
+
+def test_fixes_remove_floppy_modes(log, towers):
+    """One fix along any direction removes one mode of a robot that contacts alone leave loose."""
+    before = observability(log, ["contacts"])
+    loose = np.flatnonzero(before.floppy)[:1]
+
+    fixed = with_fixes(log, towers[0], loose, each=1, sd=0.1)
+
+    after = observability(fixed, ["contacts", "fixes"])
+    assert after.floppy_modes == before.floppy_modes - 1
+
+
+@pytest.mark.parametrize("params", [JointParams(), METHODS[1]], ids=lambda p: p.method)
+def test_ranges_place_robots_among_some_that_are_known(log, towers, params):
+    """With four known robots here and there, distances within 12 R determine the others."""
+    known = with_fixes(log, towers[0], [4, 11, 18, 25], each=5, sd=0.02)
+    ranged = with_ranges(known, towers[0], reach=12.0, sd=0.02)
+
+    found = localize(ranged, dataclasses.replace(params, **dict.fromkeys(CONTACTS, False)))
+
+    error = np.linalg.norm(found.position - towers[0].position, axis=1)
+    assert found.observability.floppy_modes == 0
+    assert np.median(error) < 0.05
