@@ -1,0 +1,174 @@
+"""Advice gains what adding the measurement and counting anew shows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.structures import Rule, structure
+from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements import advice, rigidity
+from tiswarm.measurements.advice import advise
+from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.observability import observability
+from tiswarm.records.sensing_log import canonical_contacts
+from tiswarm.sensing import SensingParams, observe
+
+CUES = ("contacts", "ground", "ranges")
+BIAS_DEG = 9.0
+
+
+@pytest.fixture(params=[None, BIAS_DEG], ids=["yaw-known", "yaw-biased"])
+def swarm(request, towers):
+    """A log with noise, and the true centers of its 30 robots."""
+    log = observe(towers[1], SensingParams(tilt_noise_deg=1.0, yaw_bias_deg=request.param or 0.0))
+    position = towers[1].position
+    apart = float(np.linalg.norm(position[20] - position[5]))
+    return replace(log, ranges=np.array([[20.0, 5.0, apart, 0.1]])), position
+
+
+@pytest.fixture
+def every(monkeypatch):
+    """Advise on every candidate, of little use or not."""
+    monkeypatch.setattr(advice, "_EACH", 10**6)
+    monkeypatch.setattr(advice, "_GAIN", -1.0)
+
+
+def _rows(found, log, center):
+    """Derivatives of what a candidate measures by x, y, z of each center, then by each yaw."""
+    rows = np.zeros((3, 4 * log.robot_count))
+    i = found.robot
+    if found.kind != "contact":
+        rows[:, 3 * i : 3 * i + 3] = np.eye(3)
+        return rows if found.kind == "position" else rows[2:]
+    own, j, its = found.contact
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    a, b = arm[i, own], arm[j, its]
+    apart = center[i] + a - center[j] - b
+    along = apart / np.linalg.norm(apart)
+    for robot, sign, lever in ((i, 1.0, a), (j, -1.0, b)):
+        rows[0, 3 * robot : 3 * robot + 3] = sign * along
+        rows[0, 3 * log.robot_count + robot] = sign * (along @ [-lever[1], lever[0], 0.0])
+    return rows[:1]
+
+
+def _noise(found, log):
+    """Variance of a candidate, with the noise of tilt in the arms of its docks."""
+    if found.kind != "contact":
+        return Precision().height ** 2
+    own, j, its = found.contact
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    total = 0.0
+    for x, y, z in (arm[found.robot, own], arm[j, its]):
+        total += np.radians(1.0) ** 2 * (2 * z**2 + x**2 + y**2) / 3.0  # mean over directions
+    return Precision().contact ** 2 + total
+
+
+def _free(log):
+    """Columns of the unknowns."""
+    return np.arange(3, (4 if log.yaw_bias else 3) * log.robot_count)
+
+
+def _information(log, center):
+    """Inverse covariance of the unknowns, contact by contact."""
+    robots = log.robot_count
+    noise = replace(log.noise, yaw_bias_deg=0.0)
+    rows = measure(replace(log, noise=noise), CUES)
+    jacobian = rows.jacobian(center).toarray()
+    matrix = jacobian.T @ np.diag(1.0 / rows.variance()) @ jacobian
+    for i, j, length in zip(rows.robot, rows.other, rows.distances.length, strict=False):
+        for axis in range(3):
+            bond = np.zeros(4 * robots)
+            bond[[3 * i + axis, 3 * j + axis]] = 1.0, -1.0
+            matrix += 3.0 / length**2 * np.outer(bond, bond)
+    extent = np.mean(np.sum((center - center.mean(axis=0)) ** 2, axis=1))
+    prior = [1.0 / extent] * 3 * robots + [1.0 / log.yaw_bias**2 if log.yaw_bias else 0.0] * robots
+    return (matrix + np.diag(prior))[np.ix_(_free(log), _free(log))]
+
+
+@pytest.mark.usefixtures("every")
+def test_expected_errors_follow_from_the_covariance(swarm):
+    """The covariance is inverted anew with each candidate."""
+    log, center = swarm
+    before = _information(log, center)
+    kinds = set()
+
+    for found in advise(log, CUES, center):
+        rows = _rows(found, log, center)[:, _free(log)]
+        after = before + rows.T @ rows / _noise(found, log)
+
+        kinds.add(found.kind)
+        for matrix, rmse in ((before, found.rmse_before), (after, found.rmse_after)):
+            trace = np.trace(np.linalg.inv(matrix)[:87, :87])
+            np.testing.assert_allclose(rmse, np.sqrt(trace / 30), rtol=1e-6)
+    assert kinds == {"contact", "height", "position"}
+
+
+@pytest.mark.usefixtures("every")
+def test_floppy_modes_are_those_of_the_whole_matrix(swarm):
+    """Its rank grows by those that a candidate removes, but for a turn of the whole swarm."""
+    log, center = swarm
+    matrix = measure(log, CUES).jacobian(center).toarray()[:, _free(log)]
+    rank = np.linalg.matrix_rank(matrix, tol=1e-5)
+    removed = set()
+
+    for found in advise(log, CUES, center):
+        more = np.concatenate([matrix, _rows(found, log, center)[:, _free(log)]])
+        gauge = bool(log.yaw_bias) and found.kind == "position"
+
+        assert np.linalg.matrix_rank(more, tol=1e-5) - rank - gauge == found.floppy_modes
+        removed.add(found.floppy_modes)
+    assert removed >= {0, 1, 2}
+
+
+def test_a_contact_gains_what_it_promises(towers):
+    """A log with the contact has as many floppy modes and robots less."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+    before = observability(log, CUES, center)
+
+    for found in advise(log, CUES, center):
+        if found.kind == "contact":
+            own, j, its = found.contact
+            row = [[j, its, found.robot, own]]
+            contacts = canonical_contacts(np.concatenate([log.contacts, row]).astype(np.int32))
+            after = observability(replace(log, contacts=contacts), CUES, center)
+
+            assert len(contacts) > len(log.contacts)
+            assert before.floppy_modes - after.floppy_modes == found.floppy_modes
+            determined = np.flatnonzero(before.floppy & ~after.floppy)
+            np.testing.assert_array_equal(found.determined, determined)
+
+
+def test_the_best_comes_first(towers):
+    """A few of each kind; lengths are in the log's unit."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+    lengths = ("dock_radius", "dock_offset_body", "anchor_position", "flip_height")
+    in_mm = replace(log, **{name: 30.0 * getattr(log, name) for name in lengths}, length_unit="mm")
+
+    found, same = advise(log, CUES, center), advise(in_mm, CUES, 30.0 * center)
+
+    assert 3 <= len(found) <= 9
+    errors = [one.rmse_after for one in found]
+    assert errors == sorted(errors)
+    assert found[0].rmse_before > errors[-1]
+    np.testing.assert_allclose([one.rmse_after for one in same], 30.0 * np.array(errors))
+
+
+def test_large_swarms_are_ranked_by_floppy_modes(towers, monkeypatch):
+    """Without expected errors; the largest swarms get no advice."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+
+    monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
+    modes = [one.floppy_modes for one in advise(log, CUES, center)]
+    monkeypatch.setattr(rigidity, "MOST_UNKNOWNS", -1)
+
+    assert modes == sorted(modes, reverse=True)
+    assert modes[0] > 1
+    assert advise(log, CUES, center) is None
+
+
+def test_an_anchor_alone_needs_no_advice():
+    """Its position is known."""
+    log, center = structure(Rule(), 1, 0)
+
+    assert advise(log, CUES, center) == []

@@ -1,0 +1,221 @@
+"""Which further contact, height or known position would constrain a swarm most.
+
+A candidate removes as many floppy modes as its rows have rank on the floppy motions. The expected
+error follows from the covariance of all unknowns at the estimate, to first order,
+
+    C = (J^T V^-1 J + P)^-1,
+
+with J the Jacobian of the measurements and V their variances. P is what is known besides: the
+vector between two docks in contact has the length D and any direction, so that each of its
+coordinates has the variance D^2 / 3. The same holds for ranges. Robots are within the swarm's
+extent, and yaw biases have the variance that the log states. Rows R of variance W reduce C by
+C R^T (W + R C R^T)^-1 R C.
+Lengths in R.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
+
+from tiswarm.aliases import Ints, Reals
+from tiswarm.measurements.contacts import close_docks
+from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
+from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
+from tiswarm.measurements.rigidity import floppy_motions, floppy_robots, weld
+from tiswarm.records.sensing_log import SensingLog
+
+MOST_ROBOTS = 1000
+"""Expected errors of larger swarms are not computed: time grows as the cube of their size."""
+
+_EACH = 3
+"""Candidates of each kind that are worth showing."""
+
+_GAIN = 0.01
+"""Reduction of the expected error from which on a candidate is worth showing [1]."""
+
+_GAP = 1.0
+"""Greatest gap between docks, at the estimate, that may touch in truth [R]."""
+
+_SEEN = 1e-3
+"""A floppy motion counts as measured if this part of it changes a measurement."""
+
+_AT_ONCE = 256
+"""Candidates that are judged at a time: memory."""
+
+Kind = Literal["contact", "height", "position"]
+
+
+class Advice(NamedTuple):
+    """A further measurement, and what it would gain."""
+
+    kind: Kind
+
+    robot: int
+    """Robot to measure, by join order."""
+
+    contact: list[int]
+    """Own dock, other robot and its dock; empty for other kinds."""
+
+    floppy_modes: int
+    """Floppy modes that it removes."""
+
+    determined: Ints
+    """Robots that are floppy without it and not with it."""
+
+    rmse_before: float
+    """Expected error without it [log unit]; NaN for more than `MOST_ROBOTS` robots."""
+
+    rmse_after: float
+    """Expected error with it [log unit]; NaN for more than `MOST_ROBOTS` robots."""
+
+
+class _Candidates(NamedTuple):
+    """Further measurements of one kind, n in all."""
+
+    kind: Kind
+
+    rows: Measurements
+    """Rows of the first, then of the second and so on, shape (n size,)."""
+
+    size: int
+    """Rows of each."""
+
+
+def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advice] | None:
+    """Find the few further contacts, heights and known positions that are worth most.
+
+    Contacts are between docks that are close to each other in the estimate. They are as precise as
+    `Precision.contact`, heights and positions as `Precision.height`.
+
+    Args:
+        log: What was sensed.
+        cues: Cues in use.
+        position: Estimated centers, in the log's unit, shape (N, 3).
+
+    Returns:
+        Advice by expected error, or by floppy modes for more than `MOST_ROBOTS` robots; the best
+        comes first. None if there are too many robots to find floppy motions.
+    """
+    noise = log.noise or ASSUMED
+    yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
+    odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
+    rows = measure(log, cues, odometry=odometry)
+    center = position / log.dock_radius
+    bodies = weld(rows, center, yaw_unknown=yaw_unknown)
+    motions, floppy = floppy_motions(bodies), floppy_robots(bodies)
+    if motions is None or floppy is None:
+        return None
+    if len(center) == 1:
+        return []
+    posterior = _Posterior(rows, center, log.yaw_bias) if len(center) <= MOST_ROBOTS else None
+    advice = []
+    for kind, further, size in _candidates(log, odometry, center):
+        jacobian = further.jacobian(center)
+        modes = _rank(jacobian, motions, size)
+        if bodies.has_gauge_yaw and kind == "position":  # it fixes the gauge, which is no mode
+            modes -= (center[1:, :2] != center[0, :2]).any(axis=1)
+        before, after = np.nan, modes * np.nan
+        if posterior is not None:
+            before = posterior.mean_square
+            after = posterior.with_rows(jacobian, further.variance(), size)
+        helps = (modes > 0) | (after < (1.0 - _GAIN) ** 2 * before)
+        best = np.lexsort((-modes, after, ~helps))[: min(_EACH, helps.sum())]
+        for chosen in best.tolist():
+            one = further.select(np.arange(len(further)) // size == chosen)
+            left = floppy_robots(weld(_joined(rows, one), center, yaw_unknown=yaw_unknown))
+            rmse = log.dock_radius * np.sqrt([before, after[chosen]])
+            advice.append(
+                Advice(
+                    kind=kind,
+                    robot=int(one.robot[0]),
+                    contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                    floppy_modes=int(modes[chosen]),
+                    determined=np.flatnonzero(floppy & ~np.asarray(left)),
+                    rmse_before=float(rmse[0]),
+                    rmse_after=float(rmse[1]),
+                )
+            )
+    order = np.lexsort(([-a.floppy_modes for a in advice], [a.rmse_after for a in advice]))
+    return [advice[place] for place in order.tolist()]
+
+
+def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
+    """List contacts of close docks, and the height and the position of each but the anchor."""
+    final, precision = odometry.final, Precision()
+    docks = center[:, None] + odometry.arm[final]
+    later, own, earlier, its = close_docks(log, docks, SPACING + _GAP).T
+    contacts = Distances.of(
+        final[later], own, final[earlier], its, length=SPACING, sd=precision.contact
+    )
+    yield _Candidates("contact", Measurements.gather(odometry, [contacts]), 1)
+    kinds: list[tuple[Kind, Reals]] = [("height", np.eye(3)[2:]), ("position", np.eye(3))]
+    for kind, axes in kinds:
+        stance = np.repeat(final[1:], len(axes))
+        places = Places.of(
+            stance,
+            np.full_like(stance, CENTER),
+            np.tile(axes, (len(final) - 1, 1)),
+            (center[1:] @ axes.T).ravel(),
+            variance=precision.height**2,
+        )
+        yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
+
+
+def _joined(rows: Measurements, further: Measurements) -> Measurements:
+    return Measurements.gather(
+        rows.odometry, [rows.distances, further.distances], [rows.places, further.places]
+    )
+
+
+def _rank(jacobian: csc_array, motions: Reals, size: int) -> Ints:
+    """Compute the rank of each candidate's rows on the floppy motions, shape (n,)."""
+    robots, dof, probes = motions.shape
+    moved = np.zeros((4, robots, probes))
+    moved[:dof] = motions.swapaxes(0, 1)
+    moved = np.concatenate([moved[:3].swapaxes(0, 1).reshape(-1, probes), moved[3]])
+    change = (jacobian @ moved).reshape(-1, size, probes)
+    rank: Ints = (np.linalg.svd(change, compute_uv=False) > _SEEN * probes**0.5).sum(axis=1)
+    return rank
+
+
+class _Posterior:
+    """Covariance C of the centers of all but the anchor, and of the yaws where they are biased."""
+
+    def __init__(self, rows: Measurements, center: Reals, yaw_bias: float) -> None:
+        self.robots = rows.robots
+        self.coordinates = 3 * (self.robots - 1)
+        self.free = slice(3, (4 if yaw_bias > 0.0 else 3) * self.robots)
+        jacobian = rows.jacobian(center)
+        measured = jacobian.T @ diags_array(1.0 / rows.variance()) @ jacobian
+        i, j = rows.robot[: len(rows.other)], rows.other
+        ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+        weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
+        weight[2 * len(i) :] *= -1.0
+        extent = (center - center.mean(axis=0)).var(axis=0).sum()
+        bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
+        loose = bonds + eye_array(self.robots) / max(extent, SPACING**2)
+        yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
+        precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
+        self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())
+        square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
+        self.mean_square = float(square) / self.robots
+        """Expected mean square error of the positions [R^2]."""
+
+    def with_rows(self, jacobian: csc_array, variance: Reals, size: int) -> Reals:
+        """Compute the expected mean square error with each candidate [R^2], shape (n,)."""
+        gone = [np.empty(0)]
+        step = size * _AT_ONCE
+        for begin in range(0, len(variance), step):
+            part = slice(begin, begin + step)
+            rows = jacobian[part, self.free]
+            spread = (rows @ self.covariance).reshape(-1, size, rows.shape[1])
+            own = rows.toarray().reshape(spread.shape) @ spread.swapaxes(1, 2)
+            own += variance[part].reshape(-1, size, 1) * np.eye(size)
+            shift = spread[:, :, : self.coordinates]
+            drop = np.linalg.solve(own, shift @ shift.swapaxes(1, 2))
+            gone.append(np.trace(drop, axis1=1, axis2=2))
+        return self.mean_square - np.concatenate(gone) / self.robots
