@@ -33,3 +33,16 @@ def test_an_error_comes_from_another_process_as_it_was():
 
     assert str(copy) == str(mistake)
     assert vars(copy) == vars(mistake)
+
+
+def test_commands_name_options_where_functions_have_arguments():
+    """Overrides are given by `--set`."""
+    wrong = InputError("is unknown; use cpu", argument="arch")
+    setting = InputError("is no number; write 7", argument="overrides", key="robots=x")
+    line = InputError("is no number; write 7", path=Path("a.yaml"), line=3, key="robots")
+
+    assert str(wrong) == "arch: is unknown; use cpu"
+    assert str(wrong.as_option()) == "--arch: is unknown; use cpu"
+    assert str(setting) == "overrides: robots=x: is no number; write 7"
+    assert str(setting.as_option()) == "--set robots=x: is no number; write 7"
+    assert str(line.as_option()) == str(line)

@@ -104,7 +104,7 @@ def test_a_command_is_refused_where_its_libraries_do_not_fit(call, limit_address
     """They hang or abort half-loaded; the help still works."""
     limit_address_space(500)
 
-    assert call("check", "scenarios/tower.yaml") == 1
+    assert call("check", "tests/tower.yaml") == 1
     [line] = capsys.readouterr().err.splitlines()
     assert "ulimit -v allows 500 MB of address space, but the start takes" in line
     assert call("--help") == 0

@@ -1,37 +1,54 @@
-"""Progress and errors on standard error; standard output stays for results."""
+"""Progress and errors on standard error, or in one output of a notebook cell."""
 
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
 
 import rich.progress
 from rich.console import Console
 
-from tiswarm.progress import Progress
+from tiswarm.progress import Advance, Progress, ignore
 
 _LINE_EVERY_S = 30.0
 """Least time between two progress lines where there is no terminal to draw a bar on."""
 
+_CELL_EVERY_S = 0.25
+"""Least time between two changes of a notebook's output."""
+
+_BAR = 30
+"""Characters of a bar in a notebook."""
+
 
 class ConsoleProgress(Progress):
-    """Shows bars on a terminal, and lines elsewhere."""
+    """Shows bars on a terminal, lines and a bar in a notebook, and lines elsewhere."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         """Show progress unless `quiet`."""
         self.quiet = quiet
         self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self.cell = _Cell() if self.console.is_jupyter else None
 
     def info(self, text: str) -> None:
         """Print one line."""
-        if not self.quiet:
+        if self.quiet:
+            return
+        if self.cell:
+            self.cell.add(text)
+        else:
             self.console.print(text, markup=False)
 
     @contextmanager
-    def task(self, name: str, total: int) -> Iterator[Callable[[int], None]]:
+    def task(self, name: str, total: int) -> Iterator[Advance]:
         """Show a task while the block runs; the block calls the result with the steps just done."""
         if self.quiet or total == 0:
-            yield lambda _steps: None
+            yield ignore
+        elif self.cell:
+            begun = time.perf_counter()
+            yield self.cell.bar(name, total, begun)
+            self.info(_summary(name, total, begun))
         elif self.console.is_terminal:
             with self._bar() as bar:
                 task = bar.add_task(name, total=total)
@@ -39,30 +56,76 @@ class ConsoleProgress(Progress):
         else:
             begun = time.perf_counter()
             yield self._lines(name, total, begun)
-            self.info(f"{name}: {total} in {time.perf_counter() - begun:.1f} s")
+            self.info(_summary(name, total, begun))
 
-    def _lines(self, name: str, total: int, begun: float) -> Callable[[int], None]:
-        done, printed = 0, begun
+    def _lines(self, name: str, total: int, begun: float) -> Advance:
+        def show(done: float, left: float) -> None:
+            self.info(f"{name}: {done:.0f} of {total}, about {left:.0f} s left")
 
-        def advance(steps: int) -> None:
-            nonlocal done, printed
-            done += steps
-            now = time.perf_counter()
-            if now - printed >= _LINE_EVERY_S and done < total:
-                left = (now - begun) * (total - done) / done
-                self.info(f"{name}: {done} of {total}, about {left:.0f} s left")
-                printed = now
-
-        return advance
+        return _paced(show, total, begun, _LINE_EVERY_S)
 
     def _bar(self) -> rich.progress.Progress:
         return rich.progress.Progress(
             rich.progress.TextColumn("{task.description:<20}"),
             rich.progress.BarColumn(),
+            rich.progress.TaskProgressColumn(),
             rich.progress.MofNCompleteColumn(),
             rich.progress.TimeRemainingColumn(elapsed_when_finished=True),
             console=self.console,
         )
+
+
+class _Cell:
+    """The one output of a notebook cell that shows all lines and the bar of the running task."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.handle: Any = None
+
+    def add(self, line: str) -> None:
+        """Show a line more, and no bar."""
+        self.lines.append(line)
+        self.show()
+
+    def show(self, *bar: str) -> None:
+        """Replace the output."""
+        content = {"text/plain": "\n".join([*self.lines, *bar])}
+        if self.handle is None:
+            display = import_module("IPython.display").display  # a notebook has it
+            self.handle = display(content, raw=True, display_id=True)
+        else:
+            self.handle.update(content, raw=True)
+
+    def bar(self, name: str, total: int, begun: float) -> Advance:
+        """Show a bar, and return what moves it."""
+
+        def show(done: float, left: float) -> None:
+            filled = "#" * int(_BAR * done / total)
+            self.show(f"{name} [{filled:.<{_BAR}}] {done:.0f} of {total}, {left:.0f} s left")
+
+        self.show(f"{name} [{'.' * _BAR}] 0 of {total}")
+        return _paced(show, total, begun, _CELL_EVERY_S)
+
+
+def _paced(
+    show: Callable[[float, float], None], total: int, begun: float, every_s: float
+) -> Advance:
+    """Return what shows the steps done and the time left [s], not more often than every so long."""
+    done, shown = 0.0, begun
+
+    def advance(steps: float) -> None:
+        nonlocal done, shown
+        done += steps
+        now = time.perf_counter()
+        if now - shown >= every_s and 0 < done < total:
+            show(done, (now - begun) * (total - done) / done)
+            shown = now
+
+    return advance
+
+
+def _summary(name: str, total: int, begun: float) -> str:
+    return f"{name}: {total} in {time.perf_counter() - begun:.1f} s"
 
 
 def fail(message: str) -> None:

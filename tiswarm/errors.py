@@ -19,6 +19,10 @@ class TiswarmError(Exception):
             line = f"{line[: _LONGEST - 205]} ... {line[-200:]}"
         super().__init__(line)
 
+    def as_option(self) -> "TiswarmError":
+        """Return the error with a command's option in place of a function's argument."""
+        return self
+
 
 class InputError(TiswarmError):
     """A file, option or value of the user is invalid; nothing was written."""
@@ -26,22 +30,37 @@ class InputError(TiswarmError):
     exit_status = 2
 
     def __init__(
-        self, problem: str, *, path: Path | None = None, line: int | None = None, key: str = ""
+        self,
+        problem: str,
+        *,
+        path: Path | None = None,
+        line: int | None = None,
+        argument: str = "",
+        key: str = "",
     ) -> None:
-        """Compose `file:line: key: problem` from the known parts.
+        """Compose `file:line: argument: key: problem` from the known parts.
 
         Args:
             problem: What is wrong, a semicolon, and how to fix it.
             path: File at fault.
             line: Line in the file, counted from 1.
+            argument: Argument of a function at fault.
             key: Dotted key at fault.
         """
         place = "" if path is None else str(path) if line is None else f"{path}:{line}"
-        super().__init__(": ".join(part for part in (place, key, problem) if part))
+        super().__init__(": ".join(part for part in (place, argument, key, problem) if part))
         self.problem = problem
         self.path = path
         self.line = line
+        self.argument = argument
         self.key = key
+
+    def as_option(self) -> "InputError":
+        """Return the error with a command's option in place of a function's argument."""
+        if not self.argument:
+            return self
+        option = f"--set {self.key}" if self.argument == "overrides" else f"--{self.argument}"
+        return InputError(self.problem, path=self.path, line=self.line, key=option)
 
 
 class EnvironmentTroubleError(TiswarmError):

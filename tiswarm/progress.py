@@ -1,7 +1,14 @@
 """What long work reports while it runs."""
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+
+Advance = Callable[[float], None]
+"""Receives the steps that were just done."""
+
+_PARTS = 64
+"""Parts of a step that are reported: a power of 2, so that sums of them are exact."""
 
 
 class Progress:
@@ -10,6 +17,23 @@ class Progress:
     def info(self, text: str) -> None:
         """Report one line."""
 
-    def task(self, name: str, total: int) -> AbstractContextManager[Callable[[int], None]]:  # noqa: ARG002
+    def task(self, name: str, total: int) -> AbstractContextManager[Advance]:  # noqa: ARG002
         """Start a task of `total` steps; the block calls the result with the steps just done."""
-        return nullcontext(lambda _steps: None)
+        return nullcontext(ignore)
+
+
+def ignore(_steps: float) -> None:
+    """Report nothing."""
+
+
+def by_share(advance: Advance, steps: int) -> Callable[[float], None]:
+    """Return a function that reports the share [1] that is done of some steps."""
+    reported = 0.0
+
+    def report(share: float) -> None:
+        nonlocal reported
+        done = steps * math.floor(_PARTS * share) / _PARTS
+        advance(done - reported)
+        reported = done
+
+    return report

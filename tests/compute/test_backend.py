@@ -7,6 +7,7 @@ import subprocess
 import sys
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,3 +162,13 @@ def test_linear_algebra_has_one_thread_whatever_is_loaded_later():
     )
 
     assert done.stdout.splitlines()[-1] == "{1}"
+
+
+def test_the_first_use_is_known_by_its_folder(tmp_path):
+    """Without stored kernels, the first task compiles; the seal is no kernel."""
+    running = replace(backend.current(), cache=str(tmp_path))
+    (tmp_path / "seal").touch()
+
+    assert running.is_cold
+    (tmp_path / "T0.tic").touch()
+    assert not running.is_cold

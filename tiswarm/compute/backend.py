@@ -51,6 +51,11 @@ class Backend:
     """Folder of compiled kernels."""
 
     @property
+    def is_cold(self) -> bool:
+        """Whether no compiled kernels are stored, so that what needs one compiles it first."""
+        return not any(Path(self.cache).glob("*.*"))
+
+    @property
     def dtype(self) -> type[np.floating[Any]]:
         """NumPy type of the precision."""
         return np.float64 if self.precision == "f64" else np.float32
@@ -83,9 +88,9 @@ def start(
     global _started  # noqa: PLW0603 - the kernel library itself is one per process
     if arch not in ARCHS:
         choices = ", ".join(ARCHS)
-        raise InputError(f"unknown backend {arch!r}; choose one of {choices}", key="--arch")
+        raise InputError(f"unknown backend {arch!r}; choose one of {choices}", argument="arch")
     if threads is not None and threads < 1:
-        raise InputError(f"{threads} threads cannot compute; give 1 or more", key="--threads")
+        raise InputError(f"{threads} threads cannot compute; give 1 or more", argument="threads")
     count = threads or available_threads()
     wanted = (arch, count, precision)
     if _started and (_started.arch, _started.threads, _started.precision) == wanted:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from tiswarm.aliases import Ints, Reals
@@ -144,6 +145,11 @@ class Table:
         """Read a column of finite numbers, shape (rows,); empty cells are `empty`, or refused."""
         wanted = f"a finite number up to {LARGEST:g}; write it like 0.5 or 1e-3"
         return np.array(self._values(column, _real, wanted, empty), np.float64)
+
+    def words(self, column: str) -> NDArray[np.str_]:
+        """Read a column of text, shape (rows,)."""
+        place = self.columns.index(column)
+        return np.array([cells[place] for cells in self.rows.values()])
 
     def _values(
         self, column: str, parse: Callable[[str], float], wanted: str, empty: float | None = None

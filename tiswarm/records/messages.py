@@ -49,3 +49,12 @@ def dotted(path: Sequence[Part]) -> str:
 def counted(number: int, noun: str) -> str:
     """Write a number with its noun: 1 robot, 2 robots."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def three_digits(number: float) -> str:
+    """Write a number with three significant digits, zeros included.
+
+    >>> three_digits(2.6), three_digits(123.4), three_digits(0.00012)
+    ('2.60', '123', '0.000120')
+    """
+    return f"{number:#.3g}".rstrip(".")
