@@ -1,4 +1,4 @@
-"""Exports a case of a run: as tables, or as solids and lines in space."""
+"""Exports structures and estimates: as tables, or as solids and lines in space."""
 
 import io
 from pathlib import Path
@@ -13,9 +13,8 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.pictures import POSE, TRUE_SIZE, CaseView, read_case_view
-from tiswarm.report.render.scene import Robots, build_scene, capsule_normals
-from tiswarm.report.run_data import load_run
+from tiswarm.report.render.scene import TRUE_SIZE, Robots, build_scene, capsule_normals
+from tiswarm.report.swarm_view import POSE, SwarmView
 
 Format = Literal["csv", "gltf", "parquet", "ply"]
 
@@ -26,17 +25,16 @@ _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns our z axis into the y axis, which is up in glTF."""
 
 
-def export_case(run: Path, form: Format, out: Path, case: str | None, progress: Progress) -> None:
-    """Write structure, estimate and contacts of one case of a run.
+def export_view(view: SwarmView, form: Format, out: Path, progress: Progress) -> None:
+    """Write the structure, if the truth is known, the estimate and the contacts.
 
     Raises:
-        InputError: the run is damaged, or the case does not exist.
+        InputError: the log of the view is damaged.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
     """
-    view = read_case_view(load_run(run).choose(case))
     files: dict[str, bytes] = {}
     if form == "gltf":
-        files["case.glb"] = _gltf(_shapes(view, gamma=2.2))
+        files["case.glb"] = _gltf(_shapes(view, gamma=2.2), view.log.length_unit)
     elif form == "ply":
         for name, shape in _shapes(view).items():
             normals = {"vertex_normal": True} if name != "contacts" else {}
@@ -49,30 +47,34 @@ def export_case(run: Path, form: Format, out: Path, case: str | None, progress: 
         progress.info(str(out / file))
 
 
-def _shapes(view: CaseView, *, gamma: float = 1.0) -> dict[str, Any]:
+def _shapes(view: SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
     """Build trimesh solids of structure and estimate, and a path of the contacts.
 
-    Robots of the structure are colored by join, robots of the estimate by error; contacts connect
-    the true centers of robots. The exponent `gamma` = 2.2 turns sRGB into linear colors for glTF.
+    Robots of the structure are colored by join, those of the estimate by error or, where the truth
+    is unknown, by standard deviation. Contacts connect the centers of robots. The exponent `gamma`
+    = 2.2 turns sRGB into linear colors for glTF. Lengths are in the unit of the log.
     """
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
-    by_error, _ = colors_from_zero(view.error, ERROR_COLORS)
+    doubt, _ = colors_from_zero(view.error if view.has_truth else view.sd, ERROR_COLORS)
+    shapes = {"estimate": _solid(view.robots(view.estimated_pose, doubt, TRUE_SIZE), gamma)}
+    if view.has_truth:
+        structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+        shapes = {"structure": _solid(structure, gamma), **shapes}
     line: Any = entities.Line
     lines = [line(pair) for pair in view.log.contacts[:, [0, 2]]]
     gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
-    return {
-        "structure": _solid(view.robots(view.pose, view.color_by_join, TRUE_SIZE), gamma),
-        "estimate": _solid(view.robots(view.estimated_pose, by_error, TRUE_SIZE), gamma),
-        "contacts": Path3D(lines, view.pose[:, :3], colors=gray, process=False),
-    }
+    shapes["contacts"] = Path3D(lines, view.best_pose[:, :3], colors=gray, process=False)
+    for shape in shapes.values():
+        shape.apply_scale(view.log.dock_radius)
+    return shapes
 
 
 def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, imported late
     """Mesh robots with colors and normals."""
     from trimesh import Trimesh  # noqa: PLC0415 - slow to import
 
-    scene = build_scene([robots], None)
+    scene = build_scene(robots, None)
     mesh = mesh_capsules(scene, sides=_SIDES)
     return Trimesh(
         mesh.point,
@@ -83,11 +85,11 @@ def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, impo
     )
 
 
-def _gltf(shapes: dict[str, Any]) -> bytes:
-    """Encode shapes as the nodes of one binary glTF file; lengths in R, y up."""
+def _gltf(shapes: dict[str, Any], length_unit: str) -> bytes:
+    """Encode shapes as the nodes of one binary glTF file, y up."""
     from trimesh import Scene  # noqa: PLC0415 - slow to import
 
-    scene = Scene(metadata={"length_unit": "R"})
+    scene = Scene(metadata={"length_unit": length_unit})
     for name, shape in shapes.items():
         scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
 
@@ -101,20 +103,27 @@ def _gltf(shapes: dict[str, Any]) -> bytes:
     return data
 
 
-def _tables(view: CaseView) -> dict[str, pd.DataFrame]:
+def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     """Tabulate poses in the format of `tiswarm import`, and contacts with their positions."""
+    radius, unit = view.log.dock_radius, view.log.length_unit
     i, a, j, b = view.log.contacts.T
-    offsets = dock_offsets(view.pose[:, 3:], view.dock_offset_body)
-    dock = view.pose[:, None, :3] + offsets
+    offsets = dock_offsets(view.best_pose[:, 3:], view.dock_offset_body)
+    dock = view.best_pose[:, None, :3] + offsets
     contacts = pd.DataFrame(
         {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
-    contacts[POSE[:3]] = (dock[i, a] + dock[j, b]) / 2.0
-    names = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
-    structure, estimate = names.copy(), names.copy()
-    structure[POSE], estimate[POSE] = view.pose, view.estimated_pose
-    estimate["error_R"] = view.error
-    return {"structure": structure, "estimate": estimate, "contacts": contacts}
+    places, turns = [f"{axis}_{unit}" for axis in "xyz"], POSE[3:]
+    contacts[places] = (dock[i, a] + dock[j, b]) / 2.0 * radius
+    poses = {"structure": view.pose} if view.has_truth else {}
+    tables = {"contacts": contacts}
+    for name, pose in {**poses, "estimate": view.estimated_pose}.items():
+        table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
+        table[places], table[turns] = pose[:, :3] * radius, pose[:, 3:]
+        tables[name] = table
+    for name, values in [("error", view.error), ("sd", view.sd)]:
+        if np.isfinite(values).any():
+            tables["estimate"][f"{name}_{unit}"] = values * radius
+    return tables
 
 
 def _encoded(table: pd.DataFrame, form: Format) -> bytes:

@@ -1,10 +1,17 @@
 """The estimate that a localizer returns, with its convergence and observability."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.errors import InputError
+from tiswarm.records.messages import counted
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 HALF_WITHIN = 0.85
 MOST_WITHIN = 1.6
@@ -26,7 +33,7 @@ class Solution:
     residual_sd: float
     """Smallest residual of these chains, in standard deviations."""
 
-    position: Reals
+    position: Reals = field(repr=False)
     """Centers in the chain with the smallest residual [log unit], shape (N, 3)."""
 
 
@@ -69,10 +76,10 @@ class Observability:
     """Independent motions of the swarm that change no measurement, or None where there are too many
     robots to count them."""
 
-    floppy: Bools | None
+    floppy: Bools | None = field(repr=False)
     """Whether such motions shift each robot, shape (N,), or None where `floppy_modes` is."""
 
-    disconnected: Bools
+    disconnected: Bools = field(repr=False)
     """Whether nothing but a height ties each robot to the anchor, shape (N,)."""
 
     @property
@@ -86,7 +93,7 @@ class Observability:
         return [str(word) for word in words]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate:
     """Estimated positions of N robots in join order, with the trace of the iterations."""
 
@@ -147,7 +154,63 @@ class Estimate:
     RMS deviation from D of the distance between docks in contact [log unit].
     """
 
+    length_unit: str = "R"
+    """Name of the log's unit of length."""
+
     @property
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    def __repr__(self) -> str:
+        """Describe the estimate in a line."""
+        parts = [f"{counted(self.robot_count, 'robot')}, lengths in {self.length_unit}"]
+        if self.sd is not None and len(sd := self.sd[np.isfinite(self.sd)]):
+            parts.append(f"sd {np.median(sd):.2g} in the median")
+        if self.convergence is not None:
+            parts.append("converged" if self.convergence.converged else "not converged")
+        return f"Estimate({', '.join(parts)})"
+
+    def columns(self) -> dict[str, Sequence[object]]:
+        """List the columns of `estimate.csv` by name."""
+        unit = self.length_unit
+        found = position_columns(self.robot_id, self.position, unit)
+        if self.sd is not None:
+            found[f"sd_{unit}"] = self.sd.tolist()
+        if self.observability is not None:
+            found["known"] = self.observability.known
+        if self.yaw is not None:
+            found["yaw_deg"] = np.degrees(self.yaw).tolist()
+        return found
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Make a data frame with the columns of `estimate.csv`."""
+        import pandas as pd  # noqa: PLC0415 - slow to import
+
+        return pd.DataFrame(self.columns())
+
+    def with_solution(self, number: int) -> "Estimate":
+        """Return the positions of one solution, counted from 1, without the mean's sd and yaw.
+
+        Raises:
+            InputError: there is no such solution.
+        """
+        if not 1 <= number <= len(self.solutions):
+            found = f"found {counted(len(self.solutions), 'solution')}"
+            remedy = f"choose 1 to {len(self.solutions)}" if self.solutions else "leave it out"
+            raise InputError(f"{number}: the method {found}; {remedy}", argument="solution")
+        chosen = self.solutions[number - 1]
+        return replace(
+            self, position=chosen.position, sd=None, yaw=None,
+            trace=np.concatenate([self.trace[:-1], chosen.position[None]]),
+            residual=np.append(self.residual[:-1], chosen.residual),
+            residual_sd=chosen.residual_sd,
+        )  # fmt: skip
+
+
+def position_columns(
+    robot_id: Ints, position: Reals, length_unit: str
+) -> dict[str, Sequence[object]]:
+    """List the columns of a table of positions (N, 3) by name."""
+    lengths = zip("xyz", position.T.tolist(), strict=True)
+    return {"robot": robot_id.tolist(), **{f"{axis}_{length_unit}": v for axis, v in lengths}}

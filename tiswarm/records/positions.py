@@ -10,13 +10,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import InputError
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import Estimate, Observability, position_columns
 from tiswarm.records.io import Table, write_text
+from tiswarm.records.sensing_log import SensingLog
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,28 +51,24 @@ def write_positions(
     Raises:
         ValueError: a position is not finite.
     """
+    _write(path, position, position_columns(robot_id, position, length_unit) | dict(further or {}))
+
+
+def write_estimate(path: Path, estimate: Estimate) -> None:
+    """Write an estimate with its standard deviations, observability and yaw, where it has them."""
+    _write(path, estimate.position, estimate.columns())
+
+
+def _write(path: Path, position: Reals, columns: Mapping[str, Sequence[object]]) -> None:
+    """Write columns by name; numbers that are NaN are empty cells."""
     if not np.isfinite(position).all():
         raise ValueError(f"{path.name}: positions must be finite")
-    places = [robot_id.tolist(), *position.T.tolist()]
-    columns = dict(zip(_header(length_unit), places, strict=False)) | dict(further or {})
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(["" if cell != cell else cell for cell in row])  # noqa: PLR0124 - NaN
     write_text(path, text.getvalue())
-
-
-def write_estimate(path: Path, estimate: Estimate, *, length_unit: str = "R") -> None:
-    """Write an estimate with its standard deviations, observability and yaw, where it has them."""
-    further: dict[str, Sequence[object]] = {}
-    if estimate.sd is not None:
-        sds = estimate.sd.tolist()
-        further[f"sd_{length_unit}"] = ["" if math.isnan(sd) else sd for sd in sds]
-    if estimate.observability is not None:
-        further["known"] = estimate.observability.known
-    if estimate.yaw is not None:
-        further["yaw_deg"] = np.degrees(estimate.yaw).tolist()
-    write_positions(path, estimate.robot_id, estimate.position, further, length_unit=length_unit)
 
 
 def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
@@ -78,6 +77,55 @@ def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
     Raises:
         InputError: the table cannot be read or a row is malformed; names file and line.
     """
+    robot, position, _ = _read(path, length_unit)
+    return robot, position
+
+
+def read_positions_of(log: SensingLog, path: Path) -> Reals:
+    """Read the positions of a log's robots, in its unit and join order, shape (N, 3).
+
+    Raises:
+        InputError: the table cannot be read, is malformed, or has other robots than the log.
+    """
+    robot, position, _ = _read(path, log.length_unit)
+    return position[_join_order(log, robot, path)]
+
+
+def read_estimate(log: SensingLog, path: Path) -> Estimate:
+    """Read an estimate of a log; the table has neither solutions, outliers nor residuals.
+
+    Raises:
+        InputError: the table cannot be read, is malformed, or has other robots than the log.
+    """
+    robot, position, further = _read(path, log.length_unit)
+    order, robots = _join_order(log, robot, path), log.robot_count
+    known = further.get("known", np.full(robots, ""))[order]
+    sd, yaw_deg = further.get(f"sd_{log.length_unit}"), further.get("yaw_deg")
+    disconnected = known == "disconnected"
+    return Estimate(
+        robot_id=log.robot_id,
+        position=position[order],
+        disconnected=disconnected,
+        sd=None if sd is None else sd[order],
+        yaw=None if yaw_deg is None else np.radians(yaw_deg[order]),
+        observability=Observability(
+            cues=(),
+            yaw_unknown=yaw_deg is not None,
+            unknowns=(3 if yaw_deg is None else 4) * (robots - 1),
+            gauge_yaw_sd=None,
+            floppy_modes=None,
+            floppy=known == "floppy" if (known != "").all() else None,
+            disconnected=disconnected,
+        ),
+        iteration=np.empty(0, np.int64),
+        trace=np.empty((0, robots, 3)),
+        residual=np.empty(0),
+        length_unit=log.length_unit,
+    )
+
+
+def _read(path: Path, length_unit: str) -> tuple[Ints, Reals, dict[str, NDArray[Any]]]:
+    """Read names, positions and, by name, the further columns of a table of positions."""
     table = Table(path)
     columns = _header(length_unit)
     required, optional = columns[:4], columns[4:]
@@ -86,16 +134,32 @@ def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:
         raise InputError(f"the columns are not {wanted}; rename them", path=path, line=1)
     robot = table.integers("robot")
     position = np.column_stack([table.numbers(name) for name in required[1:]])
-    for name in table.columns[4:]:
-        if name != "known":
-            table.numbers(name, empty=math.nan)
+    further: dict[str, NDArray[Any]] = {
+        name: table.words(name) if name == "known" else table.numbers(name, empty=math.nan)
+        for name in table.columns[4:]
+    }
+    for row, word in enumerate(further.get("known", np.empty(0)).tolist()):
+        if word not in {"", "yes", "floppy", "disconnected"}:
+            problem = f"{word[:40]!r} should be yes, floppy or disconnected; correct it"
+            raise InputError(problem, path=path, line=table.line(row), key="known")
     seen: set[int] = set()
     for row, name in enumerate(robot.tolist()):
         if name in seen:
             problem = f"robot {name} has a row already; keep one"
             raise InputError(problem, path=path, line=table.line(row), key="robot")
         seen.add(name)
-    return robot, position
+    return robot, position, further
+
+
+def _join_order(log: SensingLog, robot: Ints, path: Path) -> Ints:
+    """Return the row of each robot of a log, shape (N,)."""
+    missing = np.setxor1d(robot, log.robot_id)
+    if len(missing):
+        problem = f"robot {missing[0]} is only here or only in the log; give a table of its robots"
+        raise InputError(problem, path=path, key="robot")
+    order = np.empty(len(robot), np.int64)
+    order[log.robot_id.argsort()] = robot.argsort()
+    return order
 
 
 def read_length_unit(path: Path) -> str:
