@@ -1,11 +1,10 @@
 """The page of a run works in a browser and agrees with the tables."""
 
 import base64
+import csv
 import io
-import json
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,26 +13,26 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-LISTEN = """<script>
-const troubles = [];
-addEventListener("error", (event) => troubles.push(event.message));
-console.error = (...words) => troubles.push(words.join(" "));
-// Frames hardly come where time is virtual.
-window.requestAnimationFrame = (draw) => setTimeout(draw, 10);
-</script>"""
-PROBE = """<script>
-const found = {troubles};
-const column = (place) => [...document.querySelectorAll("table.sortable tbody tr")]
+from tests.browser import probe
+from tiswarm.records.messages import three_digits
+
+PROBE = """
+const cases = document.querySelector("table[data-name=cases]");
+const column = (place) => [...cases.tBodies[0].rows]
   .filter((row) => !row.hidden).map((row) => row.cells[place].textContent);
-const heads = [...document.querySelectorAll("table.sortable th button")];
+const heads = [...cases.querySelectorAll("th button")];
+found.unsortable = [...document.querySelectorAll("th:not(:has(button))")].length;
 const rmse = heads.findIndex((head) => head.textContent === "RMSE [R]");
 heads[rmse].click();
 found.ascending = column(rmse);
 heads[rmse].click();
 found.descending = column(rmse);
+found.sorted = cases.querySelector("[aria-sort]").textContent;
+const link = cases.closest("section").querySelector("a.csv");
+link.addEventListener("click", (event) => event.preventDefault());
+link.click();
+found.csv = decodeURIComponent(link.href);
+found.overflow = document.documentElement.scrollWidth - innerWidth;
 const filter = document.getElementById("filter");
 filter.value = "NO-Z done";
 filter.dispatchEvent(new Event("input"));
@@ -46,7 +45,7 @@ const acts = {
     joins.value = 4;
     joins.dispatchEvent(event("input"));
   },
-  turned: () => view.dispatchEvent(event("pointermove", {buttons: 1, movementX: 90, movementY: 0})),
+  turned: () => view.dispatchEvent(event("keydown", {key: "ArrowLeft"})),
   emptied: () => ["truth", "estimate", "error"].forEach((name) =>
     document.getElementById(`show-${name}`).click()),
 };
@@ -63,28 +62,14 @@ const acts = {
     }
   document.body.dataset.found = JSON.stringify(found);
 })();
-</script>"""
+"""
 
 
 @pytest.fixture(scope="module")
 def seen(small_run, tmp_path_factory):
     """Results of a script in the page of a small run, in a browser."""
-    if CHROMIUM is None:
-        pytest.skip("no chromium or chrome here; install the package chromium")
     page = (small_run / "report.html").read_text()
-    probed = tmp_path_factory.mktemp("page") / "probed.html"
-    probed.write_text(
-        page.replace("<head>", f"<head>{LISTEN}").replace("</body>", f"{PROBE}</body>")
-    )
-    options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
-    options += ["--enable-unsafe-swiftshader", "--virtual-time-budget=10000", "--dump-dom"]
-    done = subprocess.run(
-        [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
-        check=False,
-    )  # fmt: skip
-    found = re.search(r'<body data-found="([^"]*)"', done.stdout)
-    assert found, done.stderr[-2000:]
-    return json.loads(found[1].replace("&quot;", '"').replace("&amp;", "&"))
+    return probe(page, PROBE, tmp_path_factory.mktemp("page"))
 
 
 def test_the_page_draws_without_a_complaint(seen):
@@ -94,7 +79,7 @@ def test_the_page_draws_without_a_complaint(seen):
 
 
 def test_the_view_takes_the_structure_apart(seen):
-    """Slider, rotation and check boxes change the view."""
+    """Slider, arrow keys and check boxes change the view."""
     assert _colored(seen["part"]) < 0.7 * _colored(seen["whole"])
     assert seen["turned"] != seen["part"]
     assert _colored(seen["emptied"]) < 1e-4  # rims of letters
@@ -113,12 +98,24 @@ def _colored(picture: str) -> float:
 def test_the_table_of_cases_sorts_and_filters(seen, small_run):
     """Sorting is numeric in both directions; rows that contain all words remain."""
     rmse = pd.read_csv(small_run / "summary.csv")["rmse_R"]
-    ascending = [f"{value:.2f}" for value in sorted(rmse)]
+    ascending = [three_digits(value) for value in sorted(rmse)]
 
     assert seen["ascending"] == ascending
     assert seen["descending"] == ascending[::-1]
+    assert seen["sorted"] == "RMSE [R]"
     assert len(seen["filtered"]) == 4
     assert all("no-z" in name for name in seen["filtered"])
+
+
+def test_every_table_sorts_and_can_be_downloaded(seen):
+    """The downloaded rows are in the order and form of the page, which is not too wide."""
+    kind, _, text = seen["csv"].partition(",")
+    rows = list(csv.reader(text.splitlines()))
+
+    assert kind == "data:text/csv;charset=utf-8"
+    assert [row[rows[0].index("RMSE [R]")] for row in rows[1:]] == seen["descending"]
+    assert seen["unsortable"] == 0
+    assert seen["overflow"] <= 0
 
 
 class _Sources(HTMLParser):
@@ -134,22 +131,25 @@ class _Sources(HTMLParser):
 
 
 def test_the_page_is_one_small_file(small_run):
-    """It loads no other file."""
+    """It loads no other file, and its links lead to its own headings."""
     page = small_run / "report.html"
 
-    sources = _Sources(page.read_text()).found
+    text = page.read_text()
+    links = _Sources(text).found
+    sources = [link for link in links if link.startswith("data:")]
 
     assert len(sources) >= 6
-    assert all(source.startswith("data:") for source in sources)
+    assert {link for link in links if f'id="{link[1:]}"' not in text} == set(sources)
     assert page.stat().st_size < 8_000_000
 
 
 def test_the_page_says_what_the_tables_say(small_run):
-    """It contains means with their intervals, and the command that repeats the run."""
+    """It contains means with their ranges, and the command that repeats the run."""
     page = (small_run / "report.html").read_text()
 
     for row in pd.read_csv(small_run / "table.csv").to_dict("records"):
-        assert f"{row['rmse_R_mean']:.2f} ± {row['rmse_R_ci95']:.2f}" in page
+        mean, *ends = (three_digits(row[f"rmse_R_{name}"]) for name in ("mean", "least", "most"))
+        assert f"{mean} ({' to '.join(ends)})" in page
     assert "tiswarm run scenario.yaml --out again --arch cpu" in page
 
 
@@ -172,7 +172,7 @@ def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
 def test_an_animation_becomes_part_of_the_page(tiswarm, tmp_path):
     """`--animate` adds it to the page even without other pictures."""
     done = tiswarm(
-        "run", "scenarios/tower.yaml", "--set", "robots=4", "--set", "seeds=1",
+        "run", "tests/tower.yaml", "--set", "robots=4", "--set", "seeds=1",
         "--set", "conditions={baseline: {}}", "--no-pictures", "--animate", "--out", tmp_path,
     )  # fmt: skip
 

@@ -44,6 +44,8 @@ def write_case(folder, *, seed, last_iteration=40):
         f"robot,{POSE},error_R,sensed_force",
         [[name, *row] for name, row in enumerate(rows.tolist())],
     )
+    rows = [[name, *place] for name, place in enumerate((position + shift).tolist())]
+    write_table(folder / "estimate.csv", "robot,x_R,y_R,z_R", rows)
     iteration = np.arange(0, last_iteration + 1, 10)
     rmse = 1.0 + (seed + 3.0) * np.exp(-iteration / 20.0)
     write_table(folder / "convergence.csv", "iteration,rmse_R", zip(iteration, rmse, strict=True))

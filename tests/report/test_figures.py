@@ -12,7 +12,13 @@ from tiswarm.report import figures, table_figures
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
 from tiswarm.report.run_data import load_run
-from tiswarm.report.table_figures import PROFILED, draw_accuracy, profile_painters
+from tiswarm.report.table_figures import (
+    PROFILED,
+    SCALING_PANELS,
+    draw_accuracy,
+    draw_scaling,
+    profile_painters,
+)
 
 COLUMNS = "case,status,condition,series,point,kind"
 
@@ -177,7 +183,7 @@ def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
 
     titles = [axes.get_title() for axes in figure.axes[:4]]
     assert titles == ["method=a,c0", "method=b,c0", "method=a,c1", "method=b,c1"]
-    assert "3 more series not shown" in figure.texts[-1].get_text()
+    assert "4 more series not shown" in figure.texts[-1].get_text()
 
 
 def test_published_numbers_stand_beside_ours(tmp_path):
@@ -258,3 +264,66 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
     np.testing.assert_allclose(
         drawn.axes[0].lines[0].get_xydata(), [[1.5, 2.0], [2.5, 3.0], [4.5, 5.0]]
     )
+
+
+def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
+    """A point of one robot does not pull the line down; each point states its robots."""
+    rows = [
+        ["baseline", by, low, low, robots, 0.5, rmse]
+        for by in PROFILED
+        for low, robots, rmse in [(1, 30, 2.0), (2, 6, 1.5), (8, 1, 0.0)]
+    ]
+    header = "condition,by,low,high,count,mean_error_R,rmse_R"
+    write_table(run_folder / "profiles.csv", header, rows)
+
+    figure = profile_painters(load_run(run_folder))["profiles"](load_run(run_folder))
+
+    joined, few = figure.axes[0].lines
+    np.testing.assert_allclose(joined.get_xydata(), [[1.0, 2.0], [2.0, 1.5]])
+    np.testing.assert_allclose(few.get_xydata(), [[8.0, 0.0]])
+    assert few.get_markerfacecolor() == "white"
+    assert [text.get_text() for text in figure.axes[0].texts] == ["30", "6", "1"]
+
+
+@pytest.mark.parametrize(("cases", "bars"), [(2, 0), (4, 2)])
+def test_few_structures_are_drawn_instead_of_an_interval(tmp_path, cases, bars):
+    """An interval over two structures says nothing; small means are visible beside great ones."""
+    header = "condition,cases,paper_rmse_radii,paper_procrustes_disparity"
+    for measure in ("rmse_R", "procrustes_disparity"):
+        header += f",{measure}_mean,{measure}_ci95"
+    names = ["paper", "joint"]
+    rows = [
+        [name, cases, "", "", rmse, 9, 0.1, 0.1] for name, rmse in zip(names, (3, 0.1), strict=True)
+    ]
+    write_table(tmp_path / "table.csv", header, rows)
+    done = [[f"{k}-{name}", "done", name, k + 1] for name in names for k in range(cases)]
+    write_summary(tmp_path, "case,status,condition,rmse_R", done)
+
+    figure = draw_accuracy(load_run(tmp_path))
+
+    rmse = figure.axes[0]
+    assert len(rmse.collections) == (1 if bars else 0)
+    drawn = [line for line in rmse.lines if line.get_alpha()]
+    assert [list(line.get_xdata()) for line in drawn] == ([] if bars else [[1, 2, 1, 2]])
+    assert rmse.get_xscale() == "log"
+
+
+def test_series_that_are_equal_are_one_line(tmp_path):
+    """Growth is the same for all conditions; a second line would hide the first."""
+    rows = [
+        [series, measure, robots, value * robots, 1.0, 1.0]
+        for measure in SCALING_PANELS
+        for series, factor in (("paper", 1.0), ("joint", 2.0))
+        for robots in (10, 100)
+        for value in [1.0 if measure == "grow_cpu_s" else factor]
+    ]
+    write_table(tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope", rows)
+    write_summary(tmp_path, "case,status", [["0-paper", "done"]])
+
+    figure = draw_scaling(load_run(tmp_path))
+
+    lines = dict(zip(SCALING_PANELS, (len(axes.lines) for axes in figure.axes), strict=True))
+    assert lines.pop("grow_cpu_s") == 1
+    assert set(lines.values()) == {2}
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["paper", "joint", "all series"]

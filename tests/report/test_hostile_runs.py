@@ -15,12 +15,13 @@ from PIL import Image
 from tests.report.conftest import write_table
 from tiswarm import study
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.interop.exports import export_case
+from tiswarm.interop.exports import export_view
 from tiswarm.progress import Progress
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.render import animation, pictures
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 ROBOTS = "cases/0-baseline/robots.csv"
 LOG = "cases/0-baseline/sensing.jsonl"
@@ -50,7 +51,7 @@ def page(run):
 
 def scenes(run):
     """Build all scenes of a run's first case."""
-    return pictures.build_pictures(load_run(run).choose(None))
+    return pictures.build_pictures(read_case_view(load_run(run).choose(None)))
 
 
 def figures(run):
@@ -81,7 +82,8 @@ def no_room():
 
 def export(run):
     """Export a run's first case."""
-    export_case(run, "csv", run / "export", None, Progress())
+    view = read_case_view(load_run(run).choose(None))
+    export_view(view, "csv", run / "export", Progress())
 
 
 def cell(column, value, *, row=-1):
@@ -228,7 +230,7 @@ def test_a_full_disk_ends_in_one_line(run, monkeypatch, command):
     """Pictures and tables appear whole or not at all, and cases stay as they are."""
     drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
     for room in (pictures, animation):
-        monkeypatch.setattr(room, "draw_scenes", lambda of, _: ([drawn] * len(of), "none", ""))
+        monkeypatch.setattr(room, "draw_scenes", lambda of, *_: ([drawn] * len(of), "none", ""))
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
     with no_room(), pytest.raises(EnvironmentTroubleError, match="free space"):

@@ -1,5 +1,7 @@
 """The page of a run warns of limits, and shows runs without results."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,10 +10,20 @@ from tests.report.conftest import write_summary, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
-from tiswarm.report import page
-from tiswarm.report.page import build_view, write_page
-from tiswarm.report.page_tables import case_table, result_tables, warnings_of
+from tiswarm.report import space
+from tiswarm.report.captions import caption_of
+from tiswarm.report.headline import conclusion
+from tiswarm.report.page import write_page
+from tiswarm.report.page_tables import (
+    case_table,
+    headline_table,
+    notes_of,
+    result_tables,
+    warnings_of,
+    with_ranges,
+)
 from tiswarm.report.run_data import load_run
+from tiswarm.report.space import build_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
@@ -33,6 +45,7 @@ def test_a_run_without_results_has_a_page(odd_run):
     page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
+    assert '<p class="result">no case was finished.</p>' in page
     assert 'id="view"' not in page
     assert len(page) < 50_000
 
@@ -46,17 +59,19 @@ def test_texts_stay_texts(odd_run):
 
 
 @pytest.mark.parametrize(
-    ("name", "caption"),
+    ("name", "case", "caption"),
     [
-        ("convergence", "RMSE against iteration"),
-        ("error-0-baseline", "True structure, colored by error, 0-baseline"),
-        ("error-against-height", "Error of each robot against its true height"),
-        ("foreign", "foreign"),
+        ("convergence", "", r"RMSE against iteration .*\."),
+        ("convergence-robots-30", "", r"RMSE against iteration .* robots-30\."),
+        ("error", "0-joint", r"True structure, .* Case 0-joint\."),
+        ("error-1-paper", "0-joint", r"True structure, .* 1-paper\."),
+        ("error-against-height", "", r"Error of each robot .* A dot is a robot.*"),
+        ("foreign", "", "foreign"),
     ],
 )
-def test_pictures_have_captions(name, caption):
-    """A picture of a chosen case names the case."""
-    assert page.caption_of(name) == caption
+def test_pictures_have_captions(name, case, caption):
+    """A caption says what is seen, and which case where one is drawn."""
+    assert re.fullmatch(caption, caption_of(name, case))
 
 
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
@@ -77,21 +92,26 @@ def test_the_view_shows_each_series_once(run_folder):
     assert view.note == "The view contains 2 of 3 cases."
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))
-        assert case["worst"] == max(case["error"])
+        assert [color["label"] for color in case["colors"]] == ["error"]
+        assert case["contacts"] == [[n, 1, n + 1, 0] for n in range(11)]
+        ((face,),) = case["ground"]  # a plane
+        assert len(face) == 4
 
 
 def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
     """The page stays small, and a note states the limit."""
-    monkeypatch.setattr(page, "MOST_ROBOTS", 5)
+    monkeypatch.setattr(space, "MOST_ROBOTS", 5)
 
     view = build_view(load_run(run_folder))
 
-    assert [case["robot"] for case in view.data["cases"]] == [[0, 1, 2, 3, 4]]
+    (case,) = view.data["cases"]
+    assert case["robot"] == [0, 1, 2, 3, 4]
+    assert max(max(i, j) for i, _, j, _ in case["contacts"]) == 4
     assert "the first 5 of 12 robots" in view.note
 
 
-def test_warnings_count_what_limits_a_run():
-    """Failures, early ends, disconnected robots, floppy modes, and a second-best renderer."""
+def test_what_makes_results_wrong_is_apart_from_what_is_good_to_know():
+    """Failures and disconnected robots are warnings; early ends and floppy modes are notes."""
     summary = pd.DataFrame(
         {
             "case": ["a", "b", "c"],
@@ -104,13 +124,14 @@ def test_warnings_count_what_limits_a_run():
     origin = Origin(renderer="taichi", reason="open3d: died")
     manifest = Manifest(renders={"structure.png": origin})
 
-    warnings = " ".join(warnings_of(summary, manifest))
+    failed, disconnected = warnings_of(summary)
+    ended, floppy, renderer = notes_of(summary, manifest)
 
-    assert "1 of 3 cases failed: too few robots" in warnings
-    assert "Growth ended early in 1 case: the gap is bridged" in warnings
-    assert "No measurement that was used ties 3 robots in 1 case to the anchor" in warnings
-    assert "leave 4 to 12 floppy modes" in warnings
-    assert "open3d: died" in warnings
+    assert "1 of 3 cases failed: too few robots" in failed
+    assert "No measurement that was used ties 3 robots in 1 case to the anchor" in disconnected
+    assert "in 1 case: the gap is bridged" in ended
+    assert "leave 4 to 12 floppy modes" in floppy
+    assert "open3d: died" in renderer
     assert case_table(summary).frame["status"].tolist() == ["done", "done", "failed"]
 
 
@@ -119,17 +140,44 @@ def test_cases_that_did_not_converge_are_named():
     summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "status": "done", "reason": None})
     lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])
 
-    warnings = warnings_of(lost, Manifest())
+    warnings = warnings_of(lost)
 
     assert warnings[0].startswith("1 of 3 cases did not converge (0-a). The misfit")
     assert "148 sd" in warnings[0]
-    assert warnings_of(lost.assign(converged=[True, True, None]), Manifest()) == []
-    assert warnings_of(summary, Manifest()) == []
+    assert warnings_of(lost.assign(converged=[True, True, None])) == []
+    assert warnings_of(summary) == []
+
+
+def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():
+    """Conditions are compared at the same sweep point only."""
+    table = pd.DataFrame({"condition": [*"abab"], "tilt": [0, 0, 1, 1], "cases": 2})
+    wins = [table.assign(rmse_R_mean=rmse) for rmse in ([1.0, 2.0, 9.0, 3.0], [1.0, 2.0, 1.0, 3.0])]
+
+    assert conclusion(wins[0]) == "a has the smallest RMSE at 1 of 2 sweep points, b at 1"
+    assert conclusion(wins[1]) == "a has the smallest RMSE at 2 of 2 sweep points"
+
+
+def test_intervals_need_some_structures():
+    """A mean of fewer than four has a range; conditions are sorted by error."""
+    table = pd.DataFrame({"condition": ["a", "b", "c"], "cases": [4, 3, 1]})
+    table = table.assign(rmse_R_mean=[2.0, 0.5, 0.012345], rmse_R_ci95=[0.25, 1.0, np.nan])
+    rmse = [1.0, 2.0, 2.0, 3.0, 0.25, 0.5, 0.75, 0.012345, 9.0]
+    summary = pd.DataFrame({"condition": [*"aaaabbbcc"], "rmse_R": rmse})
+    summary["status"] = ["done"] * 8 + ["failed"]
+
+    shown = headline_table(with_ranges(table, summary))
+
+    assert shown.frame["condition"].tolist() == ["c", "b", "a"]
+    assert shown.frame["RMSE [R]"].tolist() == [
+        "0.0123", "0.500 (0.250 to 0.750)", "2.00 ± 0.25",
+    ]  # fmt: skip
+    assert shown.note.count("95 % CI") == 1
+    assert "fewer than 4 structures" in shown.note
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():
     """The table contains only the measures that the method reports."""
-    silent = pd.DataFrame({"condition": ["a"], "cases": [2], "paper_rmse_radii": [None]})
+    silent = pd.DataFrame({"condition": ["a"], "cases": [4], "paper_rmse_radii": [None]})
     silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
     frank = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, outlier_recall_mean=np.nan)
 
@@ -138,7 +186,7 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     assert len(without) + 1 == len(tables)
     assert tables[-1].title == "Calibration"
     assert tables[-1].frame.to_dict("records") == [
-        {"condition": "a", "robots in their 50 % interval": "0.48 ± 0.02"}
+        {"condition": "a", "robots in their 50 % interval": "0.480 ± 0.020"}
     ]
 
 
@@ -155,8 +203,8 @@ def test_published_numbers_have_a_table_of_their_own():
         {
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
-            "RMSE [R]": "2.00",
-            "RMSE [mm]": "66",
+            "RMSE [R]": "2",
+            "RMSE [mm]": "65.8",
         }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())

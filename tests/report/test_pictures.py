@@ -1,17 +1,20 @@
 """Pictures are drawn by the best renderer that works, and name it."""
 
 import builtins
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.report.conftest import is_blank
+from tests.report.conftest import is_blank, write_case, write_summary
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.progress import Progress
 from tiswarm.report.render.pictures import build_pictures, render_run
 from tiswarm.report.render.raycast import draw_scenes
+from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact-graph"]
 
@@ -19,7 +22,9 @@ PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    return build_pictures(load_run(run_folder).cases[0])["structure"].scene.shrunk(4)
+    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["structure"].scene.shrunk(
+        4
+    )
 
 
 @pytest.fixture
@@ -91,3 +96,39 @@ def test_both_renderers_draw_the_same_picture(scene):
     difference = np.abs(picture - reference).mean(axis=2)
     assert difference.mean() < 2.0
     assert (difference > 60.0).mean() < 0.01
+
+
+def test_every_size_of_a_study_is_in_one_picture(tmp_path):
+    """Sizes stand side by side at one scale; other conditions and failed cases are left out."""
+    rows = [
+        ["0-small", "done", "paper", "robots=4", 4],
+        ["0-large", "done", "paper", "robots=12", 12],
+        ["0-other", "done", "joint", "robots=9", 9],
+    ]
+    for name, *_ in rows:
+        write_case(tmp_path / "cases" / name, seed=0)
+    robots = tmp_path / "cases" / "0-small" / "robots.csv"
+    robots.write_text("".join(robots.read_text().splitlines(keepends=True)[:5]))
+    write_summary(tmp_path, "case,status,condition,point,robots", rows)
+    run = load_run(tmp_path)
+    assert build_sizes(run, run.choose(None))[0] == []  # structures ended at different sizes
+    (tmp_path / "scaling.csv").touch()
+
+    sizes, greatest = build_sizes(run, run.choose(None))
+
+    assert [size.label.split("\n")[0] for size in sizes] == ["4 robots", "12 robots"]
+    assert greatest > 0.0
+    picture = draw_side_by_side(sizes, "taichi")
+    assert not is_blank(picture)
+    assert picture.width > picture.height
+
+
+def test_scenes_that_share_their_rays_look_as_if_drawn_alone(scene):
+    """The second picture of the same capsules differs by its colors alone."""
+    recolored = replace(scene, color=scene.color[::-1].copy())
+
+    together = draw_scenes([scene, recolored], "taichi")[0]
+
+    for picture, one in zip(together, [scene, recolored], strict=True):
+        np.testing.assert_array_equal(picture, draw_scenes([one], "taichi")[0][0])
+    assert (together[0] != together[1]).any()

@@ -2,9 +2,11 @@
 
 import pytest
 
-from tests.report.conftest import write_summary
+from tests.report.conftest import write_case, write_summary
 from tiswarm.errors import InputError
+from tiswarm.records.terrain import Terrain
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 
 def test_a_condition_may_have_any_name(tmp_path):
@@ -59,3 +61,16 @@ def test_a_missing_table_may_be_empty(run_folder):
     assert run.table("paired.csv", [], [], after="measure", optional=True).empty
     with pytest.raises(InputError, match=r"table\.csv: cannot be read"):
         run.table("table.csv", [], [], after="cases")
+
+
+def test_edges_of_the_ground_come_from_the_summary(tmp_path):
+    """Where the summary has none, the ground is a plane."""
+    for name in ("0-bridge", "0-tower"):
+        write_case(tmp_path / "cases" / name, seed=0)
+    rows = [["0-bridge", "done", 0.0, 20.0], ["0-tower", "done", "", ""]]
+    write_summary(tmp_path, "case,status,left_edge_R,right_edge_R", rows)
+
+    bridge, tower = (read_case_view(case).terrain for case in load_run(tmp_path).cases)
+
+    assert bridge == Terrain(left_edge=0.0, right_edge=20.0)
+    assert tower == Terrain()

@@ -10,12 +10,13 @@ from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.render.raycast import taichi_tracer
 from tiswarm.report.render.scene import fit_camera
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 
 @pytest.fixture
 def scene(run_folder):
     """Truth and estimate of twelve robots."""
-    return build_pictures(load_run(run_folder).cases[0])["truth-and-estimate"].scene
+    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["truth-and-estimate"].scene
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 30), (40, 1, 1), (1, 40, 1), (0, 0, 0)])
@@ -37,14 +38,14 @@ def test_every_ball_is_inside_the_picture(shape):
 def test_robots_without_an_estimate_are_drawn_once(run_folder):
     """A robot without an estimate appears among the true robots only."""
     case = load_run(run_folder).cases[0]
-    whole = build_pictures(case)["truth-and-estimate"].scene
+    whole = build_pictures(read_case_view(case))["truth-and-estimate"].scene
     table = case.folder / "robots.csv"
     header, *robots = table.read_text().splitlines()
     cells = robots[-1].split(",")
     cells[8:11] = ["", "", ""]
     table.write_text("\n".join([header, *robots[:-1], ",".join(cells)]) + "\n")
 
-    scene = build_pictures(case)["truth-and-estimate"].scene
+    scene = build_pictures(read_case_view(case))["truth-and-estimate"].scene
 
     assert len(whole.radius) - len(scene.radius) == 7  # a hub, three arms, three docks
 

@@ -74,17 +74,22 @@ def test_the_manifest_adds_costs_up(scaled):
 
 
 def test_the_figure_shows_every_series(scaled):
-    """Each panel has one line for each condition, at the means of the table."""
-    table = pd.read_csv(scaled / "scaling.csv").set_index(["measure", "series"])["mean"]
-    table = table.sort_index(kind="stable")
+    """Each panel has a line for each condition, at the means of the table; one if all are equal."""
+    table = pd.read_csv(scaled / "scaling.csv")
+    names = table["series"].unique().tolist()
+    means = table.set_index(["measure", "series"])["mean"].sort_index(kind="stable")
 
-    panels = draw_scaling(load_run(scaled)).axes
+    figure = draw_scaling(load_run(scaled))
 
-    for axes, measure in zip(panels, SCALING_PANELS, strict=True):
-        drawn = {line.get_label().partition(":")[0]: line.get_ydata() for line in axes.lines}
-        assert set(drawn) == {"paper", "joint"}
-        for name, values in drawn.items():
-            np.testing.assert_allclose(values, table[measure, name])
+    assert names == ["paper", "joint"]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == [*names, "all series"]
+    for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
+        wanted = [means[measure, name].to_numpy() for name in names]
+        if np.array_equal(*wanted):
+            wanted = wanted[:1]
+        drawn = [line.get_ydata() for line in axes.lines]
+        np.testing.assert_allclose(drawn, wanted)
 
 
 def test_the_largest_structure_is_shown(scaled):
@@ -109,7 +114,7 @@ def test_a_plan_is_printed_and_nothing_runs(tiswarm, tmp_path):
 
 def test_a_forecast_grows_with_what_is_asked_for():
     """Twice the seeds cost twice; conditions share the growth of their structures."""
-    tower = REPOSITORY / "scenarios" / "tower.yaml"
+    tower = REPOSITORY / "tests" / "tower.yaml"
 
     def forecast(*overrides):
         return study.forecast(load_scenario(tower, overrides))
@@ -126,7 +131,7 @@ def test_a_forecast_grows_with_what_is_asked_for():
 
 def test_a_forecast_counts_cases_instead_of_listing_them():
     """A million seeds take a fraction of a second; to list their cases takes a minute."""
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["seeds=1000000"])
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["seeds=1000000"])
     begun = time.process_time()
 
     forecast = study.forecast(scenario)

@@ -34,6 +34,9 @@ PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
 """Widths of a column and of a page of a paper [inch]."""
 
+_MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
+_MOST_LABELS = 60.0  # greatest ratio with three labels a decade
+
 STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.6,
     "axes.spines.right": False,
@@ -89,14 +92,40 @@ def new_panels(
 
 
 def line_style(place: int) -> dict[str, Any]:
-    """Choose color and dashes of the line at a place among others."""
+    """Choose color, dashes and width of the line at a place among others.
+
+    Lines become thinner, so that one remains visible beneath the next.
+    """
     dashes = ("-", "--", ":")[place // len(PALETTE) % 3]
-    return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes}
+    width = max(0.8, 2.2 - 0.25 * place)
+    return {"color": PALETTE[place % len(PALETTE)], "linestyle": dashes, "linewidth": width}
 
 
 def marker_style(place: int) -> dict[str, Any]:
     """Choose color and marker of the points at a place among others."""
     return {"color": PALETTE[place % len(PALETTE)], "marker": "osD^vPX"[place % 7]}
+
+
+def fit_axis(axes: "Axes", which: str, values: Reals, *, nonpositive: str = "mask") -> None:
+    """Start the axis x or y at zero, or make it logarithmic where that would crush values onto 0.
+
+    On a logarithmic axis, what is not positive is left out ("mask") or at its end ("clip").
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis: Any = getattr(axes, f"{which}axis")
+    bounds: Any = getattr(axes, f"set_{which}lim")
+    positive = values[values > 0.0]
+    span = float(positive.max() / positive.min()) if len(positive) else 1.0
+    if span <= _MOST_LINEAR:
+        bounds(0.0, None)
+        return
+    getattr(axes, f"set_{which}scale")("log", nonpositive=nonpositive)
+    bounds(0.6 * positive.min(), None)
+    if span < _MOST_LABELS:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def shortened(name: str) -> str:

@@ -14,6 +14,7 @@ from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     PAGE_WIDTH,
+    fit_axis,
     line_style,
     new_panels,
     pdf,
@@ -81,7 +82,7 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
         painters["error-along-growth"] = _draw_error_along_growth
     else:
         painters["error-against-height"] = draw_error_against_height
-    if (run.folder / "scaling.csv").is_file():
+    if run.sweeps_robots:
         painters["scaling"] = draw_scaling
     if (run.folder / "table.csv").is_file():
         painters["accuracy"] = draw_accuracy
@@ -109,7 +110,10 @@ def draw_convergence(run: RunData) -> "Figure":
         top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
         axes.set_title(title, fontsize=8.0)
         legend |= {str(line.get_label()): line for line in axes.lines}
-    panels[0].set_ylim(0.0, 1.05 * top or 1.0)
+    lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
+    ends = np.array([line[-1] for line in lines])
+    panels[0].set_ylim(top=1.05 * top or 1.0)
+    fit_axis(panels[0], "y", ends)
     figure.supylabel("RMSE [R]", fontsize=8.0)
     figure.legend(
         legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
@@ -176,7 +180,9 @@ def draw_error_against_height(run: RunData) -> "Figure":
         conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
         shown.sort(key=lambda item: conditions.index(item[1][0].condition))
     shown = shown[:_MAX_PANELS]
-    columns, rows = min(3, len(shown)), -(-len(shown) // 3)
+    columns = 2 if len(_by_point(run.series)) == 2 else min(3, len(shown))  # noqa: PLR2004 - pairs
+    shown = shown[: _MAX_PANELS // columns * columns]
+    rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
     height = 0.5 + (2.0 + _LEGEND_LINE * lines) * rows
@@ -235,6 +241,7 @@ def _errors_at(cases: list[Case], column: str) -> Reals:
 def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     """Draw a table of `_errors_at` in each panel, colored by join index."""
     from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.ticker import MaxNLocator
 
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
@@ -248,4 +255,5 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     figure = panels[0].figure
     aspect = 25 * -(-len(panels) // 3)
     bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)
+    bar.locator = MaxNLocator("auto", integer=True)
     bar.ax.spines["outline"].set_visible(False)

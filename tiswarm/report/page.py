@@ -1,12 +1,13 @@
-"""Writes `report.html`: one self-contained page that shows a run, made from its files alone."""
+"""Writes pages, each a self-contained file; that of a run is made from the run's files alone."""
 
 import base64
 import io
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 from PIL import Image
 
 from tiswarm.errors import InputError
@@ -14,82 +15,94 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import damaged, run_file, write_text
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
-from tiswarm.report.figure_style import ERROR_COLORS, ESTIMATE_ORANGE, TRUE_BLUE
+from tiswarm.report.captions import caption_of
+from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, TRUE_BLUE
+from tiswarm.report.headline import result_of
 from tiswarm.report.page_tables import (
+    Table,
     case_table,
+    headline_table,
     machine_table,
+    notes_of,
     result_tables,
     warnings_of,
+    with_ranges,
 )
-from tiswarm.report.render.pictures import CaseView, read_case_view
 from tiswarm.report.run_data import RunData
+from tiswarm.report.space import View, build_view
 from tiswarm.scenario.yaml_source import read_yaml
 
-_LARGEST = 7_900_000  # largest page [bytes]; pictures beyond it remain in files of their own
-_MOST_CASES = 12  # in the 3D view
-MOST_ROBOTS = 10_000
-"""Robots in the 3D view, in all cases together."""
-
-_DIGITS = 4  # decimals of positions in the 3D view
-_ON_PAGE = {"figures": 0.42, "renders": 0.36}
-"""Width on the page over the width of the picture, which has the resolution of print."""
-
-_CAPTIONS = {
-    "accuracy": "Mean RMSE and Procrustes disparity with 95 % confidence intervals",
-    "convergence": "RMSE against iteration",
-    "error-against-height": "Error of each robot against its true height",
-    "error-along-growth": "Error of each robot against its place along the structure",
-    "profiles": "RMSE by join index, height, hops and contacts",
-    "scaling": "Accuracy and cost against the number of robots",
-    "contact-graph": "Contact graph, colored by hops from the anchor",
-    "error": "True structure, colored by error",
-    "growth": "Growth of the structure",
-    "sensed-force": "True structure, colored by the force that robots sense in their links",
-    "structure": "True structure, colored by join index",
-    "truth-and-estimate": "True and estimated structure",
-}
-"""Captions by file name; a longer name adds a sweep point or a case."""
+LARGEST = 7_900_000
+"""Largest page [bytes]; pictures beyond it remain in files of their own."""
 
 
 class _Shown(NamedTuple):
     """A picture within the page; sizes in pixels."""
 
     source: str  # the picture as a data URL, or the path of its file
+    file: str
     caption: str
     width: int
     height: int
     wide: int  # width on the page
 
 
-class _View(NamedTuple):
-    """The cases of the 3D view."""
+class _Reproduction(NamedTuple):
+    """How to repeat a run."""
 
-    data: dict[str, Any]  # dock offsets [R], and for each case poses and errors [R] in join order
-    note: str
+    version: str
+    command: str
+    machine: Table
+    scenario: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """Content of a page; the page leaves out what is empty."""
+
+    name: str
+    result: str  # one sentence
+    what: str = ""  # one line: what was computed
+    description: str = ""
+    headline: Table | None = None  # beside the 3D view
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    view: View | None = None
+    figures: Sequence[_Shown] = ()
+    renders: Sequence[_Shown] = ()
+    rows: Table | None = None  # a row for each case or robot, which readers filter
+    rows_example: str = ""  # words that a reader may filter the rows by
+    reproduction: _Reproduction | None = None
+
+    def html(self) -> str:
+        """Render the page."""
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
+
+        environment = Environment(
+            loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
+            autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        )  # fmt: skip
+        colors = {"true": TRUE_BLUE, "errors": ERROR_COLORS, "joins": JOIN_COLORS}
+        return environment.get_template("report.html").render(page=self, colors=colors) + "\n"
 
 
 def write_page(run: RunData, progress: Progress) -> Path:
     """Write `report.html` into the folder of a run."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
-
-    environment = Environment(
-        loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
-        autoescape=True, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    template = environment.get_template("report.html")
     page = _gather(run)
-    room = _LARGEST - len(template.render(page=page).encode())
-    page["figures"] = _pictures(run.folder / "figures", room)
-    room -= sum(len(picture.source) for picture in page["figures"])
-    page["renders"] = _pictures(run.folder / "renders", room)
+    room = LARGEST - len(page.html().encode())
+    page = replace(page, figures=show_pictures(run.folder / "figures", room))
+    room -= sum(len(picture.source) for picture in page.figures)
+    case = run.choose(None).name if run.series else ""
+    page = replace(page, renders=show_pictures(run.folder / "renders", room, case=case))
     path = run.folder / "report.html"
-    write_text(path, template.render(page=page) + "\n")
+    write_text(path, page.html())
     progress.info(path.name)
     return path
 
 
-def _gather(run: RunData) -> dict[str, Any]:
-    """Gather what the template shows, except for the pictures."""
+def _gather(run: RunData) -> Page:
+    """Gather what the page shows, except for the pictures."""
     path = run_file(run.folder / "scenario.yaml")
     stated = read_yaml(path).data
     if not isinstance(stated, dict):
@@ -97,26 +110,30 @@ def _gather(run: RunData) -> dict[str, Any]:
     manifest = read_manifest(run.folder)
     numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
+    table = with_ranges(table, run.summary)
     words = ["condition", "against", "measure"]
     numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
     paired = run.table("paired.csv", words, numbers, after="measure", optional=True)
     arch = manifest.backend.get("arch", "cpu")
-    return {
-        "name": stated.get("name", run.folder.name),
-        "description": stated.get("description", ""),
-        "what": _in_words(run, manifest),
-        "warnings": warnings_of(run.summary, manifest),
-        "tables": result_tables(table, paired),
-        "view": build_view(run),
-        "colors": {"true": TRUE_BLUE, "estimate": ESTIMATE_ORANGE, "errors": ERROR_COLORS},
-        "figures": [],
-        "renders": [],
-        "cases": case_table(run.summary),
-        "version": manifest.tiswarm or "of the same version",
-        "command": f"tiswarm run scenario.yaml --out again --arch {arch}",
-        "machine": machine_table(manifest),
-        "scenario": path.read_text(encoding="utf-8"),
-    }
+    return Page(
+        name=stated.get("name", run.folder.name),
+        description=stated.get("description", ""),
+        result=result_of(table),
+        what=_in_words(run, manifest),
+        warnings=warnings_of(run.summary),
+        notes=notes_of(run.summary, manifest),
+        headline=headline_table(table),
+        tables=result_tables(table, paired),
+        view=build_view(run),
+        rows=case_table(run.summary),
+        rows_example=f"{table['condition'].iloc[0]} done",
+        reproduction=_Reproduction(
+            version=manifest.tiswarm or "of the same version",
+            command=f"tiswarm run scenario.yaml --out again --arch {arch}",
+            machine=machine_table(manifest),
+            scenario=path.read_text(encoding="utf-8"),
+        ),
+    )
 
 
 def _in_words(run: RunData, manifest: Manifest) -> str:
@@ -133,59 +150,22 @@ def _in_words(run: RunData, manifest: Manifest) -> str:
     return f"{', '.join(counts)}{each}{time}."
 
 
-def build_view(run: RunData) -> _View | None:
-    """Take the first case of each series, within the limits; None if no case is done."""
-    if not run.series:
-        return None
-    first = [cases[0] for cases in run.series.values()]
-    view = read_case_view(first[0])
-    shown = [_data(view)]
-    for case in first[1:_MOST_CASES]:
-        data = _data(read_case_view(case))
-        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
-            break
-        shown.append(data)
-    done, robots = sum(case.done for case in run.cases), len(view.pose)
-    notes = [f"The view contains {len(shown)} of {done} cases."] if len(shown) < done else []
-    if robots > MOST_ROBOTS:
-        notes.append(f"It contains the first {MOST_ROBOTS} of {robots} robots.")
-    return _View(
-        data={"offsets": view.dock_offset_body.round(_DIGITS).tolist(), "cases": shown},
-        note=" ".join(notes),
-    )
+def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[_Shown]:
+    """Embed the pictures of a folder that fit into the room [bytes]; link the others.
 
-
-def _data(view: CaseView) -> dict[str, Any]:
-    """List poses and errors of the robots that have an estimate, the first ones if too many."""
-    table = np.column_stack([view.error, view.pose, view.estimated_pose])
-    known = np.flatnonzero(np.isfinite(table).all(axis=1))[:MOST_ROBOTS]
-    parts = np.split(table[known].round(_DIGITS), [1, 4, 8, 11], axis=1)
-    error, true, turn, estimate, sensed = (part.tolist() for part in parts)
-    return {
-        "name": view.case.name,
-        "robot": view.robot[known].tolist(),
-        "error": [value for (value,) in error],
-        "worst": max(float(parts[0].max(initial=0.0)), 1e-3),
-        "true": true,
-        "turn": turn,
-        "estimate": estimate,
-        "sensed": sensed,
-    }
-
-
-def _pictures(folder: Path, room: int) -> list[_Shown]:
-    """Embed the pictures of a folder that fit into the room [bytes]; link the others."""
+    `case` is what pictures show whose names do not say it.
+    """
     pictures = []
     for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
-        kind, data, (width, height) = _encoded(path, lossless=folder.name == "figures")
-        share = 0.72 if kind == "gif" else _ON_PAGE[folder.name]  # GIFs have a screen's resolution
+        kind, data, (width, height) = _encoded(path, lossless=folder.name != "renders")
+        # GIFs have a screen's resolution
+        share = 0.72 if kind == "gif" else 0.36 if folder.name == "renders" else 0.42
         source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-        where = f"{folder.name}/{path.name}"
-        caption = f"{caption_of(path.stem)} ({where})"
+        file, caption = f"{folder.name}/{path.name}", caption_of(path.stem, case)
         room -= len(source)
         if room <= 0:
-            source, caption = where, f"{caption}; separate file: page size limit"
-        pictures.append(_Shown(source, caption, width, height, wide=round(width * share)))
+            source, caption = file, f"{caption} Separate file {file}: page size limit."
+        pictures.append(_Shown(source, file, caption, width, height, wide=round(width * share)))
     return pictures
 
 
@@ -205,10 +185,3 @@ def _encoded(path: Path, *, lossless: bool) -> tuple[str, bytes, tuple[int, int]
     except Exception as error:  # a damaged picture can raise any error
         problem = f"is no {form} picture that can be shown: {error}; delete it, or draw it again"
         raise InputError(problem, path=path) from error
-
-
-def caption_of(name: str) -> str:
-    """Describe a picture by the longest known part of its name."""
-    known = max((key for key in _CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
-    rest = name.removeprefix(known).strip("-")
-    return ", ".join(filter(None, [_CAPTIONS.get(known, ""), rest]))

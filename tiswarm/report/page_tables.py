@@ -1,71 +1,72 @@
-"""The tables and warnings of a run's page: chosen columns, formatted, with units."""
+"""The tables, warnings and notes of a run's page: chosen columns, formatted, with units."""
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
-from tiswarm.report.run_data import swept_words
+from tiswarm.report.headline import FEWEST_FOR_CI
+from tiswarm.report.run_data import swept_columns, swept_words
 
-_MOST_CASES = 2_000  # rows of the table of cases; `summary.csv` has all
+MOST_ROWS = 2_000
+"""Most rows of a table of cases or robots; a file beside the page has all."""
+
 _MOST_REASONS = 5
 
-# Label, name of the measure and decimals of each column.
-_ACCURACY = [
-    ("RMSE [R]", "rmse_R", 2),
-    ("RMSE [rho]", "rmse_rho", 2),
-    ("disparity", "procrustes_disparity", 4),
-]
+# Label and name of the measure of each column.
+_ACCURACY = [("RMSE [R]", "rmse_R"), ("disparity", "procrustes_disparity")]
 _LIMITS = [
-    ("contacts per robot", "contacts_per_robot", 2),
-    ("floppy modes", "floppy_modes", 1),
-    ("rms radius [R]", "rms_radius_R", 1),
+    ("contacts per robot", "contacts_per_robot"),
+    ("floppy modes", "floppy_modes"),
+    ("rms radius [R]", "rms_radius_R"),
 ]
 _ALIGNED = [
-    ("not aligned", "rmse_R", 2),
-    ("yaw and translation aligned", "rmse_yaw_aligned_R", 2),
-    ("rigidly aligned", "rmse_rigid_aligned_R", 2),
-    ("relative, robots in contact", "rmse_per_contact_R", 2),
+    ("not aligned", "rmse_R"),
+    ("yaw and translation aligned", "rmse_yaw_aligned_R"),
+    ("rigidly aligned", "rmse_rigid_aligned_R"),
+    ("relative, robots in contact", "rmse_per_contact_R"),
 ]
 _CALIBRATION = [
-    ("robots in their 50 % interval", "coverage_50", 2),
-    ("robots in their 90 % interval", "coverage_90", 2),
-    ("precision of outliers", "outlier_precision", 2),
-    ("recall of outliers", "outlier_recall", 2),
-    ("converged estimates", "converged", 2),
+    ("robots in their 50 % interval", "coverage_50"),
+    ("robots in their 90 % interval", "coverage_90"),
+    ("precision of outliers", "outlier_precision"),
+    ("recall of outliers", "outlier_recall"),
+    ("converged estimates", "converged"),
 ]
 _ANCHOR = [
-    ("first robot", "first_on_anchor", 1),
-    ("second robot", "second_on_anchor", 1),
-    ("third robot", "third_on_anchor", 1),
+    ("first robot", "first_on_anchor"),
+    ("second robot", "second_on_anchor"),
+    ("third robot", "third_on_anchor"),
 ]
 _PUBLISHED = [
-    ("published RMSE [robot radii]", "paper_rmse_radii", 2),
-    ("RMSE [R]", "rmse_R_mean", 2),
-    ("RMSE [rho]", "rmse_rho_mean", 2),
-    ("RMSE [mm]", "rmse_mm_mean", 0),
-    ("best structure [R]", "rmse_R_least", 2),
-    ("published change [%]", "paper_rmse_change_percent", 0),
-    ("change [%]", "rmse_change_percent", 0),
-    ("published disparity", "paper_procrustes_disparity", 3),
-    ("disparity", "procrustes_disparity_mean", 3),
+    ("published RMSE [robot radii]", "paper_rmse_radii"),
+    ("RMSE [R]", "rmse_R_mean"),
+    ("RMSE [rho]", "rmse_rho_mean"),
+    ("RMSE [mm]", "rmse_mm_mean"),
+    ("best structure [R]", "rmse_R_least"),
+    ("published change [%]", "paper_rmse_change_percent"),
+    ("change [%]", "rmse_change_percent"),
+    ("published disparity", "paper_procrustes_disparity"),
+    ("disparity", "procrustes_disparity_mean"),
 ]
 _CASE = [
-    ("robots", "robots", 0),
+    ("robots", "robots"),
     *_ACCURACY[:1],
-    ("yaw aligned [R]", "rmse_yaw_aligned_R", 2),
-    ("rigidly aligned [R]", "rmse_rigid_aligned_R", 2),
-    *_ACCURACY[2:],
+    ("yaw aligned [R]", "rmse_yaw_aligned_R"),
+    ("rigidly aligned [R]", "rmse_rigid_aligned_R"),
+    *_ACCURACY[1:],
     *_LIMITS,
-    *[(f"{label} on the anchor", name, 0) for label, name, _ in _ANCHOR],
-    ("height [R]", "height_R", 1),
-    ("peak stress", "peak_stress", 0),
+    *[(f"{label} on the anchor", name) for label, name in _ANCHOR],
+    ("height [R]", "height_R"),
+    ("peak stress", "peak_stress"),
 ]
 _MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
 
-_Column = tuple[str, str, int]
+_Column = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,23 +79,59 @@ class Table:
     note: str = ""
 
 
+def with_ranges(table: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
+    """Add to each row of means the least and the greatest value of its cases."""
+    keys = swept_columns(table)
+    done = summary[summary["status"] == "done"]
+    names = [name for name in map(str, done) if f"{name}_mean" in table]
+    if done.empty:
+        return table
+    by_row = done[names].astype(float).groupby(done[keys].astype(str).agg(" ".join, axis=1))
+    rows = table[keys].astype(str).agg(" ".join, axis=1)
+    ends = {"least": by_row.min(), "most": by_row.max()}
+    parts = [part.reindex(rows).add_suffix(f"_{end}") for end, part in ends.items()]
+    ranges = pd.concat(parts, axis=1).set_axis(table.index)
+    return pd.concat([table.drop(columns=[*ranges], errors="ignore"), ranges], axis=1)
+
+
+def headline_table(table: pd.DataFrame) -> Table:
+    """Format the accuracy of each condition, the best one of each sweep point first."""
+    swept = swept_columns(table)[1:]
+    point = table.groupby(swept, sort=False).ngroup() if swept else 0
+    order = ["point", *({"rmse_R_mean"} & set(table))]
+    rows = table.assign(point=point).sort_values(order, kind="stable")
+    columns = _means(rows, _ACCURACY)
+    least, most = rows["cases"].min(), rows["cases"].max()
+    if least < most:
+        columns["structures"] = _numbers(rows["cases"])
+    notes = [
+        f"Means over {counted(most, 'structure')}." if least == most else "Means over structures."
+    ]
+    if most >= FEWEST_FOR_CI:
+        notes.append("± is the half width of the 95 % CI.")
+    if most > 1 and least < FEWEST_FOR_CI:
+        notes.append(
+            f"In parentheses: least and greatest, of fewer than {FEWEST_FOR_CI} structures."
+        )
+    notes.append("R is the radius of a dock; disparity 0 means the right shape.")
+    return _labeled(swept_words(rows), columns, "Accuracy", " ".join(notes))
+
+
 def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
-    """Format the results of a run; `paired` may be empty."""
+    """Format the other results of a run; `paired` may be empty."""
     words = swept_words(table)
+    tables = []
+    if table["paper_rmse_radii"].notna().any():
+        tables.append(_beside_the_paper(table))
+    if len(paired):
+        tables.append(_differences(paired))
     note = (
         "Alignment removes a rotated or shifted frame; the rest is a wrong shape. The last column "
         "is the error of one robot's position relative to a robot in contact."
     )
-    aligned = _labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note)
-    tables = [_localization(table), aligned]
-    if table["paper_rmse_radii"].notna().any():
-        tables.insert(1, _beside_the_paper(table))
-    if anchor := _means(table, _ANCHOR):
-        note = (
-            "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
-            "Means are over structures in which so many robots touch it."
-        )
-        tables.append(_labeled(words, anchor, "Robots on the anchor", note))
+    tables.append(_labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note))
+    note = "Floppy modes are motions that change no measurement: no method can remove such errors."
+    tables.append(_labeled(words, _means(table, _LIMITS), "Limits of the accuracy", note))
     if calibration := _means(table, _CALIBRATION):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
@@ -102,16 +139,13 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
             "outliers; recall: reported outliers among wrong contacts."
         )
         tables.append(_labeled(words, calibration, "Calibration", note))
-    if len(paired):
-        tables.append(_differences(paired))
+    if anchor := _means(table, _ANCHOR):
+        note = (
+            "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
+            "Means are over structures in which so many robots touch it."
+        )
+        tables.append(_labeled(words, anchor, "Robots on the anchor", note))
     return tables
-
-
-def _localization(table: pd.DataFrame) -> Table:
-    """Format accuracy, and what limits it."""
-    note = "Mean ± half width of its 95 % confidence interval over structures."
-    columns = {"structures": _numbers(table["cases"], 0)} | _means(table, [*_ACCURACY, *_LIMITS])
-    return _labeled(swept_words(table), columns, "Localization", note)
 
 
 def _beside_the_paper(table: pd.DataFrame) -> Table:
@@ -122,7 +156,7 @@ def _beside_the_paper(table: pd.DataFrame) -> Table:
         'mm, as in the paper\'s towers. The paper does not define its "robot radius". Changes are '
         "relative to the first condition."
     )
-    columns = {label: _numbers(rows[name], n) for label, name, n in _PUBLISHED if name in rows}
+    columns = {label: _numbers(rows[name]) for label, name in _PUBLISHED if name in rows}
     return _labeled(swept_words(rows), columns, "Beside the paper", note)
 
 
@@ -133,26 +167,26 @@ def _differences(paired: pd.DataFrame) -> Table:
     words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(_MEASURES))
     p = rows["wilcoxon_p"]
     columns = {
-        "difference": _mean(rows, "difference", 3, sign="+"),
+        "difference": _mean(rows, "difference", sign="+"),
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
-        "p": _numbers(p, 4).mask(p < 1e-4, "< 0.0001"),  # noqa: PLR2004 - four decimals
+        "p": _numbers(p).mask(p < 1e-4, "< 0.0001"),  # noqa: PLR2004 - a limit of the test
     }
     note = (
-        "p of Wilcoxon's signed-rank test, not corrected for multiple comparisons. paired.csv "
-        "contains all measures and pairs of conditions."
+        "p of Wilcoxon's signed-rank test, not corrected for multiple comparisons; with n "
+        "structures it is at least 2^(1 - n). paired.csv contains all measures and pairs."
     )
     return _labeled(words, columns, "Differences on the same structures", note)
 
 
 def case_table(summary: pd.DataFrame) -> Table:
     """Format a row for each case."""
-    shown = summary.head(_MOST_CASES)
+    shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
-    numbers = {label: _numbers(shown[name], n) for label, name, n in _CASE if name in shown}
+    numbers = {label: _numbers(shown[name]) for label, name in _CASE if name in shown}
     reason = {"reason": shown["reason"].fillna("").astype(str)}
     left_out = len(summary) - len(shown)
     note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
-    return replace(_labeled(words, numbers | reason, "", note), words=[*words, "reason"])
+    return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, "reason"])
 
 
 def machine_table(manifest: Manifest) -> Table:
@@ -184,27 +218,46 @@ def _labeled(words: pd.DataFrame, columns: dict[str, pd.Series], title: str, not
 def _means(table: pd.DataFrame, columns: Sequence[_Column]) -> dict[str, pd.Series]:
     """Format the means that a table has, by label."""
     return {
-        label: _mean(table, name, digits)
-        for label, name, digits in columns
+        label: _mean(table, name)
+        for label, name in columns
         if f"{name}_mean" in table and table[f"{name}_mean"].notna().any()
     }
 
 
-def _mean(table: pd.DataFrame, name: str, digits: int, *, sign: str = "") -> "pd.Series[str]":
-    """Format means with the half widths of their confidence intervals."""
-    mean = _numbers(table[f"{name}_mean"], digits, sign=sign)
-    width = table.get(f"{name}_ci95", pd.Series(float("nan"), table.index))
-    return mean + (" ± " + _numbers(width, digits)).where(width.notna() & (mean != ""), "")
+def _mean(table: pd.DataFrame, name: str, *, sign: str = "") -> "pd.Series[str]":
+    """Format means with the half widths of their confidence intervals, or with ranges."""
+    columns = [f"{name}_{statistic}" for statistic in ("mean", "ci95", "least", "most")]
+    values = table.reindex(columns=columns).astype(float).to_numpy()
+    count = table["cases" if "cases" in table else "structures"]
+    texts = [_spread(*row, sign=sign) for row in np.column_stack([count, values]).tolist()]
+    return pd.Series(texts, table.index, dtype=str)
 
 
-def _numbers(values: pd.Series, digits: int, *, sign: str = "") -> "pd.Series[str]":
+def _spread(count: float, mean: float, half: float, least: float, most: float, *, sign: str) -> str:
+    """Write a mean with three significant digits and what is known of its uncertainty."""
+    if count >= FEWEST_FOR_CI and math.isfinite(half):
+        digits = max(0, 2 - math.floor(math.log10(abs(mean) or 1.0)))
+        return f"{mean:{sign}.{digits}f} ± {half:.{digits}f}"
+    between = f" ({_number(least)} to {_number(most)})" if count > 1 and least < most else ""
+    return _number(mean, sign) + between
+
+
+def _number(value: float, sign: str = "") -> str:
+    """Write a number with three significant digits, a whole one without decimals."""
+    if math.isnan(value):
+        return ""
+    plus = sign if value > 0.0 else ""
+    whole = value == round(value) or abs(value) >= 1000.0  # noqa: PLR2004 - all digits before the point
+    return plus + (f"{value:.0f}" if whole else three_digits(value))
+
+
+def _numbers(values: pd.Series) -> "pd.Series[str]":
     """Format numbers; unknown ones are empty."""
-    texts = values.astype(float).map(lambda v: "" if pd.isna(v) else f"{v:{sign}.{digits}f}")
-    return texts.astype(str)  # of no values too
+    return values.astype(float).map(_number).astype(str)  # of no values too
 
 
-def warnings_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
-    """List what limits the results of a run."""
+def warnings_of(summary: pd.DataFrame) -> list[str]:
+    """List what makes results of a run wrong or incomplete."""
     done = summary[summary["status"] == "done"]
     failed = summary[summary["status"] != "done"]
     found = []
@@ -212,15 +265,24 @@ def warnings_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
         why = _some(failed["reason"].dropna().unique(), "; ")
         found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
     found += _unconverged(done)
-    ended = done["reason"].dropna()
-    if len(ended):
-        why = _some(ended.unique(), "; ")
-        found.append(f"Growth ended early in {counted(len(ended), 'case')}: {why}.")
     if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
         robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
         found.append(
             f"No measurement that was used ties {robots} in {cases} to the anchor; their positions "
             "are guesses."
+        )
+    return found
+
+
+def notes_of(summary: pd.DataFrame, manifest: Manifest) -> list[str]:
+    """List what a reader of the results should know."""
+    done = summary[summary["status"] == "done"]
+    found = []
+    ended = done["reason"].dropna()
+    if len(ended):
+        why = _some(ended.unique(), "; ")
+        found.append(
+            f"Growth ended before all robots joined in {counted(len(ended), 'case')}: {why}."
         )
     if "floppy_modes" in done and ((modes := done["floppy_modes"]) > 0).any():
         least, most = f"{modes.min():.0f}", f"{modes.max():.0f}"

@@ -15,6 +15,7 @@ from tiswarm.aliases import Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.run_folder import case_folder, check_folders
+from tiswarm.records.terrain import NO_EDGE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,8 @@ class Case:
     point: str  # values of the sweep; empty without a sweep
     kind: str  # kind of its structure
     robots: int  # robots of its structure; 0 where unknown
+    left_edge: float  # end of the ground at the left [R], as in `Terrain`
+    right_edge: float  # beginning of the ground at the right [R]
 
     def columns(
         self, file: str, names: Sequence[str], *, gaps: Sequence[str] = (), empty: bool = False
@@ -59,14 +62,17 @@ class RunData:
     @cached_property
     def cases(self) -> list[Case]:
         """All cases, in the order of the summary."""
-        table = self.summary.reindex(columns=[*_WORDS, "robots"])
-        table = table.fillna({"robots": 0} | dict.fromkeys(_WORDS, ""))
+        unknown = {"robots": 0, "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
+        table = self.summary.reindex(columns=[*_WORDS, *unknown])
+        table = table.fillna(unknown | dict.fromkeys(_WORDS, ""))
         return [
             Case(
                 name=row["case"],
                 folder=case_folder(self.folder, row["case"]),
                 done=row["status"] == "done",
                 robots=int(row["robots"]),
+                left_edge=row["left_edge_R"],
+                right_edge=row["right_edge_R"],
                 **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")
@@ -80,6 +86,11 @@ class RunData:
             if case.done:
                 series.setdefault(case.series, []).append(case)
         return series
+
+    @property
+    def sweeps_robots(self) -> bool:
+        """Whether this is a study of scaling."""
+        return (self.folder / "scaling.csv").is_file()
 
     @property
     def note(self) -> str:
@@ -102,7 +113,7 @@ class RunData:
             raise InputError(problem, path=self.folder)
         some = ", ".join(case.name for case in done[:9])
         problem = f"no case {name!r} is done; choose one of {some}"
-        raise InputError(problem, path=self.folder, key="--case")
+        raise InputError(problem, path=self.folder, argument="case")
 
     def table(
         self,

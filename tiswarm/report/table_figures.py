@@ -14,7 +14,13 @@ from tiswarm.records.frames import read_frame
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, new_panels, shortened
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    fit_axis,
+    marker_style,
+    new_panels,
+    shortened,
+)
 from tiswarm.report.run_data import RunData, swept_columns, swept_words
 
 if TYPE_CHECKING:
@@ -29,6 +35,8 @@ _MEASURES = {
 
 _DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
 
+_FEWEST_FOR_CI = 4  # structures below which each says more than a confidence interval
+_FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
 _MOST_ROWS = 60
 _MOST_COLUMNS = 4
 _MOST_POINTS = 4  # most points of a sweep that have a figure of profiles each
@@ -47,34 +55,41 @@ SCALING_PANELS = {
     "grow_cpu_s": "Growth, CPU time [s]",
     "localize_cpu_s": "Localization, CPU time [s]",
     "localize_wall_s": "Localization, wall time [s]",
-    "localize_peak_memory_MB": "Localization, peak memory [MB]",
+    "localize_peak_memory_MB": "Process, peak memory [MB]",
 }
 
 
 def draw_accuracy(run: RunData) -> "Figure":
-    """Draw means over structures with 95 % confidence intervals, a row a condition.
+    """Draw means over structures, a row a condition, with 95 % confidence intervals.
 
-    Points of the sweep share a row and differ in color and marker. Open markers are published
-    numbers, whose unit of length is not defined.
+    Of few structures, each is drawn instead of the interval. Points of the sweep share a row and
+    differ in color and marker. Open markers are published numbers, whose unit of length is not
+    defined.
     """
     published = [column for _, column in _MEASURES.values()]
     table = run.table("table.csv", ["condition"], ["cases", *published, *_DRAWN], after="cases")
     swept = swept_words(table).drop(columns="condition")
     values = [zip(swept.columns, row, strict=True) for row in swept.to_numpy().tolist()]
-    texts = [", ".join(f"{key}={value}" for key, value in row) for row in values]
-    points = pd.Series([shortened(text) for text in texts], table.index)
+    table["point"] = [", ".join(f"{key}={value}" for key, value in row) for row in values]
     names = list(dict.fromkeys(table["condition"]))
-    shown = list(dict.fromkeys(points))[: max(1, _MOST_ROWS // len(names))]
+    points = list(dict.fromkeys(table["point"]))
+    shown = points[: max(1, _MOST_ROWS // len(names))]
+    few = table["cases"].max() < _FEWEST_FOR_CI
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
     figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
     for axes, (measure, (_, counterpart)) in zip(panels, _MEASURES.items(), strict=True):
         for index, point in enumerate(shown):
-            rows = table[points == point].set_index("condition").reindex(names)
+            rows = table[table["point"] == point].set_index("condition").reindex(names)
             place = np.arange(len(names)) + (index - 0.5 * (len(shown) - 1)) / (1 + len(shown))
             look = {**marker_style(index), "linestyle": "", "markersize": 3.5}
             mean, ci95 = rows[f"{measure}_mean"], rows[f"{measure}_ci95"].fillna(0.0)
-            axes.errorbar(mean, place, xerr=ci95, label=point or "mean", **look)
+            error = None if few else ci95
+            axes.errorbar(mean, place, xerr=error, label=shortened(point) or "mean", **look)
             axes.plot(rows[counterpart], place, markerfacecolor="white", **look)
+            if few:
+                each = _each_structure(run, measure, point)
+                rows_of = [names.index(condition) for condition in each.index]
+                axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
     _finish_rows(panels, names)
     if table[published].notna().any(axis=None):
         panels[0].plot(
@@ -84,15 +99,25 @@ def draw_accuracy(run: RunData) -> "Figure":
     handles, labels = panels[0].get_legend_handles_labels()
     if labels[0].startswith("published"):  # matplotlib lists lines before error bars
         handles, labels = [*handles[1:], handles[0]], [*labels[1:], labels[0]]
-    if len(handles) > 1:
-        width = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels))
-        columns = max(1, min(_MOST_COLUMNS, int(PAGE_WIDTH / width)))
-        figure.legend(handles, labels, loc="outside upper right", ncols=columns)
-    left = len(set(points)) - len(shown)
+    width = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels))
+    columns = max(1, min(_MOST_COLUMNS, int(PAGE_WIDTH / width)))
+    number = counted(int(table["cases"].max()), "structure")
+    figure.legend(
+        handles, labels, loc="outside upper right", ncols=columns, title_fontsize=7.0,
+        title=f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}",
+    )  # fmt: skip
+    left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
-    interval = "mean and 95 % confidence interval over structures"
-    figure_style.add_note(figure, interval, more, run.note)
+    figure_style.add_note(figure, more, run.note)
     return figure
+
+
+def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":
+    """Take a measure of each case of a sweep point that is done, by condition."""
+    cases = run.summary.reindex(columns=["condition", "point", "status", measure])
+    points = cases["point"].fillna("").replace(r"[{}]", "", regex=True)
+    done = (cases["status"] == "done") & (points == point)
+    return cases[done].set_index("condition")[measure]
 
 
 def draw_comparison(folder: Path, progress: Progress) -> None:
@@ -122,10 +147,13 @@ def _comparison(table: pd.DataFrame) -> "Figure":
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
     _finish_rows(panels, labels)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2,
+        title="mean and 95 % CI", title_fontsize=7.0,
+    )  # fmt: skip
     left = len(table) - len(shown)
     more = f"{left} more rows are in comparison.csv" if left else ""
-    figure_style.add_note(figure, "mean and 95 % confidence interval", more)
+    figure_style.add_note(figure, more)
     return figure
 
 
@@ -133,8 +161,9 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
     """Label rows, from the top, and axes."""
     for axes, (label, _) in zip(panels, _MEASURES.values(), strict=True):
         axes.set_xlabel(label)
-        axes.set_xlim(left=0.0)
+        means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)
+        fit_axis(axes, "x", means, nonpositive="clip")
         axes.grid(axis="y", color="0.92", linewidth=0.5)
         axes.set_axisbelow(True)
     panels[0].set_yticks(np.arange(len(names)), names)
@@ -163,47 +192,79 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 
 
 def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
-    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops."""
+    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
+
+    Small numbers count the robots, or pairs, of each point in the first series. Points of few are
+    open, and not connected.
+    """
     swept = swept_columns(table, before="by")
     height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
     figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
+    many = table["count"] >= _FEWEST_ROBOTS
+    table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
+            look = figure_style.line_style(place)
+            joined, few = rows[rows["many"]], rows[~rows["many"]]
             axes.plot(
-                (rows["low"] + rows["high"]) / 2.0, rows["rmse_R"], marker="o", markersize=2.5,
-                label=", ".join(map(str, reversed(series))), **figure_style.line_style(place),
+                joined["at"], joined["rmse_R"], marker="o", markersize=2.5,
+                label=", ".join(map(str, reversed(series))), **look,
             )  # fmt: skip
+            look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
+            axes.plot(few["at"], few["rmse_R"], marker="o", markersize=2.5, **look)
+            if place == 0:
+                _count(axes, rows["at"], rows["count"])
         axes.set(xlabel=label, ylabel="RMSE [R]")
-        axes.set_ylim(bottom=0.0)
+        fit_axis(axes, "y", part.loc[part["many"], "rmse_R"].to_numpy(float))
     axes.set(xscale="log", ylabel="Relative RMSE [R]")
     ticks = sorted(set(part["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
-    figure_style.add_note(figure, run.note)
+    opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
+    figure_style.add_note(figure, "above: robots or pairs of a point", opened, run.note)
     return figure
+
+
+def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]") -> None:
+    """Write the number of robots or pairs of each point above a panel."""
+    for place, count in zip(places, counts, strict=True):
+        text = f"{count:g}" if count < 1e4 else f"{count / 1e3:.0f}k"  # noqa: PLR2004 - k
+        axes.annotate(
+            text, (place, 1.0), (0.0, 2.0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", fontsize=4.5, color="0.35", ha="center",
+        )  # fmt: skip
 
 
 def draw_scaling(run: RunData) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
-    Legends state the power of N fitted to all sizes, and to the two largest.
+    Panels state the power of N fitted to all sizes, and to the two largest. Where all series are
+    equal, one gray line stands for all.
     """
     numbers = ["robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
     figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
+    names = list(dict.fromkeys(table["series"]))
+    legend = {}
     for axes, (measure, label) in zip(panels, SCALING_PANELS.items(), strict=True):
-        rows = table[table["measure"] == measure]
-        for place, name in enumerate(dict.fromkeys(table["series"])):
-            part = rows[(rows["series"] == name) & (rows["mean"] > 0.0)]
-            text = name + _powers(part)
-            look = marker_style(place)
-            axes.plot(
-                part["robots"], part["mean"], linestyle="-", markersize=3.0, label=text, **look
-            )
+        rows = table[(table["measure"] == measure) & (table["mean"] > 0.0)]
+        parts = [rows[rows["series"] == name] for name in names]
+        means = {tuple(part["mean"]) for part in parts}
+        one_for_all = len(means) == 1 < len(parts)
+        for place, part in enumerate(parts[:1] if one_for_all else parts):
+            look = {**marker_style(place), "linewidth": figure_style.line_style(place)["linewidth"]}
+            if one_for_all:
+                look["color"] = "0.4"
+            (line,) = axes.plot(part["robots"], part["mean"], markersize=3.0, **look)
+            legend["all series" if one_for_all else names[place]] = line
+            axes.annotate(
+                _powers(part), (0.0, 1.0), (3.0, -2.0 - 8.0 * place), color=look["color"],
+                xycoords="axes fraction", textcoords="offset points", fontsize=6.0, va="top",
+            )  # fmt: skip
         axes.set(xscale="log", xlabel="Robots N", ylabel=label)
         axes.set_xticks(sizes, labels)
         axes.minorticks_off()
@@ -211,9 +272,12 @@ def draw_scaling(run: RunData) -> "Figure":
             axes.set_ylim(0.0, 1.5 * rows["mean"].max())
         else:
             _show_decades(axes, rows["mean"])
-        if len(rows):
-            axes.legend(fontsize=5.5, loc="upper left")
-    figure_style.add_note(figure, run.note)
+    shown = [name for name in (*names, "all series") if name in legend]
+    figure.legend(
+        [legend[name] for name in shown], shown, loc="outside upper right", ncols=_MOST_COLUMNS
+    )
+    powers = "powers of N are fitted to all sizes, then to the two largest"
+    figure_style.add_note(figure, powers, run.note)
     return figure
 
 
@@ -222,7 +286,7 @@ def _powers(part: "pd.DataFrame") -> str:
     if part.empty or pd.isna(part["exponent"].iloc[0]):
         return ""
     every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
-    return f": $N^{{{every:.2f}}}$, last two sizes $N^{{{largest:.2f}}}$"
+    return f"$N^{{{every:.2f}}}$, last $N^{{{largest:.2f}}}$"
 
 
 def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:

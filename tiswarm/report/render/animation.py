@@ -13,11 +13,12 @@ from PIL import Image
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.report.figure_style import JOIN_COLORS
-from tiswarm.report.render.pictures import TRUE_SIZE, Rendered, Scale, add_legend, read_case_view
+from tiswarm.report.figure_style import JOIN_COLORS, colors_along
+from tiswarm.report.render.pictures import Rendered, Scale, add_legend
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import build_scene
+from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData
+from tiswarm.report.swarm_view import read_case_view
 
 Movie = Literal["gif", "mp4"]
 
@@ -27,7 +28,9 @@ LAST_MS = 2_500
 _FRAME_MS = 90  # duration of a frame
 _MOST_FRAMES = 60
 _SHRINK = 2  # size of a picture over that of a frame
-_COLORS = 192  # colors of a GIF; its last frame determines them
+_GRAYS = np.array([*range(0, 200, 8), *range(200, 256)], np.uint8)  # of a GIF, for the ground
+_GRAY = 8  # range of red, green and blue up to which a pixel is gray
+_BAR_HEIGHT = 60  # rows of the legend's colors that count when a GIF's are chosen [pixels]
 
 
 def animate_run(
@@ -54,9 +57,10 @@ def animate_run(
     scenes = []
     for n in joined:
         part = replace(whole, center=whole.center[:n], dock=whole.dock[:n], color=whole.color[:n])
-        scene = build_scene([part], view.ground_z, around=whole.dock.reshape(-1, 3))
+        scene = build_scene(part, view.terrain, around=whole.dock.reshape(-1, 3))
         scenes.append(scene.shrunk(_SHRINK))
-    pictures, used, reason = draw_scenes(scenes, renderer)
+    with progress.task("animate", len(scenes)) as advance:
+        pictures, used, reason = draw_scenes(scenes, renderer, advance)
     frames = [
         _with_legend(Image.fromarray(picture), count, robots)
         for picture, count in zip(pictures, joined, strict=True)
@@ -82,13 +86,34 @@ def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
 
 
 def _gif(frames: Sequence[Image.Image]) -> bytes:
-    """Encode frames in one palette, to avoid flicker."""
-    palette = frames[-1].quantize(_COLORS)
-    first, *rest = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    """Encode frames in one palette, to avoid flicker: colors of the last frame, and grays."""
+    last = frames[-1]
+    bar = colors_along(np.linspace(0.0, 1.0, last.width), JOIN_COLORS)
+    bar = np.tile(np.round(255.0 * bar).astype(np.uint8), (_BAR_HEIGHT, 1, 1))
+    pixels = np.concatenate([np.asarray(last), bar]).reshape(-1, 3)
+    colored = pixels[np.ptp(pixels, axis=1) > _GRAY]
+    count = 256 - len(_GRAYS)
+    colors = Image.fromarray(colored[None]).quantize(count).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*colors[: 3 * count], *_GRAYS.repeat(3).tolist()])
+    first, *rest = [_indexed(frame, palette, len(colors[: 3 * count]) // 3) for frame in frames]
     durations = [_FRAME_MS] * len(rest) + [LAST_MS]
     stream = io.BytesIO()
     first.save(stream, "GIF", save_all=True, append_images=rest, duration=durations, loop=0)
     return stream.getvalue()
+
+
+def _indexed(frame: Image.Image, palette: Image.Image, colors: int) -> Image.Image:
+    """Choose a color of the palette, which grays follow from place `colors` on, for each pixel."""
+    indexed = frame.quantize(palette=palette, dither=Image.Dither.NONE)
+    pixels = np.asarray(frame)
+    gray = np.ptp(pixels, axis=2) <= _GRAY  # Pillow's choice is coarse; these are most of a frame
+    nearest = np.abs(np.arange(256)[:, None] - _GRAYS).argmin(axis=1)
+    index = np.asarray(indexed).copy()
+    index[gray] = colors + nearest[pixels[gray, 1]]
+    exact = Image.frombytes("P", frame.size, index.tobytes())
+    exact.putpalette(palette.getpalette() or [])
+    return exact
 
 
 def _mp4(frames: Sequence[Image.Image]) -> bytes:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Ints
-from tiswarm.report.render.scene import Array32, Scene
+from tiswarm.report.render.scene import Scene
+from tiswarm.report.render.shade import Array32
 
 _SIDES = (6, 48)  # least and most sides of a sphere's equator
 _SLANT = 0.9  # upward part below which an axis may be crossed with the vertical

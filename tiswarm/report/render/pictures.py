@@ -1,23 +1,17 @@
 """The 3D pictures of a case: what they show, their legends, and their files."""
 
 import io
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
+from tiswarm.aliases import Reals
 from tiswarm.measurements.contacts import hops
 from tiswarm.progress import Progress
-from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file, write_bytes
-from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_format import HeaderLine, parse_header
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.io import write_bytes
+from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import (
     ERROR_COLORS,
     ESTIMATE_ORANGE,
@@ -29,18 +23,12 @@ from tiswarm.report.figure_style import (
     rgb,
 )
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import Look, Robots, Scene, build_scene
-from tiswarm.report.run_data import Case, RunData
+from tiswarm.report.render.scene import TRUE_SIZE, Look, Robots, Scene, build_scene
+from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
+from tiswarm.report.run_data import RunData
+from tiswarm.report.swarm_view import SwarmView, read_case_view
 
-POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
-_ESTIMATED_POSE = [
-    *("x_est_R", "y_est_R", "z_est_R"),
-    *("qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"),
-]
-
-TRUE_SIZE = Look(0.45, 0.3, 1.0)
-_TRUTH_LOOK = Look(0.3, 0.18, 0.72)
-_ESTIMATE_LOOK = Look(0.45, 0.3, 0.52)  # where both coincide, blue docks on orange arms are seen
+_GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 
 _LEGEND_HEIGHT, _BAR_LENGTH = 62, 200  # of a legend, and of its bar of colors [pixels]
@@ -66,108 +54,53 @@ class Picture(NamedTuple):
     legend: Keys | Scale
 
 
-@dataclass(frozen=True)
-class CaseView:
-    """N robots of a case: true and estimated poses, errors and forces."""
-
-    case: Case
-    pose: Reals  # true center [R] and quaternion wxyz, NaN where unknown, shape (N, 7)
-    estimated_pose: Reals  # estimated center [R] and sensed quaternion, as `pose`, shape (N, 7)
-    error: Reals  # distance between true and estimated center [R], shape (N,)
-    force: Reals  # force that each robot senses in its links [weight of a dock], shape (N,)
-    robot: Ints  # id of each robot, shape (N,)
-
-    @property
-    def _log_file(self) -> Path:
-        return run_file(self.case.folder / "sensing.jsonl", MAX_LOG_BYTES)
-
-    @cached_property
-    def log(self) -> SensingLog:
-        """The sensing log; slow to read for many robots."""
-        log, robots = read_sensing_log(self._log_file), len(self.pose)
-        if log.robot_count != robots:
-            problem = f"has {robots} robots, the log {log.robot_count}; run the scenario again"
-            raise InputError(problem, path=self.case.folder / "robots.csv", line=robots + 2)
-        return log
-
-    @cached_property
-    def header(self) -> HeaderLine:
-        """The first line of the sensing log."""
-        path = self._log_file
-        number, text = next(numbered_lines(path), (1, ""))
-        with at_line(path, number):
-            return parse_header(text)
-
-    @property
-    def dock_offset_body(self) -> Reals:
-        """Vectors from center to dock, body frame [R], shape (docks, 3)."""
-        return np.array(self.header.dock_offsets) / self.header.dock_radius
-
-    @property
-    def ground_z(self) -> float | None:
-        """Height of the ground [R]; None where there is none."""
-        height = self.header.ground_z
-        return None if height is None else height / self.header.dock_radius
-
-    @property
-    def color_by_join(self) -> Reals:
-        """Color of each robot by its join index, shape (N, 3)."""
-        return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)
-
-    def robots(self, pose: Reals, color: Reals, look: Look) -> Robots:
-        """Place the docks of the robots whose pose (N, 7) is known, and leave out the others.
-
-        `color` is red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
-        """
-        known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-        center = pose[known, :3]
-        dock = center[:, None] + dock_offsets(pose[known, 3:], self.dock_offset_body)
-        color = np.broadcast_to(color, (len(pose), 3))[known]
-        return Robots(center=center, dock=dock, color=color, look=look)
-
-
-def read_case_view(case: Case) -> CaseView:
-    """Read the poses, errors and forces of a case."""
-    gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
-    table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
-    pose, estimated, rest = np.split(table, [7, 14], axis=1)
-    error, force, robot = rest.T
-    return CaseView(case, pose, estimated, error, force, robot.astype(np.int64))
-
-
-def build_pictures(case: Case) -> dict[str, Picture]:
-    """Build every picture of a case, by name."""
-    view = read_case_view(case)
-    structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+def build_pictures(view: SwarmView) -> dict[str, Picture]:
+    """Build every picture of robots, by name; without a truth, of the estimated structure."""
+    structure = view.robots(view.best_pose, view.color_by_join, TRUE_SIZE)
+    around = structure.dock.reshape(-1, 3)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
-    truth = view.robots(view.pose, rgb(TRUE_BLUE), _TRUTH_LOOK)
-    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), _ESTIMATE_LOOK)
-    both = ((TRUE_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
-    return {
-        "structure": Picture(build_scene([structure], view.ground_z), by_join),
-        "sensed-force": _scaled(view, view.force, FORCE_COLORS, "sensed force [dock weights]"),
-        "truth-and-estimate": Picture(build_scene([truth, estimate], view.ground_z), both),
-        "error": _scaled(view, view.error, ERROR_COLORS, "error [R]"),
-        "contact-graph": _contact_graph(view),
-    }
+    name = "structure" if view.has_truth else "estimate"
+    pictures = {name: Picture(build_scene(structure, view.terrain), by_join)}
+    if np.isfinite(view.force).any():
+        title = "sensed force [dock weights]"
+        pictures["sensed-force"] = _scaled(view, view.force, FORCE_COLORS, title)
+    if view.has_truth:
+        pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
+    for name, lengths in [("error", view.error), ("sd", view.sd)]:
+        if np.isfinite(lengths).any():
+            length, unit = lengths * view.log.dock_radius, view.log.length_unit
+            pictures[name] = _scaled(view, length, ERROR_COLORS, f"{name} [{unit}]")
+    pictures["contact-graph"] = _contact_graph(view, around)
+    return pictures
 
 
-def _scaled(view: CaseView, value: Reals, colors: tuple[str, ...], title: str) -> Picture:
+def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
+    """Draw the true robots translucent, and the estimated ones solid."""
+    truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUE_SIZE)
+    estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
+    if not len(estimate.center):
+        return Picture(build_scene(truth, view.terrain), ((TRUE_BLUE, "true"),))
+    keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
+    return Picture(build_scene(estimate, view.terrain, ghosts=truth, around=around), keys)
+
+
+def _scaled(view: SwarmView, value: Reals, colors: tuple[str, ...], title: str) -> Picture:
     """Color the structure by a value of each robot, from zero to the greatest."""
     color, greatest = colors_from_zero(value, colors)
-    robots = view.robots(view.pose, color, TRUE_SIZE)
-    legend = Scale(colors, f"{title}  0", f"{greatest:.3g}")
-    return Picture(build_scene([robots], view.ground_z), legend)
+    robots = view.robots(view.best_pose, color, TRUE_SIZE)
+    legend = Scale(colors, f"{title}  0", three_digits(greatest))
+    return Picture(build_scene(robots, view.terrain), legend)
 
 
-def _contact_graph(view: CaseView) -> Picture:
+def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
     away = hops(view.log, np.zeros(1, np.int64))[0]
     farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
-    center = view.pose[:, :3]
+    center = view.best_pose[:, :3]
     nodes = Robots(center=center, dock=center[:, None], color=color, look=_NODE)
-    scene = build_scene([nodes], None, rods=center[view.log.contacts[:, [0, 2]]])
+    rods = center[view.log.contacts[:, [0, 2]]]
+    scene = build_scene(nodes, view.terrain, rods=rods, around=around)
     return Picture(scene, Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}"))
 
 
@@ -201,6 +134,37 @@ class Rendered(NamedTuple):
     reason: str  # why a better renderer failed; empty if none did
 
 
+def render_view(
+    view: SwarmView, progress: Progress, renderer: str | None = None
+) -> tuple[dict[str, bytes], str, str]:
+    """Draw every picture of robots by a renderer, the best one that works if None.
+
+    Returns:
+        The PNGs by name, the renderer, and why a better one failed.
+
+    Raises:
+        InputError: the renderer is unknown, or the log is damaged.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+    planned = build_pictures(view)
+    with progress.task("render", len(planned)) as advance:
+        scenes = [plan.scene for plan in planned.values()]
+        pictures, used, reason = draw_scenes(scenes, renderer, advance)
+    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
+    encoded = {
+        name: _encoded(Image.fromarray(picture), plan.legend)
+        for (name, plan), picture in zip(planned.items(), pictures, strict=True)
+    }
+    return encoded, used, reason
+
+
+def _encoded(picture: Image.Image, legend: Keys | Scale) -> bytes:
+    """Encode a picture with its legend as PNG."""
+    stream = io.BytesIO()
+    add_legend(picture, legend).save(stream, format="PNG", compress_level=4)
+    return stream.getvalue()
+
+
 def render_run(
     run: RunData, *, progress: Progress, renderer: str | None = None, case: str | None = None
 ) -> list[Rendered]:
@@ -213,16 +177,18 @@ def render_run(
         InputError: the renderer or the case is unknown, or the run is damaged.
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
-    planned = build_pictures(run.choose(case))
+    chosen = run.choose(case)
+    pictures, used, reason = render_view(read_case_view(chosen), progress, renderer)
+    sizes, greatest = build_sizes(run, chosen) if case is None else ([], 0.0)
+    if sizes:
+        high = f"{three_digits(greatest)}    {chosen.condition}"
+        legend = Scale(ERROR_COLORS, "error [R]  0", high)
+        pictures["sizes"] = _encoded(draw_side_by_side(sizes, used), legend)
     suffix = "" if case is None else f"-{case}"
-    pictures, used, reason = draw_scenes([plan.scene for plan in planned.values()], renderer)
-    progress.info(f"drawn by {used}" + (f" ({reason})" if reason else ""))
     drawn = []
-    for (name, plan), picture in zip(planned.items(), pictures, strict=True):
-        stream = io.BytesIO()
-        add_legend(Image.fromarray(picture), plan.legend).save(stream, format="PNG")
+    for name, data in pictures.items():
         path = run.subfolder("renders") / f"{name}{suffix}.png"
-        write_bytes(path, stream.getvalue())
+        write_bytes(path, data)
         progress.info(f"renders/{path.name}")
         drawn.append(Rendered(path=path, renderer=used, reason=reason))
     return drawn

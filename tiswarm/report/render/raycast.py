@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.progress import Advance, ignore
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.scene import Array32, Scene, color_of_capsules, color_of_ground
+from tiswarm.report.render.scene import Scene, color_of_capsules, relative_light
+from tiswarm.report.render.shade import Array32
 
 Picture = NDArray[np.uint8]
 Trace = Callable[[Array32, Array32], tuple[Array32, Ints]]
@@ -27,13 +29,26 @@ _SUBPIXELS = np.array([[x + 0.5, (5 * x + 2) % 8 + 0.5] for x in range(8)], np.f
 """Eight places in an edge pixel, no two of them in one row or column."""
 
 _MANY_EDGES = 0.3  # share of edge pixels above which four rays are cast in each instead of eight
-_GROUND, _NOTHING = -1, -2
+_FACES = np.array(
+    [-2, -3, -4]
+)  # faces of the ground, by the direction of the normal; -1 is nothing
+_FAINT = 0.5  # opacity below which ground hides nothing
+_OTHERS = 5  # more than the objects that are no capsules
+_GHOST_GAP = 0.3  # ghosts less far before robots than this coincide with them [R]
+_GHOST_OPACITY, _GHOST_VEIL = 0.5, 0.25  # of ghosts before the background, and before robots
 _CHUNK = 400_000  # rays cast at a time, to bound memory
 _TILE = 12  # edge of a tile in which the `taichi` renderer sorts capsules [pixels]
 
 
-def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[Picture], str, str]:
+def draw_scenes(
+    scenes: list[Scene], renderer: str | None = None, advance: Advance = ignore
+) -> tuple[list[Picture], str, str]:
     """Draw scenes with one renderer, or with the first of `TRACERS` that works.
+
+    Args:
+        scenes: What to draw.
+        renderer: Name of the renderer; the first that works if None.
+        advance: Called with 1 after each picture, and with fewer if a renderer fails.
 
     Returns:
         The pictures, of shape (height, width, 3), the name of their renderer, and why a better
@@ -46,56 +61,107 @@ def draw_scenes(scenes: list[Scene], renderer: str | None = None) -> tuple[list[
     if renderer is not None and renderer not in TRACERS:
         gone = "open3d casts rays now; " if renderer == "open3d-raycast" else ""
         problem = f"unknown renderer: {renderer}; {gone}use one of {', '.join(TRACERS)}"
-        raise InputError(problem, key="--renderer")
+        raise InputError(problem, argument="renderer")
     reason = ""
     for name in TRACERS if renderer is None else (renderer,):
+        pictures: list[Picture] = []
         try:
-            pictures = [_draw(scene, TRACERS[name](scene)) for scene in scenes]
+            tracer = _sharing(scenes, TRACERS[name])
+            for scene in scenes:
+                pictures.append(_draw(scene, tracer))
+                advance(1)
         except (ImportError, OSError, RuntimeError) as error:
+            advance(-len(pictures))
             reason = f"{name}: {error}; `tiswarm doctor` names what to install"
         else:
             return pictures, name, reason
     raise EnvironmentTroubleError(f"cannot draw with {reason}")
 
 
-def _draw(scene: Scene, trace: Trace) -> Picture:
+def _sharing(scenes: list[Scene], tracer: Callable[[Scene], Trace]) -> Callable[[Scene], Trace]:
+    """Let scenes that differ by colors alone share what their rays hit."""
+    shared: list[tuple[Scene, Trace]] = []
+
+    def share(scene: Scene) -> Trace:
+        for other, trace in shared:
+            if other.looks_like(scene):
+                return trace
+        trace = tracer(scene)
+        if sum(other.looks_like(scene) for other in scenes) > 1:
+            trace = _remembering(trace)
+            shared.append((scene, trace))
+        return trace
+
+    return share
+
+
+def _remembering(trace: Trace) -> Trace:
+    """Keep the results of a trace, for rays that are cast again."""
+    results: list[tuple[Array32, tuple[Array32, Ints]]] = []
+
+    def cast(pixels: Array32, direction: Array32) -> tuple[Array32, Ints]:
+        for known, (depth, capsule) in results:
+            if np.array_equal(known, pixels):
+                return depth.copy(), capsule.copy()
+        depth, capsule = trace(pixels, direction)
+        results.append((pixels, (depth.copy(), capsule.copy())))
+        return depth, capsule
+
+    return cast
+
+
+def _draw(scene: Scene, tracer: Callable[[Scene], Trace]) -> Picture:
     """Draw a scene, shape (height, width, 3)."""
+    layers = [(part, tracer(part)) for part in (scene, scene.ghost) if part]
     width, height = scene.camera.width, scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
-    color, seen = _cast(scene, trace, corner + np.float32(0.5))
+    color, seen = _cast(layers, corner + np.float32(0.5))
     edge = np.flatnonzero(_edges(seen.reshape(height, width)))
     places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
-    finer = [_cast(scene, trace, corner[edge] + place)[0] for place in places]
+    finer = [_cast(layers, corner[edge] + place)[0] for place in places]
     color[edge] = np.mean(finer, axis=0)
     return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
 
 
-def _cast(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, Ints]:
-    """Find color and object (a capsule, _GROUND or _NOTHING) at pixels."""
+def _cast(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Array32, Ints]:
+    """Find color and object at pixels; different numbers are different objects."""
     parts = [
-        _cast_chunk(scene, trace, pixels[first : first + _CHUNK])
+        _cast_chunk(layers, pixels[first : first + _CHUNK])
         for first in range(0, max(len(pixels), 1), _CHUNK)
     ]
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
-def _cast_chunk(scene: Scene, trace: Trace, pixels: Array32) -> tuple[Array32, Ints]:
-    eye = scene.camera.eye.astype(np.float32)
-    direction = scene.camera.directions(pixels)
-    depth, capsule = trace(pixels, direction)
+def _cast_chunk(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Array32, Ints]:
+    (scene, trace), *ghosts = layers
+    eye, direction = scene.camera.eye.astype(np.float32), scene.camera.directions(pixels)
+    depth, seen = trace(pixels, direction)
     color = np.ones((len(pixels), 3), np.float32)
-    seen = np.where(capsule >= 0, capsule, _NOTHING)
-    if scene.ground is not None:  # a backdrop: it never hides a robot
-        low = np.flatnonzero((capsule < 0) & (direction[:, 2] < 0.0))
-        fall = (np.float32(scene.ground.corner[2]) - eye[2]) / direction[low, 2]
-        gray, there = color_of_ground(scene.ground, eye + fall[:, None] * direction[low])
-        there &= fall > 0.0
-        color[low[there]] = gray[there]
-        seen[low[there]] = _GROUND
     hit = np.flatnonzero(seen >= 0)
-    points = eye + depth[hit, None] * direction[hit]
-    color[hit] = color_of_capsules(scene, seen[hit], points)
+    color[hit] = color_of_capsules(scene, seen[hit], eye + depth[hit, None] * direction[hit])
+    ground = scene.ground
+    if ground is not None:
+        first, last = scene.camera.frame(ground.corners)
+        near = ((pixels >= first) & (pixels <= last)).all(axis=1)
+        low = np.flatnonzero(near & (direction[:, 2] < 0.0) & (bool(ground.slabs) | (seen < 0)))
+        ground_depth, normal = ground.cast(eye, direction[low])
+        nearer = ground_depth < depth[low]
+        low, ground_depth, normal = low[nearer], ground_depth[nearer], normal[nearer]
+        light = relative_light(scene, normal)
+        gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
+        color[low] += opacity * (gray - color[low])
+        there = np.flatnonzero(opacity > _FAINT)
+        depth[low[there]] = ground_depth[there]
+        seen[low[there]] = _FACES[np.abs(normal[there]).argmax(axis=1)]
+    for ghost, ghost_trace in ghosts:
+        ghost_depth, capsule = ghost_trace(pixels, direction)
+        hit = np.flatnonzero(ghost_depth < depth - _GHOST_GAP)
+        points = eye + ghost_depth[hit, None] * direction[hit]
+        tint = color_of_capsules(ghost, capsule[hit], points)
+        opacity = np.where(seen[hit] >= 0, np.float32(_GHOST_VEIL), np.float32(_GHOST_OPACITY))
+        color[hit] += opacity[:, None] * (tint - color[hit])
+        seen[hit] += (capsule[hit] + 1) * (len(scene.radius) + _OTHERS)
     return color, seen
 
 

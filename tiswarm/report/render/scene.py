@@ -9,12 +9,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Bools, Ints, Reals
-
-Array32 = NDArray[np.float32]
+from tiswarm.aliases import Ints, Reals
+from tiswarm.records.terrain import EDGE_RADIUS, Terrain
+from tiswarm.report.ground import shown_slabs
+from tiswarm.report.render.lit_ground import Ground, lay_ground
+from tiswarm.report.render.shade import Array32, blocked_light, dot, unit
 
 _ROD_RADIUS = 0.16  # [R]
 _ROD_GRAY = (0.45, 0.45, 0.47)
@@ -31,13 +31,6 @@ _PIXELS = 1_100_000  # pixels of a picture, approximately
 # --- light ---
 
 _BLOCKER_RADIUS = 1.45  # sphere that blocks as much light as a robot [dock radii]
-_SHADE_RANGE = 8.0  # beyond it robots cast no shade [R]; half of it in a crowd, to save time
-_CROWD = 2_000  # robots of a crowd
-_SAME_PLACE = 1e-6  # distance from its center within which a robot casts no shade: its hub [R]
-_STANDING = 0.1  # gap to the ground below which a dock stands on it [R]
-_GROUND_CELLS = 160
-_GROUND_FADE = (2.0, 9.0)  # distances from the nearest standing dock where the ground fades [R]
-_GROUND_GRAY = 0.92
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +42,13 @@ class Camera:
     half_height: float  # half height of the picture at distance 1
     width: int  # width of the picture [pixels]
     height: int  # height of the picture [pixels]
+
+    @property
+    def sun(self) -> Array32:
+        """Direction to the sun, above the viewer's left shoulder, shape (3,)."""
+        toward = (np.array([[-0.5, 0.75, -0.6]]) @ self.axes).astype(np.float32)
+        sun: Array32 = unit(toward)[0]
+        return sun
 
     @property
     def pixels_per_slope(self) -> float:
@@ -67,15 +67,14 @@ class Camera:
         """Split the way from the eye to points into right, up and forward parts, shape (n, 3)."""
         return (points - self.eye) @ self.axes.T
 
-
-@dataclass(frozen=True, kw_only=True)
-class Ground:
-    """A square patch of flat ground, cut into cells."""
-
-    corner: Reals  # center of the cell with the least x and y [R], shape (3,)
-    cell: float  # distance between the centers of two neighboring cells [R]
-    gray: Array32  # brightness, by y and x cell, shape (cells, cells)
-    opacity: Array32  # opacity from 0 (no ground) to 1, by y and x cell, shape (cells, cells)
+    def frame(self, points: Reals) -> Reals:
+        """Find the least and greatest column and row of points in the picture, shape (2, 2)."""
+        right, up, forward = self.project(points).T
+        if forward.min() <= 0.0:  # they surround the eye
+            return np.array([[0.0, 0.0], [self.width, self.height]])
+        slopes = np.column_stack([right, -up]) / forward[:, None] * self.pixels_per_slope
+        seen = slopes + np.array([self.width, self.height]) / 2.0
+        return np.array([seen.min(axis=0), seen.max(axis=0)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,11 +88,29 @@ class Scene:
     shade: Array32  # light blocked: on average, and toward x, y and z, shape (P, 4)
     camera: Camera
     ground: Ground | None
+    ghost: "Scene | None" = None  # translucent capsules before the same camera
 
     def shrunk(self, times: int) -> "Scene":
         """Return the same scene before a camera with so many times fewer pixels a side."""
         width, height = self.camera.width // times, self.camera.height // times
-        return replace(self, camera=replace(self.camera, width=width, height=height))
+        return self.seen_by(replace(self.camera, width=width, height=height))
+
+    def looks_like(self, other: "Scene") -> bool:
+        """Whether both show the same capsules, up to their colors, from the same eye."""
+        mine, its = self.camera, other.camera
+        return (
+            (mine.width, mine.height, mine.half_height) == (its.width, its.height, its.half_height)
+            and np.array_equal(mine.eye, its.eye)
+            and np.array_equal(mine.axes, its.axes)
+            and np.array_equal(self.radius, other.radius)
+            and np.array_equal(self.start, other.start)
+            and np.array_equal(self.end, other.end)
+        )
+
+    def seen_by(self, camera: Camera) -> "Scene":
+        """Return the same scene before another camera."""
+        ghost = None if self.ghost is None else replace(self.ghost, camera=camera)
+        return replace(self, camera=camera, ghost=ghost)
 
 
 @dataclass(frozen=True)
@@ -103,6 +120,10 @@ class Look:
     hub: float
     arm: float
     dock: float
+
+
+TRUE_SIZE = Look(0.45, 0.3, 1.0)
+"""Radii in which touching docks touch."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,40 +137,59 @@ class Robots:
 
 
 def build_scene(
-    groups: list[Robots],
-    ground_z: float | None,
+    robots: Robots,
+    terrain: Terrain | None,
     *,
+    ghosts: Robots | None = None,
     rods: Reals | None = None,
     around: Reals | None = None,
 ) -> Scene:
     """Turn robots into lit capsules in front of a camera.
 
     Args:
-        groups: Robots to draw.
-        ground_z: Height of the ground [R]; None for no ground.
+        robots: Robots to draw.
+        terrain: The ground; None for no ground.
+        ghosts: Translucent robots.
         rods: Both ends of gray rods that cast no shade [R], shape (n, 2, 3).
-        around: Docks that fit into the picture and onto the ground [R], shape (n, 3); those of the
-            groups if None.
+        around: Docks that are on the ground, and fit into the picture with all robots [R], shape
+            (n, 3); those of the robots if None.
     """
-    parts = [part for robots in groups for part in _capsules(robots)]
+    if around is None:
+        around = robots.dock.reshape(-1, 3)
+    seen = [around] + [group.dock.reshape(-1, 3) for group in (robots, ghosts) if group]
+    slabs = [] if terrain is None else shown_slabs(terrain, around)
+    for slab in slabs:
+        x, z = [0.5 * (slab.rear + slab.edge), slab.edge], slab.top - EDGE_RADIUS
+        seen.append(np.array([[end, y, z] for end in x for y in (slab.low_y, slab.high_y)]))
+    dock = max(group.look.dock for group in (robots, ghosts) if group)
+    camera = fit_camera(np.concatenate(seen), dock, along_x=bool(slabs))
+    ground = None if terrain is None else lay_ground(terrain, around, _blockers(robots))
+    ghost = _light(_capsules(ghosts), ghosts, camera) if ghosts else None
+    parts = _capsules(robots)
     if rods is not None:
         look = (np.full(len(rods), _ROD_RADIUS), np.tile(_ROD_GRAY, (len(rods), 1)))
         parts.append((rods[:, 0], rods[:, 1], *look))
+    return replace(_light(parts, robots, camera), ground=ground, ghost=ghost)
+
+
+def _light(parts: list[tuple[Reals, ...]], robots: Robots, camera: Camera) -> Scene:
+    """Put capsules, shaded by robots, in front of a camera."""
     start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
-    center = np.concatenate([robots.center for robots in groups])
-    reach = np.concatenate([np.full(len(r.center), _BLOCKER_RADIUS * r.look.dock) for r in groups])
-    blockers = np.column_stack([center, reach])
-    if around is None:
-        around = np.concatenate([robots.dock.reshape(-1, 3) for robots in groups])
     return Scene(
         start=start.astype(np.float32),
         end=end.astype(np.float32),
         radius=radius.astype(np.float32),
         color=color.astype(np.float32),
-        shade=_shade((start + end) / 2.0, blockers),
-        camera=fit_camera(around, max(robots.look.dock for robots in groups)),
-        ground=None if ground_z is None else _ground(around, blockers, ground_z),
+        shade=blocked_light((start + end) / 2.0, _blockers(robots)),
+        camera=camera,
+        ground=None,
     )
+
+
+def _blockers(robots: Robots) -> Reals:
+    """Stand in for each robot, as to light, with a sphere: center and radius, shape (N, 4)."""
+    radius = np.full(len(robots.center), _BLOCKER_RADIUS * robots.look.dock)
+    return np.column_stack([robots.center, radius])
 
 
 def _capsules(robots: Robots) -> list[tuple[Reals, ...]]:
@@ -164,50 +204,12 @@ def _capsules(robots: Robots) -> list[tuple[Reals, ...]]:
     ]
 
 
-def _shade(points: Reals, blockers: Reals) -> Array32:
-    """Sum the light that robots block from points, in terms that are linear in the normal.
+def fit_camera(points: Reals, radius: float, *, along_x: bool = False) -> Camera:
+    """Place a camera so that balls of one radius [R] around all points [R] fill the picture.
 
-    A sphere of radius r at distance d in direction u blocks (r/d)^2 max(0, n.u) of the light
-    on a surface with normal n; 1/4 + n.u / 2 approximates max(0, n.u). Rows of `blockers` are
-    center and radius of the spheres [R].
+    It looks onto the long side of the points, or onto the x axis.
     """
-    center = blockers[:, :3]
-    reach = _SHADE_RANGE if len(center) <= _CROWD else _SHADE_RANGE / 2.0
-    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(center), reach, output_type="ndarray")
-    i, j = pairs["i"], pairs["j"]
-    away = center[j] - points[i]
-    distance = np.maximum(pairs["v"], 1e-9)
-    blocked = np.minimum((blockers[j, 3] / distance) ** 2, 0.5) * (1.0 - distance / reach)
-    blocked *= _SHADE_RANGE / reach  # makes up for the shorter range in a crowd
-    blocked[pairs["v"] < _SAME_PLACE] = 0.0
-    terms = np.column_stack([blocked / 4.0, away * (blocked / distance / 2.0)[:, None]])
-    sums = [np.bincount(i, weights=term, minlength=len(points)) for term in terms.T]
-    return np.column_stack(sums).astype(np.float32)
-
-
-def _ground(dock: Reals, blockers: Reals, height: float) -> Ground | None:
-    """Lay ground around the docks that stand on it, darker beneath robots."""
-    standing = dock[np.abs(dock[:, 2] - 1.0 - height) < _STANDING, :2]
-    if not len(standing):
-        return None
-    low = standing.min(axis=0) - _GROUND_FADE[1]
-    side = float(np.max(standing.max(axis=0) + _GROUND_FADE[1] - low))
-    cell = side / (_GROUND_CELLS - 1)
-    x, y = np.meshgrid(*(low[:, None] + cell * np.arange(_GROUND_CELLS)), indexing="xy")
-    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
-    distance, _ = cKDTree(standing).query(points[:, :2])
-    near, far = _GROUND_FADE
-    fade = np.clip((far - distance) / (far - near), 0.0, 1.0)
-    opacity = fade * fade * (3.0 - 2.0 * fade)
-    shade = _shade(points, blockers)
-    gray = _GROUND_GRAY * np.exp(-1.3 * np.maximum(shade[:, 0] + shade[:, 3], 0.0))
-    gray, opacity = (part.reshape(x.shape).astype(np.float32) for part in (gray, opacity))
-    return Ground(corner=np.array([*low, height]), cell=cell, gray=gray, opacity=opacity)
-
-
-def fit_camera(points: Reals, radius: float) -> Camera:
-    """Place a camera so that balls of one radius [R] around all points [R] fill the picture."""
-    back = _view_direction(points)
+    back = _view_direction(points[:, :2] * [1.0, not along_x])
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     axes = np.array([right, np.cross(back, right), -back])
@@ -224,8 +226,11 @@ def fit_camera(points: Reals, radius: float) -> Camera:
 
 
 def _view_direction(points: Reals) -> Reals:
-    """Point from the structure to the eye: from the -y side, a little above, onto the long side."""
-    flat = points[:, :2] - points[:, :2].mean(axis=0)
+    """Point from the structure to the eye: from the -y side, a little above, onto the long side.
+
+    Points are seen from above, shape (n, 2).
+    """
+    flat = points - points.mean(axis=0)
     variance, direction = np.linalg.eigh(flat.T @ flat)
     along = direction[:, 1] if variance[1] > 2.0 * variance[0] else np.array([1.0, 0.0])
     azimuth = math.atan2(-abs(along[0]), along[1] * np.sign(along[0] or 1.0)) + _OBLIQUE
@@ -245,22 +250,21 @@ def _stand_back(across: Reals, depth: Reals, radius: float, slope: float) -> tup
 def capsule_normals(scene: Scene, which: Ints, points: Array32) -> Array32:
     """Point away from the axes of given capsules at points on their surfaces [R], shape (n, 3)."""
     start, span = scene.start[which], scene.end[which] - scene.start[which]
-    length = np.maximum(_dot(span, span), np.float32(1e-12))
-    along = np.clip(_dot(points - start, span) / length, 0.0, 1.0)
-    return _unit(points - start - along[:, None] * span)
+    length = np.maximum(dot(span, span), np.float32(1e-12))
+    along = np.clip(dot(points - start, span) / length, 0.0, 1.0)
+    return unit(points - start - along[:, None] * span)
 
 
 def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
     """Color points on the surfaces [R] of given capsules, shape (n, 3)."""
     normal = capsule_normals(scene, which, points)
-    # The sun stands above the viewer's left shoulder.
-    sun = _unit((np.array([[-0.5, 0.75, -0.6]]) @ scene.camera.axes).astype(np.float32))[0]
-    to_eye = _unit(scene.camera.eye.astype(np.float32) - points)
+    sun = scene.camera.sun
+    to_eye = unit(scene.camera.eye.astype(np.float32) - points)
     shade = scene.shade[which]
-    open_sky = np.exp(-0.9 * np.maximum(shade[:, 0] + _dot(shade[:, 1:], normal), 0.0))
+    open_sky = np.exp(-0.9 * np.maximum(shade[:, 0] + dot(shade[:, 1:], normal), 0.0))
     open_sun = np.exp(-1.5 * np.maximum(shade[:, 0] + shade[:, 1:] @ sun, 0.0))
-    facing = np.clip(_dot(normal, to_eye), 0.0, 1.0)
-    shine = np.clip(_dot(normal, _unit(to_eye + sun)), 0.0, 1.0) ** 40
+    facing = np.clip(dot(normal, to_eye), 0.0, 1.0)
+    shine = np.clip(dot(normal, unit(to_eye + sun)), 0.0, 1.0) ** 40
     light = open_sky * (0.62 + 0.16 * normal[:, 2])
     light += open_sun * 0.55 * np.maximum(normal @ sun, 0.0)
     light *= 0.62 + 0.38 * np.minimum(facing / 0.45, 1.0)  # dark rims separate spheres
@@ -269,28 +273,8 @@ def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
     return np.asarray(np.clip(color, 0.0, 1.0))
 
 
-def color_of_ground(ground: Ground, points: Array32) -> tuple[Array32, Bools]:
-    """Color points of the ground's plane over white, and mark those where there is ground."""
-    cells = len(ground.gray)
-    place = (points[:, :2] - ground.corner[:2]) / ground.cell
-    inside = ((place >= 0.0) & (place < cells - 1)).all(axis=1)
-    place = np.clip(place, 0.0, cells - 1.001)
-    column, row = place.astype(np.int64).T
-    right, down = (place - np.floor(place)).T
-    paint = 1.0 - ground.opacity * (1.0 - ground.gray)
-    upper = paint[row, column] * (1.0 - right) + paint[row, column + 1] * right
-    lower = paint[row + 1, column] * (1.0 - right) + paint[row + 1, column + 1] * right
-    value = (upper * (1.0 - down) + lower * down).astype(np.float32)
-    inside &= ground.opacity[row, column] > 0.0
-    return np.repeat(value[:, None], 3, axis=1), inside
-
-
-def _dot(a: Array32, b: Array32) -> Array32:
-    products: Array32 = np.einsum("ij,ij->i", a, b)
-    return products
-
-
-def _unit(vectors: Array32) -> Array32:
-    length = np.sqrt(np.maximum(_dot(vectors, vectors), np.float32(1e-12)))
-    units: Array32 = (vectors / length[:, None]).astype(np.float32)
-    return units
+def relative_light(scene: Scene, normal: Array32) -> Array32:
+    """Light on open ground with normals (n, 3), over that on level ground."""
+    sun = scene.camera.sun
+    light: Array32 = 0.62 + 0.16 * normal[:, 2] + 0.55 * np.maximum(normal @ sun, 0.0)
+    return light / np.float32(0.78 + 0.55 * sun[2])

@@ -1,0 +1,43 @@
+"""Pages as a browser shows them."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+_LISTEN = """<script>
+const troubles = [];
+addEventListener("error", (event) => troubles.push(event.message));
+console.error = (...words) => troubles.push(words.join(" "));
+// Frames hardly come where time is virtual.
+window.requestAnimationFrame = (draw) => setTimeout(draw, 10);
+</script>"""
+
+
+def probe(page: str, script: str, folder: Path) -> dict[str, Any]:
+    """Run a script in a page; returns what it writes to `found`, and the `troubles` reported.
+
+    The script ends with `document.body.dataset.found = JSON.stringify(found)`.
+    """
+    if CHROMIUM is None:
+        pytest.skip("no chromium or chrome here; install the package chromium")
+    probed = folder / "probed.html"
+    script = f"<script>\nconst found = {{troubles}};\n{script}</script></body>"
+    probed.write_text(page.replace("<head>", f"<head>{_LISTEN}").replace("</body>", script))
+    options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", "--virtual-time-budget=10000", "--dump-dom"]
+    done = subprocess.run(
+        [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
+        check=False,
+    )  # fmt: skip
+    found = re.search(r'<body data-found="([^"]*)"', done.stdout)
+    assert found, done.stderr[-2000:]
+    values: dict[str, Any] = json.loads(found[1].replace("&quot;", '"').replace("&amp;", "&"))
+    return values

@@ -1,0 +1,258 @@
+"""A page, pictures and exports show a log and its estimate, in the log's own unit."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+
+from tests.browser import probe
+from tiswarm.cli import main
+from tiswarm.drawing import draw_log, render_log
+from tiswarm.interop.exports import export_view
+from tiswarm.progress import Progress
+from tiswarm.records.estimate import Estimate, Solution
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.report.render import pictures
+from tiswarm.report.render.pictures import build_pictures
+from tiswarm.report.swarm_view import view_log
+from tiswarm.sensing import SensingParams, observe
+
+PROBE = """
+const at = (x, y) => Object.assign(new Event("pointermove"), {buttons: 0, offsetX: x, offsetY: y});
+for (let x = 0; x < view.clientWidth && !found.pointed; x += 5)
+  for (let y = 0; y < view.clientHeight && !found.pointed; y += 5) {
+    view.dispatchEvent(at(x, y));
+    found.pointed = document.getElementById("pointed").textContent;
+  }
+found.first = view.toDataURL();
+const menu = document.getElementById("case");
+menu.value = 2;
+menu.dispatchEvent(new Event("change"));
+found.second = view.toDataURL();
+found.quantity = document.getElementById("quantity").value;
+document.body.dataset.found = JSON.stringify(found);
+"""
+"""Points at a robot, then chooses the third entry of the menu."""
+
+MM = 32.9
+"""Radius of a dock of the log [mm]."""
+
+
+@pytest.fixture
+def log(towers) -> SensingLog:
+    """What thirty robots sensed, in millimeters."""
+    log = observe(towers[0], SensingParams())
+    lengths = ("dock_radius", "dock_offset_body", "anchor_position", "flip_height")
+    scaled = {name: getattr(log, name) * MM for name in lengths}
+    return replace(log, **scaled, length_unit="mm")
+
+
+@pytest.fixture
+def true(towers):
+    """True positions of the robots [mm]."""
+    return towers[0].position * MM
+
+
+@pytest.fixture
+def estimate(log, true) -> Estimate:
+    """An estimate that is off by 3 mm and 4 mm, and the second of two solutions."""
+    off = np.zeros((30, 3))
+    off[1:] = [3.0, 0.0, 4.0]
+    sd = np.linspace(0.0, 2.9, 30)
+    sd[7] = np.nan
+    far = true + np.array([0.0, 100.0, 0.0])
+    return Estimate(
+        robot_id=log.robot_id,
+        position=true + off,
+        disconnected=np.zeros(30, bool),
+        sd=sd,
+        solutions=tuple(
+            Solution(chains=chains, residual=0.5, residual_sd=1.0, position=position)
+            for chains, position in [(5, true), (3, far)]
+        ),
+        iteration=np.empty(0, np.int64),
+        trace=np.empty((0, 30, 3)),
+        residual=np.array([0.25]),
+    )
+
+
+def _page(path, log, estimate, **more) -> tuple[str, dict]:
+    """Draw a page; returns its text and the data of its 3D view."""
+    draw_log(path / "view.html", log, estimate, name="a log", **more)
+    text = (path / "view.html").read_text()
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    return text, json.loads(found[1])
+
+
+def test_a_page_needs_no_truth(log, estimate, tmp_path):
+    """It shows the standard deviation and each solution, and offers nothing that it lacks."""
+    text, data = _page(tmp_path, log, estimate, notes=["one contact only: 2 robots"])
+
+    assert "<li>one contact only: 2 robots</li>" in text
+    assert "30 robots located with a standard deviation of 1.5 mm in the median." in text
+    assert "RMSE" not in text
+    assert 'id="show-truth"' not in text
+    assert [case["name"] for case in data["cases"]] == ["estimate", "solution 1", "solution 2"]
+    assert all(case["true"] == [] for case in data["cases"])
+    (sd,) = data["cases"][0]["colors"]
+    assert sd["label"] == "sd"
+    assert sd["value"][7] is None
+
+
+def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
+    """The sd of a disconnected robot is neither in the sentence nor in the colors."""
+    lost = np.arange(30) == 29
+    sd = np.where(lost, 1e4, 2.0)
+
+    found = replace(estimate, sd=sd, disconnected=lost, outlier_contacts=np.zeros((2, 5), int))
+
+    text, data = _page(tmp_path, log, found)
+
+    assert "The estimate judges 2 measurements wrong." in text
+    assert "located with a standard deviation of 2 mm in the median." in text
+    (color,) = data["cases"][0]["colors"]
+    assert color["value"] == [2.0] * 29 + [None]
+    assert "disconnected from the anchor are gray" in text
+
+
+def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
+    """The browser reports no error; the menu shows another solution, and robots have names."""
+    text, _ = _page(tmp_path, log, estimate)
+
+    seen = probe(text, PROBE, tmp_path)
+
+    assert seen["troubles"] == []
+    assert seen["first"] != seen["second"]
+    assert re.fullmatch(r"Robot \d+, join index \d+: sd [\d.]+ mm\.", seen["pointed"])
+    assert seen["quantity"] == "distance from the estimate"
+
+
+def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):
+    """The sentence, the table of robots and the view agree."""
+    text, data = _page(tmp_path, log, estimate, true=true)
+
+    assert f"in the median and an RMSE of {5.0 * np.sqrt(29 / 30):.3g} mm." in text
+    error, sd = data["cases"][0]["colors"]
+    assert (error["label"], error["unit"], sd["label"]) == ("error", "mm", "sd")
+    assert error["value"] == [0.0] + [5.0] * 29
+    assert 'id="show-truth"' in text
+
+
+def test_the_view_is_in_radii_and_its_labels_in_the_unit_of_the_log(log, estimate, true, tmp_path):
+    """Robots have the same size on the screen in any unit."""
+    _, data = _page(tmp_path, log, estimate, true=true)
+
+    assert (data["radius"], data["unit"]) == (MM, "mm")
+    np.testing.assert_allclose(data["cases"][0]["true"], true / MM, atol=1e-4)
+    moved = next(case for case in data["cases"] if case["name"] == "solution 2")
+    np.testing.assert_allclose(
+        np.array(moved["estimate"])[:, 1], true[:, 1] / MM + 100.0 / MM, atol=1e-4
+    )
+    (away,) = moved["colors"]
+    assert (away["label"], away["unit"]) == ("distance from the estimate", "mm")
+
+
+def test_a_method_without_uncertainty_has_no_colors_of_its_own(log, estimate, tmp_path):
+    """The page colors robots by join index, which is always known."""
+    _, data = _page(tmp_path, log, replace(estimate, sd=None, solutions=()))
+
+    (case,) = data["cases"]
+    assert (case["name"], case["colors"]) == ("estimate", [])
+
+
+def test_texts_of_a_log_stay_texts(log, estimate, tmp_path):
+    """A log of somebody else cannot run a script in a reader's browser."""
+    unit = "</script><script>boom()</script>"
+
+    text, data = _page(tmp_path, replace(log, length_unit=unit), estimate, notes=[unit])
+
+    assert "<script>boom" not in text
+    assert data["unit"] == unit
+
+
+def test_what_to_measure_next_is_a_table(log, estimate, tmp_path):
+    """Advice has the headings of its rows; a page without advice has no such section."""
+    advice = [{"rank": "1", "further measurement": "height of robot 3", "robots determined": "2"}]
+
+    with_it, _ = _page(tmp_path, log, estimate, advice=advice)
+    without, _ = _page(tmp_path, log, estimate)
+
+    assert "What to measure next" in with_it
+    assert "height of robot 3" in with_it
+    assert "What to measure next" not in without
+
+
+def test_pictures_show_what_is_known(log, estimate, true):
+    """Without a truth they show the estimate; a log has no forces."""
+    known = [build_pictures(view_log(log, estimate, truth)) for truth in (None, true)]
+
+    assert [*known[0]] == ["estimate", "sd", "contact-graph"]
+    assert [*known[1]] == ["structure", "truth-and-estimate", "error", "sd", "contact-graph"]
+    assert known[1]["error"].legend.low == "error [mm]  0"
+    assert known[1]["error"].legend.high == "5.00"
+
+
+def test_pictures_of_map_coordinates_are_as_sharp(log, estimate, tmp_path, monkeypatch):
+    """Pictures have 32-bit numbers, so that far from the origin robots would lose their shape."""
+    drawn = []
+
+    def draw_scenes(scenes, *_):
+        drawn.append(scenes[0])
+        return [np.zeros((9, 9, 3), np.uint8)] * len(scenes), "none", ""
+
+    monkeypatch.setattr(pictures, "draw_scenes", draw_scenes)
+    away = np.array([5e8, 4e9, 1e5])
+    far = replace(log, ground_z=float(away[2]), anchor_position=log.anchor_position + away)
+    moved = replace(estimate, position=estimate.position + away)
+
+    render_log(view_log(replace(log, ground_z=0.0), estimate), tmp_path, Progress())
+    render_log(view_log(far, moved), tmp_path, Progress())
+
+    np.testing.assert_allclose(drawn[0].start, drawn[1].start, atol=1e-5)
+    assert drawn[0].ground is not None
+    np.testing.assert_allclose(drawn[0].ground.corner, drawn[1].ground.corner, atol=1e-5)
+    assert (tmp_path / "sd.png").is_file()
+
+
+def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
+    """Tables and solids are as large as the structure is; the structure needs a truth."""
+    export_view(view_log(log, estimate), "csv", tmp_path / "csv", Progress())
+    export_view(view_log(log, estimate, true), "ply", tmp_path / "ply", Progress())
+
+    assert sorted(path.name for path in (tmp_path / "csv").iterdir()) == [
+        "contacts.csv", "estimate.csv",
+    ]  # fmt: skip
+    table = pd.read_csv(tmp_path / "csv" / "estimate.csv")
+    np.testing.assert_allclose(table[["x_mm", "y_mm", "z_mm"]], estimate.position)
+    np.testing.assert_allclose(table["sd_mm"], estimate.sd)
+    solid = trimesh.load(tmp_path / "ply" / "structure.ply")
+    assert (np.abs(solid.bounds - [true.min(axis=0), true.max(axis=0)]) < 2.506 * MM).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ("render . --truth truth.csv", "--truth: a run has its own; leave it out"),
+        ("render . estimate.csv", "ESTIMATE: a run has its own; leave it out"),
+        ("export . --format csv --truth truth.csv", "--truth: a run has its own; leave it out"),
+        ("render . --out pictures", "--out: a run has its own; leave it out"),
+        ("render log.jsonl --animate", "--animate: a log is no run; leave it out"),
+        ("export log.jsonl --format csv --case 0-a", "--case: a log is no run; leave it out"),
+        ("render nowhere", "nowhere: there is no such file; check the path"),
+    ],
+)
+def test_what_a_run_or_a_log_lacks_is_refused(arguments, problem, tmp_path, monkeypatch, capsys):
+    """The message says what to leave out or to add."""
+    (tmp_path / "log.jsonl").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["tiswarm", *arguments.split()])
+
+    with pytest.raises(SystemExit) as end:
+        main()
+
+    assert end.value.code == 2
+    assert problem in capsys.readouterr().err

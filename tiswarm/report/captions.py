@@ -1,0 +1,43 @@
+"""What the pictures of a run show, in words."""
+
+CAPTIONS = {
+    "accuracy": "Errors of each condition: mean RMSE and mean Procrustes disparity over the "
+    "structures. Bars are 95 % CI; of few structures, each has a small dot. Hollow markers, where "
+    "there are any, are published numbers. Farther left is better.",
+    "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
+    "one standard deviation where there are few lines. A flat end shows that more iterations would "
+    "not help.",
+    "error-against-height": "Error of each robot against its true height, a panel for each "
+    "condition. A dot is a robot; its color is its join index, the order in which robots joined.",
+    "error-along-growth": "Error of each robot against its place along the structure, a panel for "
+    "each kind of structure. A dot is a robot; its color is its join index, the order in which "
+    "robots joined.",
+    "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
+    "hops (contacts on the shortest way to the anchor) and number of contacts. Numbers above count "
+    "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
+    "between two robots.",
+    "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
+    "state the power of N that fits all sizes, and the last two.",
+    "contact-graph": "Contacts: each ball is a robot, colored by its hops from the anchor, and "
+    "each rod joins two robots in contact.",
+    "error": "True structure, each robot colored by the error of its estimated position.",
+    "growth": "Growth of the structure, colored by join index, the order in which robots joined.",
+    "sensed-force": "True structure, each robot colored by the force that it senses in its links, "
+    "in weights of a dock.",
+    "sizes": "Structures of every size at one scale, each robot colored by its error.",
+    "structure": "True structure, colored by join index, the order in which robots joined.",
+    "truth-and-estimate": "True robots, translucent blue, and estimated robots, orange. Where only "
+    "orange is seen, the estimate is right.",
+}
+"""Captions by file name; a longer name adds a sweep point or a case."""
+
+
+def caption_of(name: str, case: str = "") -> str:
+    """Describe a picture by the longest known part of its name.
+
+    The rest of the name is a sweep point or a case; without a rest, the picture shows `case`.
+    """
+    known = max((key for key in CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
+    rest = name.removeprefix(known).strip("-")
+    shown = f"Case {case}." if case and not rest else f"{rest}." if known and rest else rest
+    return " ".join(filter(None, [CAPTIONS.get(known, ""), shown]))

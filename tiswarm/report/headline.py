@@ -1,0 +1,94 @@
+"""The result of a run in words, from its `table.csv`."""
+
+import math
+from collections import Counter
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from tiswarm.errors import InputError
+from tiswarm.records.frames import read_frame
+from tiswarm.records.messages import counted
+
+FEWEST_FOR_CI = 4
+"""Structures below which a range says more than a confidence interval."""
+
+_MEASURES = [
+    "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
+]  # fmt: skip
+_Row = dict[Hashable, Any]
+
+
+def headline(folder: Path) -> str:
+    """Write the results of a run: a line for each condition, then the conclusion."""
+    path = folder / "table.csv"
+    if not path.exists():
+        raise InputError("has no table.csv; give a folder that `tiswarm run` made", path=folder)
+    table = read_frame(path, ["condition"], ["cases"], gaps=_MEASURES, numbers_after="cases")
+    best = conclusion(table)
+    return "\n".join([*map(_in_words, table.to_dict("records")), *([best] if best else [])])
+
+
+def conclusion(table: pd.DataFrame) -> str:
+    """Name the condition with the least error; empty where there is none to compare with."""
+    rows = table[table["cases"] > 0].to_dict("records")
+    points: dict[str, list[_Row]] = {}
+    for row in rows:
+        points.setdefault(str([row[key] for key in _swept(row)]), []).append(row)
+    best = [min(each, key=lambda row: row["rmse_R_mean"]) for each in points.values()]
+    if not best or len(points) == len(rows):
+        return ""
+    if len(best) == 1:
+        other = next(row for row in rows if row is not best[0])
+        error, name = best[0]["rmse_R_mean"], best[0]["condition"]
+        ratio = f"{other['rmse_R_mean'] / error:.3g} times as large" if error else "larger"
+        return (
+            f"{name} has the smallest RMSE, {error:.3g} R; that of {other['condition']} is {ratio}"
+        )
+    (first, most), *others = Counter(str(row["condition"]) for row in best).most_common()
+    texts = [f"{first} has the smallest RMSE at {most} of {counted(len(best), 'sweep point')}"]
+    return ", ".join(texts + [f"{name} at {count}" for name, count in others])
+
+
+def result_of(table: pd.DataFrame) -> str:
+    """Write the result of a run in one sentence; empty where the table lacks its measures."""
+    rows = table[table["cases"] > 0]
+    if len(rows) and not set(_MEASURES) <= set(rows):
+        return ""
+    text = conclusion(rows)
+    if not text and len(rows) < 2:  # noqa: PLR2004 - one or none
+        text = "; ".join(map(_in_words, rows.to_dict("records"))) or "no case was finished"
+    if not text:
+        least, most = rows["rmse_R_mean"].min(), rows["rmse_R_mean"].max()
+        text = f"mean RMSE from {least:.3g} R to {most:.3g} R at {len(rows)} sweep points"
+    return f"{text}."
+
+
+def _in_words(row: _Row) -> str:
+    point = " ".join(f"{key}={row[key]}" for key in _swept(row))
+    name = f"{point} {row['condition']}".strip()
+    if not row["cases"]:
+        return f"{name}: no case was finished"
+    share = row.get("converged_mean", math.nan)
+    lost = 0 if math.isnan(share) else round(row["cases"] * (1.0 - share))
+    return (
+        f"{name}: RMSE {_spread(row)}, disparity {row['procrustes_disparity_mean']:.3g}, "
+        f"{counted(row['cases'], 'structure')}"
+        f"{f', {lost} of them not converged' if lost else ''}"
+    )
+
+
+def _swept(row: _Row) -> list[Hashable]:
+    names = list(row)
+    return names[names.index("condition") + 1 : names.index("cases")]
+
+
+def _spread(row: _Row) -> str:
+    """Write an RMSE with its range, or its confidence interval where that says more."""
+    mean, half = row["rmse_R_mean"], row["rmse_R_ci95"]
+    if row["cases"] >= FEWEST_FOR_CI:
+        return f"{mean:.3g} R (95 % CI {mean - half:.3g} to {mean + half:.3g})"
+    least, most = row["rmse_R_least"], row["rmse_R_most"]
+    return f"{mean:.3g} R" + (f" ({least:.3g} to {most:.3g})" if row["cases"] > 1 else "")

@@ -1,0 +1,187 @@
+"""The page of a log and its estimate: what was found, how certain it is, and what remains open."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.aliases import Reals
+from tiswarm.measurements.contacts import contact_count
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.messages import counted
+from tiswarm.report.page import Page
+from tiswarm.report.page_tables import MOST_ROWS, Table
+from tiswarm.report.space import MOST_ROBOTS, Coloring, View, space_data, view_data
+from tiswarm.report.swarm_view import SwarmView
+
+
+def gather_log_page(
+    view: SwarmView,
+    estimate: Estimate,
+    *,
+    name: str,
+    scores: Mapping[str, float],
+    warnings: Sequence[str],
+    notes: Sequence[str],
+    advice: Sequence[Mapping[str, str]],
+) -> Page:
+    """Gather what the page of a log shows.
+
+    Args:
+        view: The log's robots, with their true positions where these are known.
+        estimate: The estimate that `view` shows.
+        name: Heading of the page.
+        scores: Accuracy measures by name, in the log's unit; empty where the truth is unknown.
+        warnings: What makes the estimate doubtful.
+        notes: What the log leaves open, and what the method found, in lines.
+        advice: Further measurements that would help, as rows of cells by heading.
+    """
+    return Page(
+        name=name,
+        result=_result(view, estimate, scores),
+        what=_in_words(estimate),
+        warnings=warnings,
+        notes=notes,
+        headline=_summary(view, estimate, scores),
+        tables=[*_solutions(view, estimate), *_advice(advice)],
+        view=_space(view, estimate),
+        rows=_robots(view, estimate),
+        rows_example="floppy",
+    )
+
+
+def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> str:
+    """State in a sentence what was found."""
+    unit = view.log.length_unit
+    accuracy = []
+    if len(sd := _tied_sd(view, estimate)):
+        accuracy.append(f"a standard deviation of {np.median(sd):.2g} {unit} in the median")
+    if scores:
+        accuracy.append(f"an RMSE of {scores['RMSE']:.3g} {unit}")
+    located = f"{counted(len(view.robot), 'robot')} located"
+    return f"{located} with {' and '.join(accuracy)}." if accuracy else f"{located}."
+
+
+def _in_words(estimate: Estimate) -> str:
+    """State in a line what limits the estimate; empty if nothing does."""
+    found = []
+    words = [] if estimate.observability is None else estimate.observability.known
+    if floppy := words.count("floppy"):
+        found.append(f"Floppy modes move {counted(floppy, 'robot')}")
+    if lost := words.count("disconnected"):
+        found.append(f"No measurement ties {counted(lost, 'robot')} to the anchor")
+    outliers = (estimate.outlier_contacts, estimate.outlier_places)
+    if many := sum(len(rows) for rows in outliers if rows is not None):
+        found.append(f"The estimate judges {counted(many, 'measurement')} wrong")
+    return " ".join(f"{sentence}." for sentence in found)
+
+
+def _tied_sd(view: SwarmView, estimate: Estimate) -> Reals:
+    """Return the known sd of robots that are tied to the anchor, without it [log unit]."""
+    sd: Reals = view.sd[1:][~estimate.disconnected[1:]] * view.log.dock_radius
+    known: Reals = sd[np.isfinite(sd)]
+    return known
+
+
+def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> Table:
+    """Tabulate sizes, uncertainty and, where the truth is known, accuracy."""
+    unit = view.log.length_unit
+    rows = {"robots": str(len(view.robot)), "contacts": str(len(view.log.contacts))}
+    if len(sd := _tied_sd(view, estimate)):
+        rows |= {
+            f"median sd [{unit}]": f"{np.median(sd):.3g}",
+            f"largest sd [{unit}]": f"{sd.max():.3g}",
+        }
+    for name, value in scores.items():
+        rows[name if "disparity" in name else f"{name} [{unit}]"] = f"{value:.3g}"
+    frame = pd.DataFrame(rows.items(), columns=["quantity", "value"])
+    note = "sd: standard deviation of the position of a robot that is tied to the anchor"
+    return Table(
+        frame=frame, words=["quantity"], title="Summary", note=f"{note}." if len(sd) else ""
+    )
+
+
+def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[Table]:
+    """Tabulate the solutions that the method found, if there are several."""
+    log, found = view.log, estimate.solutions
+    if len(found) < 2:  # noqa: PLR2004
+        return
+    unit = log.length_unit
+    away = [np.linalg.norm(each.position - found[0].position, axis=1) for each in found]
+    frame = pd.DataFrame(
+        {
+            "solution": [str(number) for number in range(1, len(found) + 1)],
+            "chains": [str(each.chains) for each in found],
+            f"residual [{unit}]": [f"{each.residual:.3g}" for each in found],
+            "residual [sd]": [f"{each.residual_sd:.2g}" for each in found],
+            f"largest distance from solution 1 [{unit}]": [f"{each.max():.3g}" for each in away],
+            "robots farther than D from there": [str(int((a > log.spacing).sum())) for a in away],
+        }
+    )
+    note = "Each fits the measurements about equally well. The 3D view shows each."
+    yield Table(frame=frame, words=[], title="Solutions", note=note)
+
+
+def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[Table]:
+    """Tabulate further measurements that would help."""
+    if rows:
+        words = ["further measurement", "robots determined"]
+        note = "One further contact, height or known position would constrain the swarm as follows."
+        yield Table(frame=pd.DataFrame(rows), words=words, title="What to measure next", note=note)
+
+
+def _space(view: SwarmView, estimate: Estimate) -> View:
+    """Show the estimate, then each solution."""
+    radius, unit = view.log.dock_radius, view.log.length_unit
+    sd = np.where(estimate.disconnected, np.nan, view.sd)
+    values = [("error", view.error), ("sd", sd)]
+    colorings = [Coloring(label, unit, value * radius) for label, value in values]
+    shown = [view_data(replace(view, name="estimate"), colorings)]
+    solutions = estimate.solutions if len(estimate.solutions) > 1 else ()
+    room = MOST_ROBOTS // len(view.robot) - len(shown)
+    for number, each in enumerate(solutions[: max(room, 0)], start=1):
+        pose = np.column_stack([each.position / radius, view.estimated_pose[:, 3:]])
+        moved = replace(view, estimated_pose=pose, name=f"solution {number}")
+        away = np.linalg.norm(each.position - estimate.position, axis=1)
+        shown.append(view_data(moved, [Coloring("distance from the estimate", unit, away)]))
+    notes = []
+    if estimate.sd is not None and estimate.disconnected.any():
+        notes.append(
+            "Where sd is the color, robots that are disconnected from the anchor are gray."
+        )
+    if len(view.robot) > MOST_ROBOTS:
+        notes.append(f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots.")
+    if (left := len(solutions) - max(room, 0)) > 0:
+        notes.append(f"It lacks {counted(left, 'solution')}, so that the page stays small.")
+    return View(
+        data=space_data(view.dock_offset_body, shown, radius=radius, unit=unit),
+        title="Estimated positions",
+        choice="Shown",
+        note=" ".join(notes),
+    )
+
+
+def _robots(view: SwarmView, estimate: Estimate) -> Table:
+    """Tabulate each robot in join order."""
+    log, unit, size = view.log, view.log.length_unit, view.log.dock_radius
+    digits = max(0, math.ceil(2.0 - math.log10(size)))
+    columns: dict[str, Sequence[str]] = {"robot": [str(name) for name in log.robot_id]}
+    for axis, values in zip("xyz", estimate.position.T.tolist(), strict=True):
+        columns[f"{axis} [{unit}]"] = [f"{value:.{digits}f}" for value in values]
+    for label, values in [("sd", view.sd * size), ("error", view.error * size)]:
+        if np.isfinite(values).any():
+            columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
+    columns["contacts"] = [str(many) for many in contact_count(log)]
+    if estimate.observability is not None:
+        columns["known"] = estimate.observability.known
+    left_out = len(view.robot) - MOST_ROWS
+    note = (
+        "Known: yes if the measurements determine the position; floppy if a motion that changes no "
+        "measurement moves the robot; disconnected if at most a height ties it to the anchor."
+    )
+    note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
+    return Table(
+        frame=pd.DataFrame(columns).head(MOST_ROWS), words=["known"], title="Robots", note=note
+    )

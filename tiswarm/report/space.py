@@ -1,0 +1,133 @@
+"""The data of a page's 3D view: poses, contacts, ground and colors of each case."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tiswarm.aliases import Ints, Reals
+from tiswarm.compute.math import dock_offsets
+from tiswarm.report.ground import ground_pieces
+from tiswarm.report.run_data import RunData
+from tiswarm.report.swarm_view import SwarmView, read_case_view
+
+_MOST_CASES = 12  # in the view
+MOST_ROBOTS = 10_000
+"""Robots in the view, in all cases together."""
+
+_DIGITS = 4  # decimals of positions
+
+
+class View(NamedTuple):
+    """The cases of the 3D view."""
+
+    data: dict[str, Any]  # as `space_data` returns it
+    title: str
+    choice: str  # what the menu offers
+    note: str
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether a case has true poses."""
+        return any(case["true"] for case in self.data["cases"])
+
+
+class Coloring(NamedTuple):
+    """A quantity that colors the estimate; the view adds the join index."""
+
+    label: str
+    unit: str  # may be empty
+    value: Reals  # NaN where unknown, shape (N,)
+
+
+def build_view(run: RunData) -> View | None:
+    """Take the first case of each series, within the limits; None if no case is done."""
+    shown: list[dict[str, Any]] = []
+    notes = []
+    for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
+        view = read_case_view(case)
+        data = view_data(view, [Coloring("error", "R", view.error), Coloring("sd", "R", view.sd)])
+        if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
+            break
+        if data["robot"]:
+            shown.append(data)
+        if len(view.robot) > MOST_ROBOTS:
+            notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
+    if not shown:
+        return None
+    if len(shown) < (done := sum(case.done for case in run.cases)):
+        notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
+    return View(
+        data=space_data(view.dock_offset_body, shown),
+        title="True and estimated positions",
+        choice="Case",
+        note=" ".join(notes),
+    )
+
+
+def space_data(
+    offset: Reals, cases: Sequence[dict[str, Any]], *, radius: float = 1.0, unit: str = "R"
+) -> dict[str, Any]:
+    """Gather the data of the 3D view.
+
+    Args:
+        offset: Vectors from center to dock, body frame [R], shape (docks, 3).
+        cases: Cases as `view_data` returns them.
+        radius: R in the unit of the labels.
+        unit: Unit of the labels along the axes.
+    """
+    return {"offsets": _rounded(offset), "cases": cases, "radius": radius, "unit": unit}
+
+
+def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, Any]:
+    """List what the 3D view needs of the robots that have an estimate, the first ones if too many.
+
+    Without a true pose, the lists of true centers and turns are empty.
+    """
+    known = np.flatnonzero(np.isfinite(view.estimated_pose).all(axis=1))[:MOST_ROBOTS]
+    estimated, true = view.estimated_pose[known], view.pose[known]
+    if not np.isfinite(true).all():
+        true = true[:0]
+    return {
+        "name": view.name,
+        "robot": view.robot[known].tolist(),
+        "true": _rounded(true[:, :3]),
+        "turn": _rounded(true[:, 3:]),
+        "estimate": _rounded(estimated[:, :3]),
+        "sensed": _rounded(estimated[:, 3:]),
+        "colors": [
+            {"label": label, "unit": unit, "value": [_value(v) for v in value[known].tolist()]}
+            for label, unit, value in colorings
+            if np.isfinite(value[known]).any()
+        ],
+        "contacts": _contacts(view, known),
+        "ground": _ground(view, true if len(true) else estimated),
+    }
+
+
+def _rounded(values: Reals) -> list[Any]:
+    rounded: list[Any] = values.round(_DIGITS).tolist()
+    return rounded
+
+
+def _value(value: float) -> float | None:
+    return None if math.isnan(value) else float(f"{value:.4g}")
+
+
+def _contacts(view: SwarmView, known: Ints) -> list[list[int]]:
+    """List contacts of known robots: their places in the list, and a dock of each."""
+    place = np.full(len(view.robot), -1)
+    place[known] = np.arange(len(known))
+    contacts = view.log.contacts.copy()
+    contacts[:, [0, 2]] = place[contacts[:, [0, 2]]]
+    found: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
+    return found
+
+
+def _ground(view: SwarmView, pose: Reals) -> list[Any]:
+    """List the pieces of ground around robots, each a list of faces with four corners [R]."""
+    if view.terrain is None or not len(pose):
+        return []
+    dock = pose[:, None, :3] + dock_offsets(pose[:, 3:], view.dock_offset_body)
+    return [_rounded(faces) for faces in ground_pieces(view.terrain, dock.reshape(-1, 3))]

@@ -1,0 +1,361 @@
+// --- 3D view of true and estimated positions ---
+
+const BLACK = [0, 0, 0], WHITE = [255, 255, 255], UNKNOWN_COLOR = [154, 163, 173];
+const SOLID = 3000; // most robots that are drawn with docks and arms
+const SHADES = 48; // number of colors of a scale
+const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
+const SIDES = [0, 1, 2]; // x, y, z
+const START = { turn: -1.0, tilt: 0.22, zoom: 1, right: 0, down: 0 }; // the last two in pixels
+const GHOST = { opacity: 0.35, gap: 0.3, back: 1 }; // of true robots beside estimated ones: opacity; error from which they are drawn, and how much they are drawn behind their place [R]
+const EARTH = 0.75; // opacity of the ground
+const RAISED = 1.5; // contacts are drawn as if they were this much nearer [R]
+
+const rgb = (color) => `rgb(${color.map(Math.round).join(" ")})`;
+const mixed = (a, b, share) => a.map((value, k) => value + share * (b[k] - value));
+const minus = (a, b) => a.map((value, k) => value - b[k]);
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const short = (value) => String(Number(value.toPrecision(3)));
+
+// The text of a CSS variable, and the colors of one such as --errors: #fcf0c3, #8c0d2f.
+const textOf = (variable) => getComputedStyle(document.documentElement).getPropertyValue(variable).trim();
+const colorsOf = (variable) => textOf(variable).split(",").map((color) => [1, 3, 5].map((k) => parseInt(color.trim().slice(k, k + 2), 16)));
+
+// A ball lit from the upper left.
+function ball(color) {
+  const picture = new OffscreenCanvas(64, 64), pen = picture.getContext("2d");
+  const light = pen.createRadialGradient(23, 20, 2, 32, 32, 32);
+  light.addColorStop(0, rgb(mixed(color, WHITE, 0.5)));
+  light.addColorStop(0.5, rgb(color));
+  light.addColorStop(1, rgb(mixed(color, BLACK, 0.45)));
+  pen.fillStyle = light;
+  pen.arc(32, 32, 31, 0, 7);
+  pen.fill();
+  return picture;
+}
+
+// Balls in the colors of a scale.
+function shadesOf(colors) {
+  return Array.from({ length: SHADES }, (_, n) => {
+    const place = n / (SHADES - 1) * (colors.length - 1), k = Math.min(Math.floor(place), colors.length - 2);
+    return ball(mixed(colors[k], colors[k + 1], place - k));
+  });
+}
+
+// The docks of a robot: its center plus each offset, rotated by a quaternion (w, x, y, z).
+function docksOf([x, y, z], [w, a, b, c], offsets) {
+  return offsets.map(([u, v, s]) => {
+    const p = 2 * (b * s - c * v), q = 2 * (c * u - a * s), r = 2 * (a * v - b * u);
+    return [x + u + w * p + b * r - c * q, y + v + w * q + c * p - a * r, z + s + w * r + a * q - b * p];
+  });
+}
+
+// The box around all robots and the ground of cases, and ticks along its sides [R]; `scale` is R in the unit of their labels.
+function boxOf(cases, scale) {
+  const reach = 3; // a robot's docks lie within this
+  const low = [Infinity, Infinity, Infinity], high = low.map((value) => -value);
+  const grow = (point, room) => SIDES.forEach((k) => {
+    low[k] = Math.min(low[k], point[k] - room);
+    high[k] = Math.max(high[k], point[k] + room);
+  });
+  for (const { true: truth, estimate, ground } of cases) {
+    truth.concat(estimate).forEach((point) => grow(point, reach));
+    ground.flat(2).forEach((point) => grow(point, 0));
+  }
+  const middle = mixed(low, high, 0.5), radius = Math.hypot(...minus(high, low)) / 2;
+  const power = 10 ** Math.floor(Math.log10(radius * scale / 2));
+  const step = [1, 2, 5, 10].find((times) => times * power >= radius * scale / 3) * power / scale;
+  const ticks = SIDES.map((k) => {
+    const first = Math.ceil(low[k] / step);
+    return Array.from({ length: Math.floor(high[k] / step) - first + 1 }, (_, n) => (first + n) * step);
+  });
+  return { low, high, middle, radius, ticks };
+}
+
+// Projects points onto the canvas: x, y, pixels per R, nearness.
+function cameraOf(box, { turn, tilt, zoom, right, down }, fit, width, height) {
+  const [ct, st, ce, se] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
+  const toward = [ce * ct, ce * st, se], away = 4 * box.radius;
+  const place = (point) => {
+    const [x, y, z] = minus(point, box.middle);
+    const near = dot(toward, [x, y, z]), scale = (zoom * fit * away) / Math.max(away - near, 0.05 * away);
+    return [width / 2 + right + scale * (ct * y - st * x), height / 2 + down - scale * (ce * z - se * (ct * x + st * y)), scale, near];
+  };
+  return { toward, eye: box.middle.map((value, k) => value + away * toward[k]), place };
+}
+
+// Pixels per R at which the whole box fits the canvas.
+function fitOf(box, width, height) {
+  const { place } = cameraOf(box, START, 1, 0, 0);
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => place(SIDES.map((k) => (n >> k & 1 ? box.high : box.low)[k])));
+  const reach = (k) => Math.max(...corners.map((corner) => Math.abs(corner[k])));
+  return Math.min((width / 2 - Math.min(80, width / 8)) / reach(0), (height / 2 - 34) / reach(1));
+}
+
+// The far sides of the box with a grid, and numbers along visible edges.
+function drawBox(pen, box, { radius, unit }, { toward, place }) {
+  const far = SIDES.map((k) => (toward[k] > 0 ? box.low : box.high)[k]);
+  const near = SIDES.map((k) => (toward[k] > 0 ? box.high : box.low)[k]);
+  const at = (k, value, others) => SIDES.map((n) => (n === k ? value : others[n]));
+  const line = (from, to) => { pen.moveTo(...place(from).slice(0, 2)); pen.lineTo(...place(to).slice(0, 2)); };
+  pen.beginPath();
+  for (const k of SIDES) for (const tick of [box.low[k], ...box.ticks[k], box.high[k]]) {
+    for (const m of SIDES.filter((other) => other !== k)) {
+      line(at(m, box.low[m], at(k, tick, far)), at(m, box.high[m], at(k, tick, far)));
+    }
+  }
+  pen.strokeStyle = textOf("--rule");
+  pen.lineWidth = 1;
+  pen.stroke();
+  const upright = [[near[0], far[1], far[2]], [far[0], near[1], far[2]]].sort((a, b) => place(a)[0] - place(b)[0])[0];
+  const edges = [[far[0], near[1], far[2]], [near[0], far[1], far[2]], upright];
+  const [x, y] = place(box.middle);
+  pen.fillStyle = textOf("--ink");
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  for (const k of SIDES) {
+    const write = (text, point, gap) => {
+      const [px, py] = place(point), away = Math.hypot(px - x, py - y) || 1;
+      const [dx, dy] = k === 2 ? [-1, 0] : [(px - x) / away, (py - y) / away];
+      pen.fillText(text, Math.max(px + gap * dx, pen.measureText(text).width / 2 + 2), py + gap * dy);
+    };
+    pen.font = "12px system-ui, sans-serif";
+    for (const tick of box.ticks[k]) write(String(Number((tick * radius).toPrecision(9))), at(k, tick, edges[k]), 16);
+    pen.font = "600 13px system-ui, sans-serif";
+    write(`${"xyz"[k]} [${unit}]`, at(k, box.middle[k], edges[k]), 42);
+  }
+}
+
+// The color scale of the estimate.
+function drawScale(pen, { label, unit, most, scale }, width, height) {
+  const [left, top, wide, tall] = [width - 56, 40, 12, Math.min(220, height / 3)];
+  const colors = pen.createLinearGradient(0, top + tall, 0, top);
+  colorsOf(scale).forEach((color, n, all) => colors.addColorStop(n / (all.length - 1), rgb(color)));
+  pen.fillStyle = colors;
+  pen.fillRect(left, top, wide, tall);
+  pen.fillStyle = textOf("--ink");
+  pen.textBaseline = "middle";
+  pen.font = "600 13px system-ui, sans-serif";
+  pen.textAlign = "right";
+  pen.fillText(unit ? `${label} [${unit}]` : label, width - 10, top - 20);
+  pen.textAlign = "left";
+  pen.font = "12px system-ui, sans-serif";
+  for (const share of [0, 0.25, 0.5, 0.75, 1]) pen.fillText(String(Number((share * most).toPrecision(2))), left + wide + 6, top + tall * (1 - share));
+}
+
+// The pieces of ground from the farthest to the nearest: drawn faces, and whether the piece hides a point from the eye.
+function groundOf(pieces, { eye, place }) {
+  return pieces.map((faces) => {
+    const sides = faces.map((corners) => {
+      const [a, b, c, d] = corners, [p, q] = [minus(c, a), minus(d, b)];
+      const outward = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
+      const sign = faces.length > 1 || dot(outward, minus(eye, a)) > 0 ? 1 : -1; // a plane has two sides
+      const normal = outward.map((value) => sign * value / Math.hypot(...outward));
+      return { corners: corners.map(place), base: a, normal, front: dot(normal, minus(eye, a)) > 0 };
+    });
+    const seen = sides.filter((side) => side.front);
+    const hides = (point) => !seen.some(({ base, normal }) => dot(normal, minus(point, base)) > 0);
+    return { seen, hides, near: Math.max(...sides.flatMap((side) => side.corners.map((corner) => corner[3]))) };
+  }).sort((a, b) => a.near - b.near);
+}
+
+function drawGround(pen, { seen }) {
+  const [top, edge] = [colorsOf("--ground")[0], textOf("--rule")];
+  pen.globalAlpha = EARTH;
+  pen.lineWidth = 1;
+  for (const { corners, normal } of seen) {
+    pen.beginPath();
+    corners.forEach((corner) => pen.lineTo(corner[0], corner[1]));
+    pen.closePath();
+    pen.fillStyle = pen.strokeStyle = rgb(mixed(top, BLACK, 0.16 * (1 - Math.abs(normal[2]))));
+    pen.fill();
+    if (seen.length === 1) pen.strokeStyle = edge;
+    pen.stroke(); // closes the seams between faces
+  }
+  pen.globalAlpha = 1;
+}
+
+// The shapes of robots, contacts and errors, unsorted; each with its place in space.
+function shapesOf(shown, count, offsets, wanted, coloring, place, balls) {
+  const shapes = [];
+  const put = (point) => Object.assign(place(point), { point });
+  const isGhost = (poses) => wanted.estimate && poses === shown.true;
+  const robots = (poses, turns, armColor, ballOf) => poses.slice(0, count).forEach((center, n) => {
+    if (isGhost(poses) && Math.hypot(...minus(center, shown.estimate[n])) < GHOST.gap) return;
+    const [opacity, back] = isGhost(poses) ? [GHOST.opacity, GHOST.back] : [1, 0];
+    const middle = put(center), around = docksOf(center, turns[n], offsets);
+    if (shown.robot.length > SOLID) {
+      shapes.push({ near: middle[3] - back, from: middle, ball: ballOf(n), radius: Math.max(1.5, middle[2]), opacity });
+      return;
+    }
+    for (const dock of around.map(put)) {
+      shapes.push({ near: (middle[3] + dock[3]) / 2 - back, from: middle, to: dock, color: armColor, wide: 0.3 * middle[2], opacity });
+      shapes.push({ near: dock[3] - back, from: dock, ball: ballOf(n), radius: dock[2], opacity });
+    }
+  });
+  if (wanted.truth) robots(shown.true, shown.turn, textOf("--true"), () => balls.truth);
+  if (wanted.estimate) {
+    const shades = balls[coloring.scale];
+    const shade = (n) => coloring.value[n] === null ? balls.unknown
+      : shades[Math.round((SHADES - 1) * Math.min(1, coloring.value[n] / coloring.most))];
+    robots(shown.estimate, shown.sensed, textOf("--arm"), shade);
+  }
+  const line = (a, b, color, wide, raised) => {
+    const [from, to] = [put(a), put(b)];
+    shapes.push({ near: (from[3] + to[3]) / 2 + raised, from, to, color, wide, opacity: 1 });
+  };
+  for (const [i, a, j, b] of wanted.contacts ? shown.contacts : []) {
+    if (Math.max(i, j) >= count) continue;
+    const dock = (n, k) => docksOf(shown.estimate[n], shown.sensed[n], offsets)[k];
+    line(dock(i, a), dock(j, b), textOf("--contact"), 2.5, RAISED);
+  }
+  for (let n = 0; wanted.error && n < count; n++) line(shown.true[n], shown.estimate[n], textOf("--ink"), 1.5, 0);
+  return shapes;
+}
+
+function drawShape(pen, { from, to, color, wide, ball: picture, radius, opacity }) {
+  pen.globalAlpha = opacity;
+  if (picture) {
+    pen.drawImage(picture, from[0] - radius, from[1] - radius, 2 * radius, 2 * radius);
+    return;
+  }
+  pen.strokeStyle = color;
+  pen.lineWidth = wide;
+  pen.beginPath();
+  pen.moveTo(from[0], from[1]);
+  pen.lineTo(to[0], to[1]);
+  pen.stroke();
+}
+
+// Ground and shapes, the farthest first; a shape that a piece of ground hides is drawn before it.
+function drawInOrder(pen, pieces, shapes) {
+  const layers = [...pieces, null].map(() => []);
+  for (const shape of shapes) {
+    const hiding = pieces.findIndex((piece) => piece.hides(shape.from.point));
+    layers[hiding < 0 ? pieces.length : hiding].push(shape);
+  }
+  layers.forEach((layer, n) => {
+    layer.sort((a, b) => a.near - b.near).forEach((shape) => drawShape(pen, shape));
+    pen.globalAlpha = 1;
+    if (n < pieces.length) drawGround(pen, pieces[n]);
+  });
+}
+
+// The colorings of a case: those of its data, and the order of joining.
+function coloringsOf({ colors, robot }) {
+  const given = colors.map((each) => ({ ...each, scale: "--errors", most: Math.max(...each.value.filter((v) => v !== null)) || 1 }));
+  return [...given, { label: "join index", unit: "", value: robot.map((_, n) => n), scale: "--joins", most: Math.max(robot.length - 1, 1) }];
+}
+
+function showSpace(view) {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const byId = (id) => document.getElementById(id);
+  const [picker, quantity, slider, joined, pointed] = ["case", "quantity", "joins", "joined", "pointed"].map(byId);
+  const boxes = ["truth", "estimate", "error", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
+  const pen = view.getContext("2d");
+  const balls = { truth: ball(colorsOf("--true")[0]), unknown: ball(UNKNOWN_COLOR) };
+  for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
+  let look = { ...START }, shown, colorings, box, place, due = 0;
+  data.cases.forEach((each, n) => picker.add(new Option(each.name, n)));
+
+  const draw = () => {
+    due = 0;
+    const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
+    if (!width) return;
+    view.width = width * dense;
+    view.height = height * dense;
+    pen.scale(dense, dense);
+    pen.lineCap = "round";
+    const wanted = Object.fromEntries(boxes.map(([id, check]) => [id, check.checked]));
+    const camera = cameraOf(box, look, fitOf(box, width, height), width, height);
+    const coloring = colorings[quantity.selectedIndex];
+    place = camera.place;
+    drawBox(pen, box, data, camera);
+    const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
+    drawInOrder(pen, pieces, shapesOf(shown, slider.value, data.offsets, wanted, coloring, place, balls));
+    if (wanted.estimate) drawScale(pen, coloring, width, height);
+    joined.textContent = `${slider.value} of ${shown.robot.length}`;
+  };
+  const soon = () => { due ||= requestAnimationFrame(draw); };
+  const choose = () => {
+    const label = quantity.value;
+    shown = data.cases[picker.value];
+    colorings = coloringsOf(shown);
+    quantity.replaceChildren(...colorings.map((each) => new Option(each.label)));
+    quantity.selectedIndex = Math.max(0, colorings.findIndex((each) => each.label === label));
+    // Cases of equally many robots share a box, so that they can be compared.
+    box = boxOf(data.cases.filter((other) => other.robot.length === shown.robot.length), data.radius);
+    slider.max = shown.robot.length; // before the value, which it bounds
+    slider.value = slider.max;
+    draw();
+  };
+  // The robot whose true or estimated center is nearest to the pointer.
+  const point = ({ offsetX, offsetY }) => {
+    let found = -1, nearest = NEARBY;
+    for (let n = 0; n < slider.value; n++) for (const poses of shown.true.length ? [shown.true, shown.estimate] : [shown.estimate]) {
+      const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
+      if (distance < nearest) [found, nearest] = [n, distance];
+    }
+    const values = colorings.slice(0, -1).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
+    pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
+  };
+  const change = (act) => { act(); look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt)); soon(); };
+  const turn = (right, down) => change(() => { look.turn -= 0.008 * right; look.tilt += 0.008 * down; });
+  const move = (right, down) => change(() => { look.right += right; look.down += down; });
+  const zoom = (factor) => change(() => ["zoom", "right", "down"].forEach((name) => { look[name] *= factor; }));
+  const reset = () => change(() => { look = { ...START }; });
+  listen(view, { turn, move, zoom, reset, point });
+  byId("reset").addEventListener("click", reset);
+  picker.addEventListener("change", choose);
+  slider.addEventListener("input", soon);
+  quantity.addEventListener("change", soon);
+  boxes.forEach(([, check]) => check.addEventListener("change", soon));
+  choose();
+  new ResizeObserver(soon).observe(view);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  const onPaper = (paper) => { document.documentElement.classList.toggle("paper", paper); draw(); };
+  addEventListener("beforeprint", () => onPaper(true));
+  addEventListener("afterprint", () => onPaper(false));
+}
+
+// Mouse, touch and keys on the canvas.
+function listen(view, { turn, move, zoom, reset, point }) {
+  const touching = new Map(); // pointers by id
+  const spanOf = ([a, b]) => Math.hypot(a.x - b.x, a.y - b.y);
+  view.addEventListener("pointerdown", (event) => {
+    touching.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    view.setPointerCapture(event.pointerId);
+  });
+  for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, (event) => touching.delete(event.pointerId));
+  view.addEventListener("pointermove", (event) => {
+    const before = touching.get(event.pointerId);
+    if (!before) { point(event); return; }
+    const [right, down] = [event.clientX - before.x, event.clientY - before.y];
+    const span = touching.size === 2 ? spanOf([...touching.values()]) : 0;
+    touching.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    if (span) {
+      zoom(spanOf([...touching.values()]) / span);
+      move(right / 2, down / 2);
+    } else if (event.shiftKey || event.buttons > 1) move(right, down);
+    else turn(right, down);
+  });
+  view.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && document.activeElement !== view) return; // scrolls the page
+    event.preventDefault();
+    zoom(Math.exp(-0.002 * event.deltaY));
+  }, { passive: false });
+  view.addEventListener("dblclick", reset);
+  view.addEventListener("contextmenu", (event) => event.preventDefault());
+  view.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (step) (event.shiftKey ? move : turn)(20 * step[0], 20 * step[1]);
+    else if ("+=".includes(event.key)) zoom(1.2);
+    else if ("-_".includes(event.key)) zoom(1 / 1.2);
+    else if (event.key === "0" || event.key === "Home") reset();
+    else return;
+    event.preventDefault();
+  });
+}
+
+const view = document.getElementById("view");
+if (view) showSpace(view);

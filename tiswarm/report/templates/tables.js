@@ -1,0 +1,40 @@
+// --- tables: sorting, filtering, and a link to their cells as CSV ---
+
+// The first number of a cell such as `+0.72 ± 0.10`, or its text.
+function keyOf({ className, textContent: text }) {
+  const number = className === "text" ? null : text.match(/[-+]?\d+(\.\d*)?(e[-+]?\d+)?/i);
+  return number ? Number(number[0]) : text;
+}
+
+function compare(a, b) {
+  if (typeof a === "number" && typeof b === "number") return a - b;
+  if (typeof a === typeof b) return a.localeCompare(b, "en", { numeric: true });
+  return typeof a === "number" ? -1 : 1; // numbers before words and empty cells
+}
+
+for (const table of document.querySelectorAll("table")) {
+  const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells];
+  heads.forEach((head, column) => head.firstChild.addEventListener("click", () => {
+    const way = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+    heads.forEach((other) => other.removeAttribute("aria-sort"));
+    head.setAttribute("aria-sort", way > 0 ? "ascending" : "descending");
+    body.append(...[...body.rows].sort((a, b) => way * compare(keyOf(a.cells[column]), keyOf(b.cells[column]))));
+  }));
+  const link = document.createElement("a");
+  link.className = "csv";
+  link.textContent = "Download CSV";
+  link.download = `${table.dataset.name}.csv`;
+  link.href = "#";
+  link.addEventListener("click", () => {
+    const rows = [...table.rows].map((row) => [...row.cells].map(({ textContent }) => `"${textContent.replaceAll('"', '""')}"`).join(","));
+    link.href = `data:text/csv;charset=utf-8,${encodeURIComponent(rows.join("\n") + "\n")}`;
+  });
+  table.parentElement.after(link);
+}
+
+document.getElementById("filter")?.addEventListener("input", ({ target }) => {
+  const words = target.value.toLowerCase().split(/\s+/);
+  const rows = [...target.closest("section").querySelectorAll("tbody tr")];
+  for (const row of rows) row.hidden = !words.every((word) => row.textContent.toLowerCase().includes(word));
+  document.getElementById("matches").textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length}`;
+});
