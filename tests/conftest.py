@@ -38,7 +38,7 @@ def small_run(tiswarm: runs.Command, tmp_path_factory: pytest.TempPathFactory) -
     """Folder of a small run of the tower scenario, drawn."""
     out = tmp_path_factory.mktemp("runs")
     done = tiswarm(
-        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2", "--out", out
+        "run", "tests/tower.yaml", "--set", "robots=12", "--set", "seeds=2", "--out", out
     )
     assert done.returncode == 0, done.stderr
     return next(out.iterdir())

@@ -47,7 +47,7 @@ def test_a_machine_without_the_library_of_taichi_gets_the_name_of_its_package(tm
     broken = {"LD_LIBRARY_PATH": str(tmp_path), "TISWARM_BACKEND": "taichi"}
 
     asked = tiswarm("doctor", "--missing-packages", **broken)
-    planned = tiswarm("run", "scenarios/tower.yaml", "--plan", **broken)
+    planned = tiswarm("run", "tests/tower.yaml", "--plan", **broken)
 
     assert (asked.returncode, asked.stderr) == (0, "")
     assert asked.stdout.split()[0] == "libx11-6"  # other libraries that load this one follow

@@ -70,6 +70,14 @@ def test_importing_tiswarm_is_light(module):
     assert done.returncode == 0
 
 
+def test_types_are_handed_out():
+    """A user's type checker reads our annotations if this file is installed."""
+    tool = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]
+
+    assert "py.typed" in tool["setuptools"]["package-data"]["tiswarm"]
+    assert (REPOSITORY / "tiswarm" / "py.typed").is_file()
+
+
 def test_the_version_is_said_once():
     """What is installed carries the version that the package states."""
     assert metadata.version("tiswarm") == tiswarm.__version__

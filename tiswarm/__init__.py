@@ -1,4 +1,20 @@
-"""tiswarm: grow large swarms of modular robots and localize them by their contacts."""
+"""Grow large swarms of modular robots and localize them by their contacts.
+
+    run(scenario, overrides)         grow, sense, localize, evaluate and draw a scenario
+    open_run(folder)                 results of an earlier run: data frames and figures
+    render(run), export(run, "ply")  3D pictures of a run; a case for other programs
+    read_log(path)                   read a sensing log
+    import_poses(table)              make a log from robot poses of any simulator
+    localize(log)                    estimate the positions of a log's robots
+    advise(log, estimate)            which further measurement would help most
+    view(log, estimate)              show an estimate on a page
+    score(truth, estimate)           errors of an estimate
+    check(path)                      mistakes in a scenario or log
+    Localizer(header)                Algorithm 1 of the paper, one robot at a time
+    relax(...)                       the step that moves a whole swarm
+
+`help(tiswarm.localize)` explains a call. A mistake in an argument or file is an `InputError`.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -6,24 +22,62 @@ from typing import TYPE_CHECKING
 from tiswarm.version import __version__
 
 if TYPE_CHECKING:
-    from tiswarm.api import localize, read_log, run
+    from tiswarm.api import (
+        Run,
+        advise,
+        check,
+        export,
+        import_poses,
+        localize,
+        open_run,
+        read_log,
+        render,
+        run,
+        score,
+        view,
+    )
     from tiswarm.engine.relax import RelaxResult, relax
+    from tiswarm.errors import EnvironmentTroubleError, InputError
     from tiswarm.localization.virtual_force import Localizer
 
-__all__ = ["Localizer", "RelaxResult", "__version__", "localize", "read_log", "relax", "run"]
+__all__ = [
+    "EnvironmentTroubleError",
+    "InputError",
+    "Localizer",
+    "RelaxResult",
+    "Run",
+    "__version__",
+    "advise",
+    "check",
+    "export",
+    "import_poses",
+    "localize",
+    "open_run",
+    "read_log",
+    "relax",
+    "render",
+    "run",
+    "score",
+    "view",
+]
 
 _HOME = {
+    "EnvironmentTroubleError": "tiswarm.errors",
+    "InputError": "tiswarm.errors",
     "Localizer": "tiswarm.localization.virtual_force",
     "RelaxResult": "tiswarm.engine.relax",
-    "localize": "tiswarm.api",
-    "read_log": "tiswarm.api",
     "relax": "tiswarm.engine.relax",
-    "run": "tiswarm.api",
 }
+"""Module of each name that is not in `tiswarm.api`."""
 
 
 def __getattr__(name: str) -> object:
     """Import a name when it is used; `import tiswarm` alone loads no kernel compiler."""
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(_HOME.get(name, "tiswarm.api")), name)
+
+
+def __dir__() -> list[str]:
+    """List the names that `__getattr__` imports, for completion and help."""
+    return __all__

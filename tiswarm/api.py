@@ -1,38 +1,52 @@
-"""Functions of `import tiswarm`: localize a log, run a scenario.
+"""Functions of `import tiswarm`: they call what the commands call.
 
 import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
 estimate = tiswarm.localize(log, "joint", cues=["contacts", "height"], chains=4)
-estimate.position, estimate.observability.known
+estimate.position, estimate.observability.known, estimate.to_frame()
+tiswarm.view(log, estimate, out="view.html")
+tiswarm.score("truth.csv", estimate)["RMSE"]
 
 run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
 run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]
 """
 
+import html
 import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
+from urllib.parse import quote
 
 import numpy as np
 
 from tiswarm.compute import backend
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
-from tiswarm.inspection import convergence_warning
+from tiswarm.inspection import Inspection, convergence_warning, explain_estimate, inspect
 from tiswarm.localization import registry
 from tiswarm.params import Arch, Precision
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.validation import localization_params
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from tiswarm.interop.imports import Imported
+
+
+File = str | PathLike[str]
+"""Path of a file or folder."""
+
+_MOST_NAMED = 9
+"""Names that an error lists."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +79,15 @@ class Run:
         """Read another table of the run, or one of a case.
 
         Raises:
-            InputError: the run has no table of that name.
+            InputError: the run has no table or case of that name; names those that it has.
         """
         from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
 
+        cases = [path.name for path in sorted(self.folder.glob("cases/*"))]
+        if case is not None:
+            _choose(case, cases, "case")
         folder = self.folder if case is None else self.folder / "cases" / case
+        _choose(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
         return read_frame(folder / f"{name}.csv", empty=True)
 
     @property
@@ -77,6 +95,20 @@ class Run:
         """Figures and renders by name; none after a run without pictures."""
         drawn = [*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")]
         return {path.stem: Figure(path) for path in sorted(drawn)}
+
+    def _repr_html_(self) -> str:
+        page, table = self.folder / "report.html", self.table
+        name = html.escape(self.folder.name)
+        link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.exists() else name
+        errors = table.filter(["rmse_R_mean", "procrustes_disparity_mean"])
+        return link + table.loc[:, :"cases"].join(errors).to_html(index=False)
+
+
+def _choose(name: str, names: Sequence[str], argument: str) -> None:
+    """Refuse a name that is not among some."""
+    if name not in names:
+        some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
+        raise InputError(f"there is no {name!r}; choose one of {some}", argument=argument)
 
 
 def _plain(values: Mapping[str, object]) -> dict[str, object]:
@@ -97,7 +129,7 @@ def _from_numpy(value: object) -> object:
     raise TypeError(f"is of type {type(value).__name__}")
 
 
-def read_log(path: str | PathLike[str]) -> SensingLog:
+def read_log(path: File) -> SensingLog:
     """Read a sensing log, `sensing.jsonl`.
 
     Raises:
@@ -107,7 +139,7 @@ def read_log(path: str | PathLike[str]) -> SensingLog:
 
 
 def localize(
-    log: SensingLog | str | PathLike[str],
+    log: SensingLog | File,
     method: str = "joint",
     *,
     cues: Sequence[str] | None = None,
@@ -144,10 +176,10 @@ def localize(
 
 
 def run(
-    scenario: str | PathLike[str],
+    scenario: File,
     overrides: Mapping[str, object] | None = None,
     *,
-    out: str | PathLike[str] = "reports",
+    out: File = "reports",
     arch: Arch = "cpu",
     threads: int | None = None,
     workers: int | None = None,
@@ -186,3 +218,174 @@ def run(
     if result.failed:
         warnings.warn(result.what_failed, stacklevel=2)
     return Run(result.folder)
+
+
+def open_run(folder: File) -> Run:
+    """Open the folder of a run.
+
+    Raises:
+        InputError: it is not the folder of a run.
+    """
+    run = Run(Path(folder))
+    if not (run.folder / "table.csv").is_file():
+        raise InputError("is no run folder with results; name one", path=run.folder)
+    return run
+
+
+def check(path: File) -> Inspection:
+    """Check a scenario (.yaml) or a sensing log (.jsonl).
+
+    Returns:
+        Its mistakes, as errors, and if there are none a summary.
+    """
+    return inspect(Path(path))
+
+
+def import_poses(poses: File, **assumed: Any) -> "dict[str, Imported]":  # noqa: ANN401
+    """Convert robot poses of any simulator to sensing logs and true positions.
+
+    Args:
+        poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`.
+        assumed: Fields of `tiswarm.interop.imports.Assumptions`, such as `dock_radius`.
+
+    Returns:
+        Log, positions and notes of each structure by its name in the column `run`, or by "".
+
+    Raises:
+        InputError: the table is malformed.
+    """
+    from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
+
+    return imports.import_poses(Path(poses), imports.Assumptions(**assumed))
+
+
+def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
+    """Compare an estimate, or its table, with a table of true positions.
+
+    Returns:
+        Errors in the truth's unit by name, as it is and after alignment.
+
+    Raises:
+        InputError: a table is malformed, or the estimate has another unit or other robots.
+    """
+    from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
+
+    found = estimate if isinstance(estimate, Estimate) else Path(estimate)
+    return score_files(Path(truth), found)[1]
+
+
+def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "pd.DataFrame":
+    """List which further contact, height or known position would constrain most robots.
+
+    Args:
+        log: Sensing log, or its file.
+        estimate: Estimate, or its table; `joint` localizes the log if None.
+    """
+    import pandas as pd  # noqa: PLC0415 - slow to import
+
+    sensed, found = _estimated(log, estimate)
+    path = Path("log") if isinstance(log, SensingLog) else Path(log)
+    return pd.DataFrame(explain_estimate(sensed, path, found).advice)
+
+
+def view(
+    log: SensingLog | File,
+    estimate: Estimate | File | None = None,
+    truth: File | None = None,
+    *,
+    out: File = "view.html",
+) -> Path:
+    """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open.
+
+    Args:
+        log: Sensing log, or its file.
+        estimate: Estimate, or its table; `joint` localizes the log if None.
+        truth: Table of true positions, if there is one.
+        out: Page to write.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: a file is malformed, or a table has other robots than the log.
+    """
+    from tiswarm.drawing import draw_log  # noqa: PLC0415 - slow to import
+
+    sensed, found = _estimated(log, estimate)
+    true = None if truth is None else read_positions_of(sensed, Path(truth))
+    path = Path("sensing log" if isinstance(log, SensingLog) else log)
+    findings = explain_estimate(sensed, path, found)
+    draw_log(Path(out), sensed, found, name=path.name, true=true, **findings._asdict())
+    return Path(out)
+
+
+def _estimated(
+    log: SensingLog | File, estimate: Estimate | File | None
+) -> tuple[SensingLog, Estimate]:
+    """Read a log and its estimate as far as they are files; localize without an estimate."""
+    sensed = log if isinstance(log, SensingLog) else read_log(log)
+    if isinstance(estimate, Estimate):
+        return sensed, estimate
+    return sensed, localize(sensed) if estimate is None else read_estimate(sensed, Path(estimate))
+
+
+def render(
+    run: Run | File,
+    *,
+    renderer: str | None = None,
+    case: str | None = None,
+    movie: Literal["gif", "mp4"] | None = None,
+    quiet: bool = False,
+) -> dict[str, Figure]:
+    """Draw 3D pictures of a run from its stored data, and add them to report.html.
+
+    Args:
+        run: Run, or its folder.
+        renderer: "open3d" or "taichi"; the first that works if None.
+        case: Case to draw; the largest if None.
+        movie: File format of an animation of the growth; none if None.
+        quiet: Whether to hide progress.
+
+    Returns:
+        Figures and renders of the run by name.
+    """
+    from tiswarm.drawing import draw  # noqa: PLC0415 - slow to import
+    from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+    drawn = run if isinstance(run, Run) else open_run(run)
+    draw(
+        load_run(drawn.folder), ConsoleProgress(quiet=quiet),
+        renders=True, movie=movie, renderer=renderer, case=case,
+    )  # fmt: skip
+    return drawn.figures
+
+
+def export(
+    run: Run | File,
+    form: Literal["csv", "gltf", "parquet", "ply"],
+    *,
+    out: File | None = None,
+    case: str | None = None,
+    quiet: bool = False,
+) -> Path:
+    """Export structure, contacts and estimate of a case for other programs.
+
+    Args:
+        run: Run, or its folder.
+        form: File format.
+        out: Folder to write to; `export` in the run's folder if None.
+        case: Case to export; the largest if None.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The folder with the files.
+    """
+    from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
+    from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+    from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
+
+    source = (run if isinstance(run, Run) else open_run(run)).folder
+    folder = source / "export" if out is None else Path(out)
+    shown = read_case_view(load_run(source).choose(case))
+    export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
+    return folder

@@ -18,6 +18,7 @@ import numpy as np
 from tiswarm.child import child_command
 from tiswarm.compute.machine import machine
 from tiswarm.params import ARCHS, Arch
+from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
 from tiswarm.report.render.scene import Look, Robots, build_scene
 from tiswarm.robot import RobotGeometry
@@ -107,7 +108,7 @@ def draw_test_picture(renderer: str) -> str:
     center = np.array([[0.0, 0.0, 1.0]])
     dock = center + RobotGeometry().dock_offset_body[None]
     robots = Robots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
-    draw_scenes([build_scene([robots], 0.0).shrunk(10)], renderer)
+    draw_scenes([build_scene(robots, Terrain()).shrunk(10)], renderer)
     return f"drew a test picture in {time.perf_counter() - begin:.1f} s"
 
 

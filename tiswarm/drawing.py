@@ -1,23 +1,35 @@
-"""Draws the figures, pictures and page of a run folder."""
+"""Draws the figures, pictures and page of a run folder, and the page of a log."""
 
+import contextlib
+import importlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from tiswarm.aliases import Reals
 from tiswarm.progress import Progress
-from tiswarm.records.io import digest
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.io import digest, make_folder, write_bytes, write_text
 from tiswarm.records.run_folder import Origin, read_manifest, write_manifest
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figures import draw_figures
+from tiswarm.report.log_page import gather_log_page
 from tiswarm.report.page import write_page
 from tiswarm.report.render.animation import Movie, animate_run
-from tiswarm.report.render.pictures import render_run
+from tiswarm.report.render.pictures import render_run, render_view
 from tiswarm.report.run_data import RunData, load_run
-from tiswarm.study.run import RunResult
+from tiswarm.report.swarm_view import SwarmView, view_log
 
-_PAGE = "report.html"
+if TYPE_CHECKING:
+    from tiswarm.study.run import RunResult
+
+PAGE = "report.html"
 
 
 def draw_all(
-    result: RunResult,
+    result: "RunResult",
     progress: Progress,
     *,
     pictures: bool = True,
@@ -27,7 +39,7 @@ def draw_all(
     """Draw the results of a run, unless the drawings are whole and show its tables."""
     some_done = len(result.failed) < result.computed + result.found
     manifest = read_manifest(result.folder)
-    whole = {_PAGE, *(["figures", "renders"] if some_done else [])} <= {
+    whole = {PAGE, *(["figures", "renders"] if some_done else [])} <= {
         Path(name).parts[0] for name in manifest.drawn
     } and all(digest(result.folder / name) == sha for name, sha in manifest.drawn.items())
     drawn = pictures and (pdf or not whole)
@@ -68,9 +80,18 @@ def draw(
         EnvironmentTroubleError: the folder is not writable, or the renderer does not work.
     """
     manifest = read_manifest(run.folder)
-    written = draw_figures(run, progress, vector=pdf) if figures else []
-    if renders:
-        pictures = render_run(run, progress=progress, renderer=renderer, case=case)
+    if renders:  # matplotlib looks at IPython, and fails while open3d imports it
+        with contextlib.suppress(ImportError):
+            importlib.import_module("IPython")
+    with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
+        rendering = (
+            pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)
+            if renders
+            else None
+        )
+        written = draw_figures(run, progress, vector=pdf) if figures else []
+    if rendering:
+        pictures = rendering.result()
         written += [picture.path for picture in pictures]
         origins = {p.path.name: Origin(renderer=p.renderer, reason=p.reason) for p in pictures}
         manifest = replace(manifest, renders=origins)
@@ -81,3 +102,62 @@ def draw(
     written += [write_page(run, progress), *run.folder.glob("*.csv")]
     digests = {path.relative_to(run.folder).as_posix(): digest(path) for path in written}
     write_manifest(run.folder, replace(manifest, drawn={**manifest.drawn, **digests}))
+
+
+def draw_log(
+    path: Path,
+    log: SensingLog,
+    estimate: Estimate,
+    *,
+    name: str,
+    true: Reals | None = None,
+    warnings: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    advice: Sequence[Mapping[str, str]] = (),
+) -> None:
+    """Write the page of a log and its estimate.
+
+    Args:
+        path: File to write.
+        log: The sensing log.
+        estimate: Estimate of its robots.
+        name: Heading of the page.
+        true: True centers [log unit], shape (N, 3); None where unknown.
+        warnings: What makes the estimate doubtful.
+        notes: What the log leaves open, and what the method found, in lines.
+        advice: Further measurements that would help, as rows of cells by heading.
+
+    Raises:
+        EnvironmentTroubleError: the file cannot be written.
+    """
+    scores = {}
+    if true is not None:
+        from tiswarm.evaluation.tables import score_positions  # noqa: PLC0415 - slow to import
+
+        scores = score_positions(true, estimate.position)
+    view = view_log(log, estimate, true)
+    page = gather_log_page(
+        view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice
+    )
+    write_text(path, page.html())
+
+
+def render_log(
+    view: SwarmView, out: Path, progress: Progress, *, renderer: str | None = None
+) -> None:
+    """Write 3D pictures of a log and its estimate into a folder.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
+    """
+    origin = view.best_pose[0] * [1, 1, 1, 0, 0, 0, 0]  # far from it, 32-bit coordinates are coarse
+    near = replace(view, pose=view.pose - origin, estimated_pose=view.estimated_pose - origin)
+    if view.terrain is not None:
+        terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(origin[2]))
+        near = replace(near, terrain=terrain)
+    pictures, _, _ = render_view(near, progress, renderer)
+    make_folder(out)
+    for name, data in pictures.items():
+        write_bytes(out / f"{name}.png", data)
+        progress.info(str(out / f"{name}.png"))

@@ -1,19 +1,20 @@
 """Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import AnyInts
+from tiswarm.aliases import AnyInts, Reals
 from tiswarm.errors import InputError
+from tiswarm.measurements.advice import advise
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count, parts, reach
-from tiswarm.measurements.cues import measure
+from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.model import SPACING
-from tiswarm.measurements.observability import by_cue
+from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
@@ -35,6 +36,25 @@ class Inspection(NamedTuple):
 
     mistakes: Sequence[InputError] = ()
     summary: str = ""
+
+
+class Findings(NamedTuple):
+    """An estimate in words."""
+
+    warnings: Sequence[str]
+    """What makes it doubtful."""
+
+    notes: Sequence[str]
+    """What the log leaves open, and what the method found."""
+
+    advice: Sequence[Mapping[str, str]]
+    """Further measurements that would help, as `advice_rows`."""
+
+
+_LACKING = (
+    "a table of positions contains neither the solutions nor the outliers that the method found; "
+    "without a table, tiswarm view localizes the log and shows both"
+)
 
 
 def inspect(path: Path) -> Inspection:
@@ -74,12 +94,22 @@ def _reach_warning(log: SensingLog, estimate: Estimate) -> str:
     )
 
 
+def explain_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Findings:
+    """Explain an estimate; one that was read from a table has neither cues nor a residual."""
+    warning, known = convergence_warning(log, estimate), estimate.observability
+    if known is not None and known.cues:
+        cues: Collection[str] = known.cues
+        notes = [*describe_estimate(log, path, estimate), describe_residual(log, estimate)]
+    else:
+        cues, notes = cue_names(), [*unknowns(log, path, by_cue(log)), _LACKING]
+    advice = advice_rows(log, cues, estimate.position)
+    return Findings([warning] if warning else [], notes, advice)
+
+
 def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
-    """Describe in lines what the log leaves unknown, outliers, solutions and the residual."""
+    """Describe in lines what the log leaves unknown, and the outliers."""
     yield from unknowns(log, path, filter(None, [estimate.observability]))
     yield from _outliers(log, path, estimate)
-    yield from describe_solutions(log, estimate)
-    yield describe_residual(log, estimate)
 
 
 def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Iterator[str]:
@@ -94,7 +124,7 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
         yield f"one contact only: {_robots(log, single)}"
     gauge_yaw_sd = None
     for known in found:
-        yield _left_open(known)
+        yield _left_open(log, known)
         gauge_yaw_sd = known.gauge_yaw_sd if known.yaw_unknown else gauge_yaw_sd
     if gauge_yaw_sd is not None:
         fixed = f"the mean compass fixes it to {math.degrees(gauge_yaw_sd):.2g} deg (1 sd)"
@@ -113,11 +143,13 @@ def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     name = log.robot_id.tolist()
     flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
     rows = [
-        (robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]")
+        (robot, stance, "ranges", f"range to {name[other]}")
+        if own == CENTER
+        else (robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]")
         for robot, stance, own, other, dock in contacts.tolist()
     ]
     rows += [
-        (robot, flips[robot], "flip_height", "height or spawn position")
+        (robot, flips[robot], "flip_height", "height, spawn position or fix")
         if dock == CENTER
         else (robot, stance, "ground_docks", f"ground contact of dock {dock}")
         for robot, stance, dock in places.tolist()
@@ -129,7 +161,7 @@ def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
 
 
 def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
-    """Describe the solutions that a method found, if there are several."""
+    """Describe in lines the solutions that a method found, if there are several."""
     found, unit = estimate.solutions, log.length_unit
     if len(found) <= 1:
         return
@@ -146,7 +178,6 @@ def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
         yield text
     if (more := len(found) - MOST_SHOWN) > 0:
         yield counted(more, "more solution")
-    yield f"the estimate averages all {chains} chains"
 
 
 def describe_residual(log: SensingLog, estimate: Estimate) -> str:
@@ -160,21 +191,61 @@ def describe_residual(log: SensingLog, estimate: Estimate) -> str:
     return text
 
 
-def _left_open(known: Observability) -> str:
+def advice_rows(log: SensingLog, cues: Collection[str], position: Reals) -> list[dict[str, str]]:
+    """Tabulate which further measurements would constrain robots most: cells by heading.
+
+    Arguments as for `advise`. No row if nothing helps, or if there are too many robots.
+    """
+    name, unit = log.robot_id.tolist(), log.length_unit
+    rows = []
+    for rank, found in enumerate(advise(log, cues, position) or [], start=1):
+        what = f"{found.kind} of robot {name[found.robot]}"
+        if found.contact:
+            own, other, dock = found.contact
+            what = f"{what}'s dock {own} with robot {name[other]}'s dock {dock}"
+        rmse = {f"expected RMSE [{unit}]": found.rmse_before, f"with it [{unit}]": found.rmse_after}
+        rows.append(
+            {
+                "rank": str(rank),
+                "further measurement": what,
+                "floppy modes removed": str(found.floppy_modes),
+                "robots determined": _robots(log, found.determined, most=3),
+            }
+            | {key: f"{value:.3g}" for key, value in rmse.items() if not math.isnan(value)}
+        )
+    return rows
+
+
+def describe_advice(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
+    """Align the columns of `advice_rows`, in lines."""
+    if not rows:
+        yield "no further contact, height or position would help, or there are too many robots"
+        return
+    columns = [[heading, *(row[heading] for row in rows)] for heading in rows[0]]
+    widths = [max(map(len, column)) for column in columns]
+    for cells in zip(*columns, strict=True):
+        yield "  ".join(map(str.ljust, cells, widths)).rstrip()
+
+
+def _left_open(log: SensingLog, known: Observability) -> str:
     cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.yaw_unknown}"
     modes = known.floppy_modes
     if modes is None:
         return f"{cues}: too many robots to count floppy modes of {known.unknowns} unknowns"
     text = f"{cues}: {counted(modes, 'floppy mode')} of {known.unknowns} unknowns"
-    floppy = known.floppy
-    return text if floppy is None else f"{text}, {counted(floppy.sum(), 'floppy robot')}"
+    if known.floppy is not None:
+        text += f", {counted(known.floppy.sum(), 'floppy robot')}"
+    common, docks = common_modes(log, known)
+    if common:
+        about = f" about its dock {docks[0]}, the only one in contact" if len(docks) == 1 else ""
+        text += f"; in {common} of them, all robots tied to the anchor move as one{about}"
+    return text
 
 
-def _robots(log: SensingLog, rows: AnyInts) -> str:
+def _robots(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
     """Count robots, and list the first."""
-    names = ", ".join(map(str, log.robot_id[rows[:MOST_SHOWN]].tolist()))
-    more = ", ..." if len(rows) > MOST_SHOWN else ""
-    return f"{counted(len(rows), 'robot')} ({names}{more})"
+    names = [*map(str, log.robot_id[rows[:most]].tolist()), *["..."] * (len(rows) > most)]
+    return counted(len(rows), "robot") + (f" ({', '.join(names)})" if names else "")
 
 
 def _inspect_log(path: Path) -> Inspection:
@@ -182,11 +253,8 @@ def _inspect_log(path: Path) -> Inspection:
         log = read_sensing_log(path)
     except InputError as mistake:
         return Inspection([mistake])
-    stances = 0 if log.stances is None else len(log.stances.pivot_dock)
-    sizes = {"robot": log.robot_count, "contact": len(log.contacts), "stance": stances}
-    summary = ", ".join(counted(number, noun) for noun, number in sizes.items())
     found = [*_unlikely(log, path), *unknowns(log, path, by_cue(log))]
-    return Inspection(summary="\n".join([summary, *found]))
+    return Inspection(summary="\n".join([log.size, *found]))
 
 
 def _unlikely(log: SensingLog, path: Path) -> Iterator[str]:

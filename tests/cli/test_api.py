@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
 def run(tmp_path_factory):
     """Two towers under three conditions, run from Python."""
     out = tmp_path_factory.mktemp("reports")
-    return library.run("scenarios/tower.yaml", SMALL, out=out, quiet=True)
+    return library.run("tests/tower.yaml", SMALL, out=out, quiet=True)
 
 
 def test_tables_are_data_frames(run):
@@ -28,8 +29,21 @@ def test_tables_are_data_frames(run):
     assert run.table["rmse_R_mean"].notna().all()
     assert len(run.frame("estimate", case=run.summary["case"][0])) == 6
     pd.testing.assert_frame_equal(run.table, pd.read_csv(run.folder / "table.csv"))
-    with pytest.raises(InputError, match="nothing"):
+    with pytest.raises(InputError, match=r"^name: .* choose one of .*summary, table"):
         run.frame("nothing")
+    with pytest.raises(InputError, match=r"^case: .* choose one of 0-baseline"):
+        run.frame("estimate", case="nothing")
+
+
+def test_a_run_is_opened_later(run):
+    """The folder is all that a notebook needs; it shows a link to the page and the errors."""
+    again = library.open_run(str(run.folder))
+
+    assert again == run
+    assert f'<a href="{run.folder}/report.html">' in again._repr_html_()
+    assert "<td>baseline</td>" in again._repr_html_()
+    with pytest.raises(InputError, match="is no run folder"):
+        library.open_run(run.folder / "cases")
 
 
 def test_figures_show_themselves(run):
@@ -42,7 +56,7 @@ def test_the_command_writes_the_same(run, tiswarm, tmp_path):
     """Same scenario, same folder, same bytes."""
     settings = [f"--set={key}={value}" for key, value in SMALL.items()]
 
-    done = tiswarm("run", "scenarios/tower.yaml", *settings, "--out", tmp_path)
+    done = tiswarm("run", "tests/tower.yaml", *settings, "--out", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert_same_results(run.folder, tmp_path / run.folder.name)
@@ -56,7 +70,7 @@ def test_numbers_of_numpy_are_plain_numbers(run):
         "localization.iterations": np.int32(40),
     }
 
-    again = library.run("scenarios/tower.yaml", overrides, out=run.folder.parent, quiet=True)
+    again = library.run("tests/tower.yaml", overrides, out=run.folder.parent, quiet=True)
 
     assert again.folder == run.folder
 
@@ -92,7 +106,7 @@ def test_failed_cases_are_warned_of(tmp_path):
     impossible = SMALL | {f"structure.{key}": value for key, value in far.items()}
 
     with pytest.warns(UserWarning, match="6 cases failed, the first: 0-"):
-        run = library.run("scenarios/tower.yaml", impossible, out=tmp_path, quiet=True)
+        run = library.run("tests/tower.yaml", impossible, out=tmp_path, quiet=True)
 
     assert set(run.summary["status"]) == {"failed"}
 
@@ -111,3 +125,56 @@ def test_a_log_is_localized_without_the_simulator(run):
 
     assert "tiswarm.localization.registry" in done.stdout
     assert not re.search(r"tiswarm\.(world|sensing|study|report)", done.stdout)
+
+
+def test_an_estimate_is_scored_and_shown(run, tmp_path):
+    """As an object as well as by its table."""
+    case = run.folder / "cases" / "0-baseline"
+    log = library.read_log(case / "sensing.jsonl")
+    estimate = library.localize(log, "virtual-force", iterations=40)
+
+    page = library.view(log, estimate, case / "truth.csv", out=tmp_path / "view.html")
+    rmse = library.score(case / "truth.csv", estimate)["RMSE"]
+
+    frame = run.frame("estimate", case="0-baseline")
+    pd.testing.assert_frame_equal(estimate.to_frame(), frame)
+    assert rmse == library.score(case / "truth.csv", case / "estimate.csv")["RMSE"]
+    assert f"RMSE of {rmse:.3g} R" in page.read_text()
+    assert set(library.advise(log, estimate)["rank"]) <= {*"123456789"}
+    with pytest.raises(InputError, match="estimate: is in mm, the truth in R"):
+        library.score(case / "truth.csv", replace(estimate, length_unit="mm"))
+
+
+def test_large_objects_have_short_names(run):
+    """A notebook shows no wall of arrays."""
+    log = library.read_log(run.folder / "cases" / "0-baseline" / "sensing.jsonl")
+    estimate = library.localize(log, "virtual-force", iterations=5)
+
+    assert re.fullmatch(
+        r"SensingLog\(6 robots, \d+ contacts, \d+ stances, lengths in R\)", repr(log)
+    )
+    assert repr(estimate) == "Estimate(6 robots, lengths in R)"
+    assert repr(replace(estimate, sd=np.full(6, 0.25))).endswith("R, sd 0.25 in the median)")
+    assert "array" not in repr(estimate.observability)
+
+
+def test_commands_are_calls(run, tmp_path):
+    """Each writes or returns what its command does."""
+    exported = library.export(run, "csv", out=tmp_path, quiet=True)
+    checked = library.check(run.folder / "cases" / "0-baseline" / "sensing.jsonl")
+    imported = library.import_poses("scenarios/examples/foreign-poses.csv", dock_radius=0.5)
+
+    assert {path.name for path in exported.iterdir()} >= {"structure.csv", "estimate.csv"}
+    assert checked.summary.startswith("6 robots")
+    assert not checked.mistakes
+    assert imported[""].log.robot_count == 36
+
+
+def test_the_calls_are_listed():
+    """Completion and help find them, though they are imported late; help explains each."""
+    names = dir(library)
+
+    assert {"run", "open_run", "localize", "score", "view", "advise", "Localizer"} <= {*names}
+    assert all(getattr(library, name).__doc__ for name in names)
+    for name in ("run", "open_run", "localize", "score", "view", "advise", "check", "relax"):
+        assert f"{name}(" in library.__doc__

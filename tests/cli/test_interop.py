@@ -9,10 +9,12 @@ import pytest
 import trimesh
 
 from tests.runs import REPOSITORY
-from tiswarm.interop.exports import export_case
+from tiswarm.interop.exports import export_view
 from tiswarm.progress import Progress
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.figure_style import JOIN_COLORS, rgb
+from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 EXAMPLE = REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv"
 
@@ -21,8 +23,9 @@ EXAMPLE = REPOSITORY / "scenarios" / "examples" / "foreign-poses.csv"
 def exported(small_run, tmp_path_factory):
     """Folder with the first case of the small run in every format."""
     out = tmp_path_factory.mktemp("exported")
+    view = read_case_view(load_run(small_run).choose(None))
     for form in ("csv", "gltf", "parquet", "ply"):
-        export_case(small_run, form, out, None, Progress())
+        export_view(view, form, out, Progress())
     return out
 
 
@@ -34,14 +37,17 @@ def robots(small_run):
 
 def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     """Units, dock size and order differ from ours; results are in the unit of the file."""
-    imported = tiswarm(
-        "import", EXAMPLE, "--dock-radius", 0.5, "--dock-offset", 1, "--out", tmp_path
-    )
-    done = tiswarm("localize", tmp_path / "sensing.jsonl", "--out", tmp_path / "estimate.csv")
+    imported = tiswarm("import", EXAMPLE, "--dock-radius", 0.5, "--out", tmp_path)
+    log, files = tmp_path / "sensing.jsonl", [tmp_path / "estimate.csv", tmp_path / "truth.csv"]
+    page, seen = tmp_path / "page.html", tmp_path / "view.html"
+    done = tiswarm("localize", log, "--out", files[0], "--report", page)
+    advised = tiswarm("advise", log, files[0])
+    viewed = tiswarm("view", log, files[0], "--truth", files[1], "--out", seen)
 
     assert imported.returncode == 0, imported.stderr
-    assert "no column join" in imported.stderr
-    assert "36 robots, 64 contacts" in imported.stderr
+    assert imported.stderr == ""
+    assert imported.stdout.startswith("dock offset 1 cm: most docks touch there\n")
+    assert imported.stdout.endswith(f"36 robots, 64 contacts -> {tmp_path}\n")
     assert done.returncode == 0, done.stderr
     truth = pd.read_csv(tmp_path / "truth.csv")
     estimate = pd.read_csv(tmp_path / "estimate.csv")
@@ -52,6 +58,37 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     places = ["x_cm", "y_cm", "z_cm"]
     rmse = np.sqrt(((truth[places] - estimate[places]) ** 2).sum(axis=1).mean())
     assert f"{rmse:.4g} cm" in scored.stdout.splitlines()[0]
+    assert advised.returncode == 0, advised.stderr
+    assert "expected RMSE [cm]" in advised.stdout
+    assert viewed.returncode == 0, viewed.stderr
+    assert done.stdout.splitlines()[0] in page.read_text()
+    assert f"an RMSE of {rmse:.3g} cm." in seen.read_text()
+
+
+def test_each_run_of_a_table_has_a_folder(tiswarm, tmp_path):
+    """Docks, limits of contacts, heights and anchors come from options."""
+    docks, poses = tmp_path / "docks.csv", tmp_path / "poses.csv"
+    docks.write_text("dock,x,y,z\n0,1,0,0\n1,-1,0,0\n")
+    row = "{},{},{},0,0,1,0,0,0\n".format
+    rows = [row(run, robot, x) for run in "ab" for robot, x in enumerate([0.0, 4.1, 20.0])]
+    poses.write_text("run,robot,x,y,z,qw,qx,qy,qz\n" + "".join(rows))
+    arguments = ["import", poses, "--docks", docks, "--gap", 0.2, "--heights", "--keep-tied"]
+
+    done = tiswarm(*arguments, "--anchor", "1,0", "--out", tmp_path / "in")
+    refused = tiswarm(*arguments, "--anchor", "1,x", "--out", tmp_path / "no")
+
+    assert done.returncode == 0, done.stderr
+    assert "\n2 robots, 1 contact -> " in done.stdout
+    for run in "ab":
+        log = read_sensing_log(tmp_path / "in" / run / "sensing.jsonl")
+        assert log.robot_id.tolist() == [1, 0]
+        assert log.flip_height.tolist() == [0.0, 0.0]
+        assert log.fixes[:, 0].tolist() == [1, 1, 1]
+    assert refused.returncode == 2
+    assert refused.stderr == (
+        "tiswarm: error: --anchor: '1,x' is not a list of robots; write it like 0,5\n"
+    )
+    assert not (tmp_path / "no").exists()
 
 
 def test_what_is_exported_can_be_imported(tiswarm, small_run, exported, tmp_path):

@@ -22,7 +22,7 @@ LONG = ("robots=60", "seeds=40", "localization.iterations=100000", "conditions={
 def _interrupt(number: signal.Signals, out: Path, *options: str):
     """Start a study, send a signal while it computes, and return its process and its children."""
     settings = [part for text in LONG for part in ("--set", text)]
-    command = [sys.executable, "-m", "tiswarm", "run", "scenarios/tower.yaml", *settings]
+    command = [sys.executable, "-m", "tiswarm", "run", "tests/tower.yaml", *settings]
     process = subprocess.Popen(
         [*command, "--out", str(out), *options],
         cwd=REPOSITORY,

@@ -36,17 +36,20 @@ def check(
         if not finding.mistakes:
             typer.echo(f"{path}: {finding.summary}")
     for mistake in mistakes[:-1]:
-        fail(str(mistake))
+        fail(str(mistake.as_option()))
     if mistakes:
         raise mistakes[-1]
 
 
 @app.command(epilog="Example: tiswarm schema > scenario.schema.json")
-def schema() -> None:
+def schema(
+    *, of_log: Annotated[bool, Option("--log", help="Of a line of a sensing log instead.")] = False
+) -> None:
     """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
+    from tiswarm.records.sensing_format import line_schema
     from tiswarm.scenario.model import scenario_schema
 
-    typer.echo(json.dumps(scenario_schema(), indent=2))
+    typer.echo(json.dumps(line_schema() if of_log else scenario_schema(), indent=2))
 
 
 @app.command(epilog="Example: tiswarm doctor")

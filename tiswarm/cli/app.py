@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import warnings
+import webbrowser
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,6 +41,7 @@ Threads = Annotated[
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
+Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
 Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]
 Movie = Annotated[Literal["gif", "mp4"], Option(help="File format of --animate.")]
@@ -69,6 +71,18 @@ def _enter_working_folder() -> None:
         raise EnvironmentTroubleError(msg) from error
 
 
+def show_page(page: Path, *, opened: bool) -> None:
+    """Print how to open a page, or open it in the user's browser.
+
+    Raises:
+        EnvironmentTroubleError: there is no browser.
+    """
+    if not opened:
+        typer.echo(f"open {page}")
+    elif not webbrowser.open(page.absolute().as_uri()):
+        raise EnvironmentTroubleError(f"no browser to open {page}; copy it to a machine with one")
+
+
 def _show_warning(
     message: Warning | str, category: type[Warning], *place: object, **options: object
 ) -> None:
@@ -94,7 +108,7 @@ def _status(arguments: list[str]) -> int:
         with naming_shortage():
             status: Any = app(arguments, standalone_mode=False)
     except TiswarmError as error:
-        fail(str(error))
+        fail(str(error.as_option()))
         return error.exit_status
     except TyperException as error:
         fail(" ".join(error.format_message().split()))

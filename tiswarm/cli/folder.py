@@ -1,48 +1,71 @@
-"""Commands on run folders: redraw, compare, export."""
+"""Commands on run folders: redraw, compare, export. Pictures and exports show logs, too."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import Animate, Movie, Pdf, Quiet, RunFolderPath, app
+from tiswarm.cli.app import Animate, Movie, Open, Pdf, Quiet, RunFolderPath, app, show_page
+from tiswarm.cli.log import EstimateTable, Truth, read_estimated
 from tiswarm.console import ConsoleProgress
+from tiswarm.errors import InputError
 from tiswarm.progress import Progress
+
+_RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")]
 
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
-def report(run: RunFolderPath, *, pdf: Pdf = False, quiet: Quiet = False) -> None:
+def report(
+    run: RunFolderPath, *, pdf: Pdf = False, opened: Open = False, quiet: Quiet = False
+) -> None:
     """Redraw all tables, figures and report.html of a run from its stored data."""
     from tiswarm import study
-    from tiswarm.drawing import draw
+    from tiswarm.drawing import PAGE, draw
+    from tiswarm.report.headline import headline
     from tiswarm.report.run_data import load_run
 
     progress = ConsoleProgress(quiet=quiet)
     study.tabulate(run, progress)
     draw(load_run(run), progress, figures=True, pdf=pdf)
     if not quiet:
-        typer.echo(study.headline(run))
+        typer.echo(headline(run))
+    if opened or not quiet:
+        show_page(run / PAGE, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")
 def render(
-    run: RunFolderPath,
+    source: _RunOrLog,
+    estimate: EstimateTable = None,
+    truth: Truth = None,
     renderer: Annotated[
         str | None, Option(help="open3d or taichi (default: the first that works).")
     ] = None,
     case: Annotated[str | None, Option(help="Case to draw (default: the largest).")] = None,
+    out: Annotated[
+        Path | None, Option(help="With LOG: folder to write to (default: renders).")
+    ] = None,
     *,
     animate: Animate = False,
     movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
-    """Draw 3D pictures of a run from its stored data, and add them to report.html."""
-    from tiswarm.drawing import draw
+    """Draw 3D pictures of a run for its report.html, or of a log and its estimate."""
+    from tiswarm.drawing import draw, render_log
     from tiswarm.report.run_data import load_run
+    from tiswarm.report.swarm_view import view_log
 
+    progress = ConsoleProgress(quiet=quiet)
+    if not source.is_dir():
+        _refuse({"--animate": animate, "--case": case}, "a log is no run")
+        view = view_log(*read_estimated(source, estimate, progress, truth))
+        render_log(view, out or Path("renders"), progress, renderer=renderer)
+        return
+    _refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "a run has its own")
     draw(
-        load_run(run), ConsoleProgress(quiet=quiet),
+        load_run(source), progress,
         renders=True, movie=movie if animate else None, renderer=renderer, case=case,
     )  # fmt: skip
 
@@ -66,17 +89,36 @@ def compare(
 
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
-    run: RunFolderPath,
+    source: _RunOrLog,
     form: Annotated[
         Literal["csv", "gltf", "parquet", "ply"], Option("--format", help="File format.")
     ],
-    out: Annotated[Path | None, Option(help="Folder to write to (default: RUN/export).")] = None,
+    estimate: EstimateTable = None,
+    truth: Truth = None,
+    out: Annotated[
+        Path | None, Option(help="Folder to write to (default: export, in RUN if there is one).")
+    ] = None,
     case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Export structure, contacts and estimate of a case for other programs."""
-    from tiswarm.interop.exports import export_case
+    """Export structure, contacts and estimate of a case, or of a log, for other programs."""
+    from tiswarm.interop.exports import export_view
+    from tiswarm.report.run_data import load_run
+    from tiswarm.report.swarm_view import read_case_view, view_log
 
     progress = ConsoleProgress(quiet=quiet)
-    export_case(run, form, run / "export" if out is None else out, case, progress)
+    if source.is_dir():
+        _refuse({"ESTIMATE": estimate, "--truth": truth}, "a run has its own")
+        folder, view = source / "export", read_case_view(load_run(source).choose(case))
+    else:
+        _refuse({"--case": case}, "a log is no run")
+        folder, view = Path("export"), view_log(*read_estimated(source, estimate, progress, truth))
+    export_view(view, form, out or folder, progress)
+
+
+def _refuse(given: Mapping[str, object], reason: str) -> None:
+    """Refuse the first argument that has a value."""
+    for name, value in given.items():
+        if value:
+            raise InputError(f"{reason}; leave it out", key=name)

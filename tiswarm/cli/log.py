@@ -1,17 +1,30 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import OneArch, Overrides, Quiet, Threads, app
+from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, show_page
 from tiswarm.console import ConsoleProgress
 from tiswarm.params import Precision
+from tiswarm.progress import Progress
+
+if TYPE_CHECKING:
+    from tiswarm.aliases import Reals
+    from tiswarm.localization.params import LocalizationParams
+    from tiswarm.records.estimate import Estimate
+    from tiswarm.records.sensing_log import SensingLog
+
+EstimateTable = Annotated[
+    Path | None,
+    Argument(metavar="ESTIMATE", help="Table of estimated positions of LOG (default: by joint)."),
+]
+Truth = Annotated[Path | None, Option(help="Table of true positions of LOG.")]
 
 
-@app.command(epilog="Example: tiswarm localize sensing.jsonl --out estimate.csv")
+@app.command(epilog="Example: tiswarm localize sensing.jsonl --report view.html")
 def localize(
     log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     method: Annotated[
@@ -21,12 +34,20 @@ def localize(
         str | None, Option(metavar="CUE,...", help="Cues to use (default: the method's own).")
     ] = None,
     seed: Annotated[int | None, Option(help="Seed of joint.")] = None,
+    solution: Annotated[
+        int | None,
+        Option(metavar="K", help="Write solution K of joint, not the mean of its chains."),
+    ] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Table of positions to write.")] = Path("estimate.csv"),
+    report: Annotated[
+        Path | None, Option(metavar="PAGE", help="Also write a page with a 3D view.")
+    ] = None,
     arch: OneArch = "cpu",
     threads: Threads = None,
     precision: Annotated[Precision, Option(help="Floating-point type.")] = "f64",
     *,
+    verbose: Annotated[bool, Option("--verbose", "-v", help="List joint's solutions.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the robots' positions from a sensing log of any simulator or real swarm.
@@ -35,62 +56,212 @@ def localize(
     """
     from tiswarm.compute import backend
     from tiswarm.errors import NOT_CONVERGED
-    from tiswarm.inspection import convergence_warning, describe_estimate
-    from tiswarm.localization import registry
+    from tiswarm.inspection import (
+        convergence_warning,
+        describe_estimate,
+        describe_residual,
+        describe_solutions,
+        explain_estimate,
+    )
     from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.scenario.validation import localization_params
 
-    chosen = [] if seed is None else [f"seed={seed}"]
+    seeds = [] if seed is None else [f"seed={seed}"]
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
-    params = localization_params(method, [*chosen, *overrides], cues=names)
+    params = localization_params(method, [*seeds, *overrides], cues=names)
     sensed = read_sensing_log(log)
     backend.start(arch, threads=threads, precision=precision)
-    estimate = registry.localize(sensed, params)
-    write_estimate(out, estimate, length_unit=sensed.length_unit)
+    estimate = _localized(sensed, params, ConsoleProgress(quiet=quiet))
+    count = len(estimate.solutions)
+    if solution is not None:
+        estimate = estimate.with_solution(solution)
+    write_estimate(out, estimate)
     warning = convergence_warning(sensed, estimate)
     if warning:
         typer.echo(f"tiswarm: warning: {warning}", err=True)
+    notes = [*describe_estimate(sensed, log, estimate)]
+    chosen = "" if solution is None else f"solution {solution} of {count}: "
+    result = f"{chosen}{describe_residual(sensed, estimate)} -> {out}"
+    listed = [*describe_solutions(sensed, estimate)] if verbose else []
+    if count > 1 and solution is None:
+        listed.append(
+            f"the estimate averages chains that found {count} solutions; "
+            "list them with --verbose, write one with --solution K"
+        )
     if not quiet:
-        typer.echo("\n".join(describe_estimate(sensed, log, estimate)) + f" -> {out}")
+        typer.echo("\n".join([*notes, result, *listed]))
+    if report is not None:
+        from tiswarm.drawing import draw_log
+
+        findings = explain_estimate(sensed, log, estimate)
+        draw_log(report, sensed, estimate, name=f"{chosen}{log.name}", **findings._asdict())
+        if not quiet:
+            show_page(report, opened=False)
     if warning:
         raise typer.Exit(NOT_CONVERGED)
+
+
+@app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
+def view(
+    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
+    estimate: EstimateTable = None,
+    truth: Truth = None,
+    out: Annotated[Path, Option(help="Page to write.")] = Path("view.html"),
+    *,
+    opened: Open = False,
+    quiet: Quiet = False,
+) -> None:
+    """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open."""
+    from tiswarm.drawing import draw_log
+    from tiswarm.inspection import explain_estimate
+
+    progress = ConsoleProgress(quiet=quiet)
+    sensed, found, true = read_estimated(log, estimate, progress, truth)
+    findings = explain_estimate(sensed, log, found)
+    draw_log(out, sensed, found, name=log.name, true=true, **findings._asdict())
+    if opened or not quiet:
+        show_page(out, opened=opened)
+
+
+@app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv")
+def advise(
+    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
+    estimate: EstimateTable = None,
+) -> None:
+    """List which further contact, height or known position would constrain most robots.
+
+    The expected RMSE is computed for up to 1,000 robots. More are ranked by floppy modes.
+    """
+    from tiswarm.inspection import advice_rows, describe_advice
+    from tiswarm.localization.params import JointParams
+
+    sensed, found, _ = read_estimated(log, estimate, ConsoleProgress())
+    rows = advice_rows(sensed, JointParams().cues, found.position)
+    typer.echo("\n".join(describe_advice(rows)))
+
+
+def read_estimated(
+    log: Path, estimate: Path | None, progress: Progress, truth: Path | None = None
+) -> "tuple[SensingLog, Estimate, Reals | None]":
+    """Read a log, its estimate, and the true positions if there are any.
+
+    Without a table of the estimate, joint localizes the log.
+    """
+    from tiswarm.compute import backend
+    from tiswarm.inspection import convergence_warning
+    from tiswarm.localization.params import JointParams
+    from tiswarm.records.positions import read_estimate, read_positions_of
+    from tiswarm.records.sensing_file import read_sensing_log
+
+    sensed = read_sensing_log(log)
+    true = None if truth is None else read_positions_of(sensed, truth)
+    if estimate is not None:
+        return sensed, read_estimate(sensed, estimate), true
+    backend.start()
+    found = _localized(sensed, JointParams(), progress)
+    if warning := convergence_warning(sensed, found):
+        typer.echo(f"tiswarm: warning: {warning}", err=True)
+    return sensed, found, true
+
+
+def _localized(
+    sensed: "SensingLog", params: "LocalizationParams", progress: Progress
+) -> "Estimate":
+    """Localize a log and show progress; the backend runs."""
+    from tiswarm.compute import backend
+    from tiswarm.localization import registry
+
+    name = "compile, localize" if backend.current().is_cold else "localize"
+    with progress.task(name, sensed.robot_count) as advance:
+        return registry.localize(sensed, params, on_progress=advance)
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
 def import_(
     poses: Annotated[Path, Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
-    dock_radius: Annotated[float, Option(min=1e-9, help="Radius of a dock sphere.")] = 1.0,
+    dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
         float | None,
-        Option(help="Distance from robot center to docks; not for a table of spheres."),
+        Option(
+            min=0.0,
+            max=1e12,
+            help="Distance from robot center to docks (default: where most docks touch, or 1.506 "
+            "dock radii if none stands out); not for a table of spheres.",
+        ),
     ] = None,
-    tolerance: Annotated[
-        float | None, Option(min=0.0, help="Largest gap or overlap of a contact (default: 2 %).")
+    docks: Annotated[
+        Path | None, Option(metavar="CSV", help="Docks in the body frame: dock,x,y,z.")
     ] = None,
-    anchor: Annotated[int | None, Option(help="Id of the anchor robot (default: first).")] = None,
+    gap: Annotated[
+        float | None, Option(min=0.0, help="Largest gap of a contact (default: 2 % of the radius).")
+    ] = None,
+    overlap: Annotated[
+        float | None, Option(min=0.0, help="Largest overlap of a contact (default: the same).")
+    ] = None,
+    contacts: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="All contacts: robot,dock,other,other_dock (default: found)."),
+    ] = None,
+    anchor: Annotated[
+        str,
+        Option(
+            metavar="ID,...",
+            help="Anchor robot, and further robots at known positions (default: the first robot).",
+        ),
+    ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
+    tilt_deg: Annotated[float | None, Option(help="Noise of orientations: tilt, 1 sd.")] = None,
+    yaw_deg: Annotated[float | None, Option(help="Noise of orientations: yaw, 1 sd.")] = None,
     length_unit: Annotated[
         str, Option(help="Length unit, unless columns name it, such as x_mm.")
     ] = "unit",
     *,
+    heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
+    keep_tied: Annotated[
+        bool, Option("--keep-tied", help="Drop robots that no contacts connect to an anchor.")
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert robot poses of any simulator to a sensing log with contacts, and a truth."""
-    from tiswarm.interop.imports import Assumptions, import_poses
-    from tiswarm.robot import FIREANT_RHO, docks_in_plane
+    """Convert robot poses of any simulator to a sensing log with contacts, and a truth.
 
+    A column `run` names the structure of each row; each then has a folder of its own in --out.
+    """
+    from tiswarm.errors import InputError
+    from tiswarm.interop.imports import Assumptions, import_poses, write_import
+    from tiswarm.interop.poses import read_dock_offsets
+    from tiswarm.robot import docks_in_plane
+
+    if dock_offset is not None and docks is not None:
+        raise InputError("choose only one of --docks, --dock-offset")
+    try:
+        anchors = tuple(map(int, anchor.split(","))) if anchor else ()
+    except ValueError:
+        problem = f"{anchor!r} is not a list of robots; write it like 0,5"
+        raise InputError(problem, argument="anchor") from None
+    body = None if dock_offset is None else docks_in_plane(dock_offset)
     assumed = Assumptions(
         dock_radius=dock_radius,
-        tolerance=0.02 * dock_radius if tolerance is None else tolerance,
-        anchor=anchor,
+        dock_offset_body=body if docks is None else read_dock_offsets(docks),
+        gap=gap,
+        overlap=overlap,
+        contacts=contacts,
+        anchors=anchors,
         ground_z=ground_z,
+        heights=heights,
+        keep_tied=keep_tied,
+        tilt_deg=tilt_deg,
+        yaw_deg=yaw_deg,
         length_unit=length_unit,
     )
-    offset = FIREANT_RHO * dock_radius if dock_offset is None else dock_offset
-    progress = ConsoleProgress(quiet=quiet)
-    import_poses(poses, out, docks_in_plane(offset), assumed, progress)
+    for run, imported in import_poses(poses, assumed).items():
+        write_import(imported, out / run)
+        if imported.warning:
+            of_run = f"run {run}: " if run else ""
+            typer.echo(f"tiswarm: warning: {of_run}{imported.warning}", err=True)
+        if not quiet:
+            typer.echo("\n".join(imported.notes) + f" -> {out / run}")
 
 
 @app.command(epilog="Example: tiswarm score truth.csv estimate.csv")

@@ -7,7 +7,18 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import Animate, Movie, OneArch, Overrides, Pdf, Quiet, Threads, app
+from tiswarm.cli.app import (
+    Animate,
+    Movie,
+    OneArch,
+    Open,
+    Overrides,
+    Pdf,
+    Quiet,
+    Threads,
+    app,
+    show_page,
+)
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
 from tiswarm.records.messages import counted
@@ -39,6 +50,7 @@ def run(
     pdf: Pdf = False,
     animate: Animate = False,
     movie: Movie = "gif",
+    opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
     """Grow, sense, localize, evaluate and draw all cases of a scenario.
@@ -66,11 +78,15 @@ def run(
         lacking = counted(result.missing, "case")
         progress.info(f"part {shard} is done; other parts still lack {lacking}")
     else:
-        from tiswarm.drawing import draw_all
+        from tiswarm.drawing import PAGE, draw_all
+        from tiswarm.report.headline import headline
 
         draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie if animate else None)
         if not quiet:
-            typer.echo(study.headline(result.folder))
+            typer.echo(headline(result.folder))
+        page = result.folder / PAGE
+        if opened or not quiet:
+            show_page(page if page.exists() else result.folder, opened=opened)
     if result.failed:
         raise CasesFailedError(result.what_failed)
 

@@ -182,24 +182,34 @@ def _on_anchor(history: History) -> NDArray[np.int32]:
     return touching
 
 
-def score_files(truth: Path, estimate: Path) -> tuple[str, dict[str, float]]:
-    """Compare two tables of positions, matching robots by name.
+def score_files(truth: Path, estimate: Path | Estimate) -> tuple[str, dict[str, float]]:
+    """Compare a table of true positions with an estimate or its table, matching robots by name.
 
     Returns:
         The length unit of the tables, and accuracy measures by name in that unit.
 
     Raises:
-        InputError: if a table is malformed, in another unit, or lacks a robot of the other.
+        InputError: if a table is malformed, or the estimate has another unit or other robots.
     """
     unit = read_length_unit(truth)
     names, true = read_positions(truth, length_unit=unit)
-    other_names, estimated = read_positions(estimate, length_unit=unit)
+    if isinstance(estimate, Path):
+        path, (other_names, estimated) = estimate, read_positions(estimate, length_unit=unit)
+    else:
+        path, other_names, estimated = None, estimate.robot_id, estimate.position
+        if estimate.length_unit != unit:
+            problem = f"is in {estimate.length_unit}, the truth in {unit}; use the same unit"
+            raise InputError(problem, argument="estimate")
     missing = np.setxor1d(names, other_names)
     if len(missing):
         problem = f"robot {missing[0]} is in one of the two tables only; score the same robots"
-        raise InputError(problem, path=estimate, key="robot")
-    true, estimated = true[names.argsort()], estimated[other_names.argsort()]
-    return unit, {
+        raise InputError(problem, path=path, key="robot")
+    return unit, score_positions(true[names.argsort()], estimated[other_names.argsort()])
+
+
+def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:
+    """Return accuracy measures of estimated centers by name, in the unit of both, shape (N, 3)."""
+    return {
         "RMSE": metrics.rmse(estimated, true),
         "RMSE, yaw and place aligned": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
         "RMSE, rigidly aligned": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),

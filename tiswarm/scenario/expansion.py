@@ -69,7 +69,9 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     if not more:
         raise first
     problem = f"{first.problem} (and {counted(more, 'more mistake')})"
-    raise InputError(problem, path=first.path, line=first.line, key=first.key)
+    raise InputError(
+        problem, path=first.path, line=first.line, argument=first.argument, key=first.key
+    )
 
 
 def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]:

@@ -77,8 +77,8 @@ class Setting(NamedTuple):
         return "", ""
 
     def error(self, problem: str) -> InputError:
-        """Return an error that names the option."""
-        return InputError(problem, key=f"--set {self.text}")
+        """Return an error that names the setting."""
+        return InputError(problem, argument="overrides", key=self.text)
 
 
 class _Change(Protocol):
@@ -159,13 +159,15 @@ def parse_setting(text: str, *section: str) -> Setting:
     """Parse `KEY=VALUE`, the key being one of a section if that is given, or raise InputError."""
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise InputError("is not KEY=VALUE; write it like robots=20", key=f"--set {text}")
+        raise InputError(
+            "is not KEY=VALUE; write it like robots=20", argument="overrides", key=text
+        )
     try:
         path = (*section, *_setting_path(key.strip()))
         data = renamed(parse_yaml(value).data, path)
         return Setting(text, tuple(map(str, renamed_path(path))), data)
     except InputError as error:
-        raise InputError(error.problem, key=f"--set {text}") from error
+        raise InputError(error.problem, argument="overrides", key=text) from error
 
 
 def find_culprit(mistake: Mistake, changes: Sequence[_AnyChange]) -> _AnyChange | None:
@@ -196,7 +198,7 @@ def localization_params(
     """
     for cue in cues or ():
         if cue not in CUES:
-            raise InputError(f"{cue} is not a cue; use {', '.join(CUES)}", key="--cues")
+            raise InputError(f"{cue} is not a cue; use {', '.join(CUES)}", argument="cues")
     switches = {} if cues is None else {cue: cue in cues for cue in CUES}
     settings = [parse_setting(text, "localization") for text in overrides]
     section = {"method": method, **switches, **(values or {})}
@@ -211,8 +213,8 @@ def localization_params(
     if culprit := find_culprit(first, settings):
         raise culprit.error(first.problem)
     key = dotted(first.path[1:])
-    option = "--method" if key == "method" else "--cues" if key in switches else key
-    raise InputError(first.problem, key=option)
+    argument = "method" if key == "method" else "cues" if key in switches else ""
+    raise InputError(first.problem, argument=argument, key="" if argument else key)
 
 
 def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:

@@ -7,7 +7,7 @@ from tiswarm.study.cases import plan
 from tiswarm.study.executors import Execution
 from tiswarm.study.provenance import forecast
 from tiswarm.study.run import run, tabulate
-from tiswarm.study.tables import compare, headline
+from tiswarm.study.tables import compare
 from tiswarm.study.tuning import tune
 
-__all__ = ["Execution", "compare", "forecast", "headline", "plan", "run", "tabulate", "tune"]
+__all__ = ["Execution", "compare", "forecast", "plan", "run", "tabulate", "tune"]

@@ -30,6 +30,7 @@ from tiswarm.study.runner import Job, Outcome, run_job
 
 CONNECT_S = 30  # time that a scheduler has to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
+END_S = 10.0  # time that an idle process has to store its kernels and end
 _READY = "ready"
 _CRASHES = {"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV"}
 
@@ -168,6 +169,7 @@ class _Process:
     """A process that runs one job after another."""
 
     def __init__(self) -> None:
+        self.is_idle = True
         self.output = TemporaryFile()  # noqa: SIM115 - closed as the process ends
         self.connection, theirs = Pipe()
         code = "from tiswarm.study.executors import main; main({}, {})"
@@ -183,6 +185,7 @@ class _Process:
 
     def run(self, job: Job, limit_s: float | None) -> Outcome:
         """Run a job, unless it takes longer than allowed for all of its cases."""
+        self.is_idle = False
         with suppress(OSError):  # the process has ended; receiving finds out why
             self.connection.send(job)
         found = self._receive(START_S, "its process did not start within {:g} s; run it again")
@@ -193,12 +196,20 @@ class _Process:
             raise found
         if not isinstance(found, Outcome):
             raise _JobError(found)
+        self.is_idle = True
         return found
 
+    def dismiss(self) -> None:
+        """Let the process store the kernels it has compiled and end, if it has nothing to do."""
+        if self.is_idle:
+            self.connection.close()
+
     def end(self) -> None:
-        """Kill the process, unless that is done."""
+        """Wait for the end of the process if it was dismissed, or else kill it."""
         if self in _running:
             _running.discard(self)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(END_S if self.connection.closed else 0.0)
             self.process.kill()
             self.process.wait()
             self.connection.close()
@@ -226,7 +237,10 @@ class _Process:
 
 def _end_all() -> None:
     _ending.set()
-    for process in list(_running):
+    ended = list(_running)
+    for process in ended:
+        process.dismiss()
+    for process in ended:
         process.end()
 
 

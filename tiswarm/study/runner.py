@@ -16,7 +16,7 @@ from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.registry import localize_many
 from tiswarm.memory import naming_shortage
 from tiswarm.params import Arch, Precision
-from tiswarm.progress import Progress
+from tiswarm.progress import Advance, Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
@@ -111,7 +111,7 @@ class _CaseRunner:
     @contextmanager
     def _stage(
         self, name: str, cases: Sequence[Case], total: int | None = None
-    ) -> Iterator[Callable[[int], None]]:
+    ) -> Iterator[Advance]:
         """Report and measure a stage of `total` steps, by default one for each case."""
         shared = self.costs.stage(name, [case.name for case in cases])
         with shared, self.progress.task(name, total or len(cases)) as advance:

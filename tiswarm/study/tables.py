@@ -12,7 +12,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import make_folder
-from tiswarm.records.messages import counted
+from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
@@ -61,6 +61,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             **record.point,
             "status": record.status,
             "reason": record.reason,
+            **_edges(setting.structure.terrain),
             **record.scores,
         }
         for record, setting in zip(records, settings, strict=True)
@@ -68,23 +69,33 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
     return pd.DataFrame(rows)
 
 
+def _edges(terrain: Terrain) -> dict[str, float]:
+    """Place the edges of the ground, if it has any, for pictures."""
+    edges = {"left_edge_R": terrain.left_edge, "right_edge_R": terrain.right_edge}
+    return {name: x for name, x in edges.items() if x < NO_EDGE}
+
+
 def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate each point and condition: means over seeds, their uncertainty, paper's numbers.
 
-    Changes are relative to the first condition of the same point.
+    Changes are relative to the paper's first condition at the same point, or else the first.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
-    baseline: dict[str, dict[str, Any]] = {}
-    for group in _grouped(records, lambda record: record.series):
-        first, setting = group[0], setting_of[group[0].case]
-        ours = _with_statistics(group)
-        row = {"condition": first.condition, **first.point, **ours, **_paper(setting, ours)}
-        base = baseline.setdefault(point_text(first.point), row)
-        for name, rmse in (("", "rmse_R_mean"), ("paper_", "paper_rmse_radii")):
+    for of_point in _grouped(records, lambda record: point_text(record.point)):
+        at_point = []
+        for group in _grouped(of_point, lambda record: record.condition):
+            first, ours = group[0], _with_statistics(group)
+            row = {"condition": first.condition, **first.point, **ours}
+            at_point.append(row | _paper(setting_of[first.case], ours))
+        of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
+        base = (of_paper or at_point)[0]
+        for row, (name, rmse) in itertools.product(
+            at_point, (("", "rmse_R_mean"), ("paper_", "paper_rmse_radii"))
+        ):
             change = row[rmse] / base[rmse] - 1.0 if base[rmse] else math.nan
             row[f"{name}rmse_change_percent"] = 100.0 * change
-        rows.append(row)
+        rows += at_point
     return pd.DataFrame(rows)
 
 
@@ -122,7 +133,8 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     """Count cases, and return means over the finished ones with their uncertainty."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    full["rmse_R_least"] = float(scores["rmse_R"].min()) if "rmse_R" in scores else math.nan
+    rmse = scores["rmse_R"] if len(scores) else pd.Series([math.nan])
+    full |= {"rmse_R_least": float(rmse.min()), "rmse_R_most": float(rmse.max())}
     for name in _AVERAGED:
         column = scores[name] if name in scores else pd.Series(dtype=float)
         values = mean_std_ci95(column.to_numpy(np.float64))
@@ -184,29 +196,6 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         return pd.DataFrame(columns=["condition", "by"])
     every = pd.concat(parts, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), every], axis=1)
-
-
-def headline(folder: Path) -> str:
-    """Write the results of a run in a few lines, from its `table.csv`."""
-    rows = _read_table(folder).to_dict("records")
-    return "\n".join([*map(_headline_row, rows), f"results in {folder}"])
-
-
-def _headline_row(row: dict[Hashable, Any]) -> str:
-    names = list(row)
-    swept = names[names.index("condition") + 1 : names.index("cases")]
-    point = " ".join(f"{key}={row[key]}" for key in swept)
-    name = f"{point} {row['condition']}".strip()
-    if not row["cases"]:
-        return f"{name}: no case was finished"
-    interval = f" ± {row['rmse_R_ci95']:.2f}" if row["rmse_R_ci95"] >= 0.0 else ""
-    share = row.get("converged_mean", math.nan)
-    lost = 0 if math.isnan(share) else round(row["cases"] * (1.0 - share))
-    return (
-        f"{name}: RMSE {row['rmse_R_mean']:.2f}{interval} R, disparity "
-        f"{row['procrustes_disparity_mean']:.4f}, {counted(row['cases'], 'structure')}"
-        f"{f', {lost} of them not converged' if lost else ''}"
-    )
 
 
 # --- size of the swarm -----------------------------------------------------------------------

@@ -160,7 +160,7 @@ def _points(scenario: Scenario, conditions: Sequence[str]) -> list[Variant]:
     for name in conditions:
         if name not in scenario.conditions:
             problem = f"no condition {name!r}; choose among {', '.join(scenario.conditions)}"
-            raise InputError(problem, key="--condition")
+            raise InputError(problem, argument="condition")
     return [v for v in variants(scenario) if not conditions or v.condition in conditions]
 
 
@@ -169,7 +169,7 @@ def _params(point: Variant) -> VirtualForceParams:
     params = point.settings.localization
     if not isinstance(params, VirtualForceParams):
         problem = f"{params.method} has no gains to fit; name conditions of virtual-force"
-        raise InputError(problem, key="--condition")
+        raise InputError(problem, argument="condition")
     return params
 
 
