@@ -368,11 +368,11 @@ def test_the_last_option_wins(scenario):
     ],
 )
 def test_a_wrong_option_is_named_instead_of_a_line(scenario, option, problem):
-    """The message reads `--set KEY=VALUE: what is wrong; what to do`."""
+    """The message reads `overrides: KEY=VALUE: what is wrong; what to do`."""
     with pytest.raises(InputError) as refusal:
         load_scenario(scenario(FULL), ["seeds=2", option])
 
-    assert str(refusal.value).startswith(f"--set {option}: {problem}")
+    assert str(refusal.value).startswith(f"overrides: {option}: {problem}")
     assert refusal.value.line is None
 
 
@@ -426,7 +426,7 @@ def test_an_option_without_effect_is_refused(scenario, section, option, problem)
     with pytest.raises(InputError) as refusal:
         load_scenario(scenario(SMALL + section), [option])
 
-    assert str(refusal.value) == f"--set {option}: {problem}"
+    assert str(refusal.value) == f"overrides: {option}: {problem}"
 
 
 def test_conditions_keep_what_they_set(scenario):
@@ -471,7 +471,7 @@ def test_another_method_or_kind_names_the_keys_it_lacks(scenario, option, text, 
     with pytest.raises(InputError) as refusal:
         load_scenario(path, [option])
 
-    assert str(refusal.value) == f"--set {option}: {problem}"
+    assert str(refusal.value) == f"overrides: {option}: {problem}"
     added = [part for part in shlex.split(problem) if "={" in part]
     assert load_scenario(path, [option, *added])
 
@@ -486,12 +486,28 @@ def test_a_method_is_set_up_without_a_file():
 @pytest.mark.parametrize(
     ("method", "option", "problem"),
     [
-        ("magic", "iterations=7", "--method: \"magic\" should be one of 'virtual-force'"),
-        ("virtual-force", "iterations=0", "--set iterations=0: 0 should be greater"),
-        ("virtual-force", "back_propagation={evry: 5}", "--set back_propagation={evry: 5}: unk"),
-        ("virtual-force", "iteration=5", "--set iteration=5: unknown key; did you mean iterat"),
-        ("virtual-force", "max.step=5", "--set max.step=5: unknown key; the keys here are method,"),
-        ("virtual-force", "method.x=5", "--set method.x=5: localization.method is a single val"),
+        ("magic", "iterations=7", "method: \"magic\" should be one of 'virtual-force'"),
+        ("virtual-force", "iterations=0", "overrides: iterations=0: 0 should be greater"),
+        (
+            "virtual-force",
+            "back_propagation={evry: 5}",
+            "overrides: back_propagation={evry: 5}: unk",
+        ),
+        (
+            "virtual-force",
+            "iteration=5",
+            "overrides: iteration=5: unknown key; did you mean iterat",
+        ),
+        (
+            "virtual-force",
+            "max.step=5",
+            "overrides: max.step=5: unknown key; the keys here are method,",
+        ),
+        (
+            "virtual-force",
+            "method.x=5",
+            "overrides: method.x=5: localization.method is a single val",
+        ),
     ],
 )
 def test_a_method_that_cannot_be_set_up_is_reported(method, option, problem):
@@ -513,7 +529,8 @@ def test_mistakes_in_options_come_after_those_in_the_file(scenario):
     """The file is read first."""
     mistakes = find_mistakes(scenario(f"{SMALL}seeds: 0\n"), ["robots=1"])
 
-    assert [mistake.key for mistake in mistakes] == ["seeds", "--set robots=1"]
+    assert [mistake.key for mistake in mistakes] == ["seeds", "robots=1"]
+    assert [mistake.argument for mistake in mistakes] == ["", "overrides"]
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tiswarm.study.cases import batches, plan
 def test_small_structures_are_computed_first():
     """Batches are ordered by size, in any order of the sweep, with all conditions together."""
     overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", overrides)
 
     robots = [[case.settings.robots for case in batch] for batch in batches(plan(scenario))]
 
@@ -40,7 +40,7 @@ def test_series_point_and_kind_of_each_case_are_stated(tmp_path):
         "conditions={a: {}, b-c: {localization.iterations: 2}}",
         "seeds=[7]",
     ]
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml", overrides)
 
     folder = study.run(small, tmp_path, progress=Progress()).folder
 

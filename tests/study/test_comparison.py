@@ -14,7 +14,7 @@ from tiswarm.study import compare, run
 def other_run(tmp_path_factory):
     """Folder of a run that has one structure in common with the small run."""
     overrides = ["robots=12", "seeds=[1, 7]", "name=other"]
-    other = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", overrides)
+    other = load_scenario(REPOSITORY / "tests" / "tower.yaml", overrides)
     return run(other, tmp_path_factory.mktemp("other"), progress=Progress()).folder
 
 

@@ -20,7 +20,7 @@ QUIET = Progress()
 
 
 def _run(out, *overrides, **execution):
-    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", [*SMALL, *overrides])
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", [*SMALL, *overrides])
     return run(scenario, out, progress=QUIET, execution=Execution(**execution))
 
 
@@ -52,6 +52,16 @@ def test_processes_side_by_side_change_no_byte(whole, tmp_path, monkeypatch):
 
     assert result.computed == 8
     assert_same_results(whole, result.folder)
+
+
+def test_processes_keep_the_kernels_that_they_compile(tmp_path, monkeypatch):
+    """They end by themselves once there is no more to do, as kernels are stored at the end."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+    _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+
+    kernels = [*(tmp_path / "cache").rglob("*.tic")]
+    assert len(kernels) > 1  # one is of the start
 
 
 def test_shards_make_the_same_run_together(whole, tmp_path):
@@ -243,7 +253,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject
     """)
     settings = [part for text in SMALL for part in ("--set", text)]
 
-    killed = tiswarm("run", "scenarios/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
+    killed = tiswarm("run", "tests/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
     resumed = _run(tmp_path)
 
     assert killed.returncode == -signal.SIGKILL

@@ -33,7 +33,7 @@ def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
     sets = ["robots=8", "seeds=3", "conditions={a: {}, b: {localization.method: joint}}"]
 
     study.run(
-        load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets), tmp_path, progress=Progress()
+        load_scenario(REPOSITORY / "tests" / "tower.yaml", sets), tmp_path, progress=Progress()
     )
 
     assert events == [
@@ -45,7 +45,7 @@ def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
 def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     """A run that is stopped in its second method keeps its structures and finished cases."""
     sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", sets)
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml", sets)
     progress = Progress()
     whole = study.run(small, tmp_path / "whole", progress=progress)
     monkeypatch.setattr(runner, "KEPT_FROM_S", 0.0)

@@ -29,7 +29,7 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
     before = {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
 
     done = tiswarm(
-        "run", "scenarios/tower.yaml", "--set", "robots=12", "--set", "seeds=2",
+        "run", "tests/tower.yaml", "--set", "robots=12", "--set", "seeds=2",
         "--out", small_run.parent,
     )  # fmt: skip
 
@@ -40,7 +40,7 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
 
 def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and reports what it replaces."""
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=5", "seeds=2"])
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
     for module in (provenance, store):
         monkeypatch.setattr(module, "CODE", "0123456789ab")
@@ -71,7 +71,7 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
     (run / "renders" / ".scenes.tmp").mkdir()
     (run / "renders" / ".structure.png.tmp").touch()
 
-    done = tiswarm("run", "scenarios/tower.yaml", *SMALL, "--out", tmp_path)
+    done = tiswarm("run", "tests/tower.yaml", *SMALL, "--out", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert "3 of 6 cases are already stored" in done.stderr
@@ -83,7 +83,7 @@ def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
 @pytest.fixture(scope="module")
 def tiny():
     """A tower of five robots under one condition."""
-    tower = REPOSITORY / "scenarios" / "tower.yaml"
+    tower = REPOSITORY / "tests" / "tower.yaml"
     return load_scenario(tower, ["robots=5", "seeds=3", "conditions={a: {}}"])
 
 
@@ -224,7 +224,7 @@ def test_a_report_names_what_it_lacks(damaged):
 
 def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
     """All cases were stored, but neither all costs nor the manifest."""
-    small = load_scenario(REPOSITORY / "scenarios" / "tower.yaml", ["robots=6", "seeds=1"])
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=6", "seeds=1"])
     progress = Progress()
     monkeypatch.setattr(RunFolder, "store_cost", lambda *_: None)
     folder = study.run(small, tmp_path, progress=progress).folder

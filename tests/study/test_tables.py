@@ -7,6 +7,7 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
+from tiswarm.report.headline import headline
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import tables
 from tiswarm.study.runner import failure
@@ -47,12 +48,13 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
 def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     """The headline and the comparison of runs have the names as in `table.csv`."""
     header = "condition,cases,rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,converged_mean"
+    header += ",rmse_R_least,rmse_R_most"
     for run in ("a", "b"):
         (tmp_path / run).mkdir()
-        (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,\n")
+        (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2\n")
 
-    line, _ = tables.headline(tmp_path / "a").splitlines()
+    (line,) = headline(tmp_path / "a").splitlines()
     tables.compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
-    assert line == f"{name}: RMSE 2.00 R, disparity 0.5000, 1 structure"
+    assert line == f"{name}: RMSE 2 R, disparity 0.5, 1 structure"
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()

@@ -56,7 +56,7 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
     ("robots", "seeds", "conditions", "message"),
     [
         (8, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
-        (8, "1", ["no-zz"], "--condition: no condition 'no-zz'; choose among baseline"),
+        (8, "1", ["no-zz"], "condition: no condition 'no-zz'; choose among baseline"),
         (
             9,
             "1",
