@@ -10,7 +10,7 @@ The results go into the subfolder `reactivebuild` of the run folder: `laws.csv` 
 """
 
 import argparse
-import html
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,26 +24,16 @@ from benchmarks.reactivebuild.laws import count_verdicts, curves_of, law_points,
 from benchmarks.reactivebuild.structures import read_structures
 from tiswarm.errors import TiswarmError
 from tiswarm.records.messages import counted
+from tiswarm.report.page import Page, show_pictures
+from tiswarm.report.page_tables import Table
 
 SCENARIO = Path("scenarios/reactivebuild-laws.yaml")
 
-PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>{title}</title>
-<style>
-body {{ font: 14px/1.4 sans-serif; margin: 2em auto; max-width: 75em; padding: 0 1em }}
-table {{ border-collapse: collapse }}
-td, th {{ border-bottom: 1px solid #ddd; padding: 0.2em 0.6em; text-align: left }}
-img {{ display: block; margin: 1.5em 0; max-width: 100% }}
-</style>
-<h1>{title}</h1>
-<p>{summary}. Published values: Swissler and Rubenstein, ReactiveBuild (DARS 2021). Numbers are
-means over structures, or fits to means.</p>
-{table}
-{figures}
-</html>
-"""
+SOURCE = (
+    "Published values: Swissler and Rubenstein, ReactiveBuild (DARS 2021). Numbers are means over "
+    "structures, or fits to means."
+)
+WORDS = ["verdict", "law", "quantity", "published", "band", "fit"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -75,19 +65,25 @@ def compare(folder: Path) -> str:
     summary = f"laws.csv: {count_verdicts(table)}"
     if structures.failed:
         summary += f"; {counted(structures.failed, 'case')} failed"
-    figures = [path.name for path in draw_figures(curves, place)]
-    (place / "laws.html").write_text(_page(folder.resolve().name, summary, table, figures))
+    draw_figures(curves, place)
+    page = Page(
+        name=f"Structures against published laws: {folder.resolve().name}",
+        result=f"{summary}.",
+        what=SOURCE,
+        headline=_verdicts(table),
+        figures=show_pictures(place),
+    )
+    (place / "laws.html").write_text(page.html(), encoding="utf-8")
     return f"results in {place}\n{summary}"
 
 
-def _page(name: str, summary: str, table: pd.DataFrame, figures: Sequence[str]) -> str:
-    """Compose a page of the scorecard and its figures."""
-    return PAGE.format(
-        title=html.escape(f"Structures against published laws: {name}"),
-        summary=html.escape(summary),
-        table=table.to_html(index=False, na_rep="", float_format="{:.3f}".format, border=0),
-        figures="\n".join(f'<img src="{name}" alt="{Path(name).stem}">' for name in figures),
-    )
+def _verdicts(table: pd.DataFrame) -> Table:
+    """Format the scorecard, verdicts first."""
+    words = table[WORDS].fillna("").astype(str)
+    numbers = table[["ours", "r2", "structures"]].astype(float)
+    cells = numbers.map(lambda value: "" if math.isnan(value) else f"{value:.4g}")
+    shown = ["verdict", "law", "quantity", "ours", "published", "band", "fit", "r2", "structures"]
+    return Table(frame=words.join(cells)[shown], words=WORDS, title="Verdicts")
 
 
 def _run(scenario: Path, options: argparse.Namespace) -> Path:
