@@ -55,6 +55,20 @@ class RobotGeometry:
         return docks_in_plane(self.rho)
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class PlanarRobot(RobotGeometry):
+    """A robot that moves in a vertical plane, as FireAnt2D does, with three docks in that plane.
+
+    The docks are in the x-z plane of the body. A turn about y describes every pose in the plane
+    y = 0, and keeps y at exactly 0.
+    """
+
+    @property
+    def dock_offset_body(self) -> Reals:
+        """Center to dock in the body frame [R], shape (3, 3)."""
+        return docks_in_plane(self.rho)[:, [0, 2, 1]]
+
+
 def docks_in_plane(distance: float) -> Reals:
     """Center to dock of three docks in the x-y plane so far from the center, shape (3, 3)."""
     angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)

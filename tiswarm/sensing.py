@@ -1,6 +1,6 @@
 """Turns the true history of a structure into the noisy log that localizers read."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Annotated
 
 import numpy as np
@@ -15,12 +15,16 @@ from tiswarm.params import STRICT
 from tiswarm.records.sensing_log import Angle, Fraction, SensingLog, SensingNoise, Stances
 from tiswarm.world.history import History
 
+_PLANE_SD = 0.01
+"""Standard deviation of the plane that a planar robot is in [R]."""
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingParams:
     """Noise of the robots' senses; none by default, as in the paper.
 
-    Each contact of each stance has its own random draw.
+    Each contact of each stance has its own random draw. Gravity gives planar robots their whole
+    orientation: it has the noise of tilt about the normal of the plane, and no noise of yaw.
     """
 
     tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
@@ -68,6 +72,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     >>> log.robot_count, log.noise.tilt_deg
     (3, 1.0)
     """
+    if history.is_planar:
+        params = replace(params, yaw_noise_deg=0.0, yaw_bias_deg=0.0)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = _sensed_orientation(history, length, params)
@@ -82,6 +88,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         contacts=np.ascontiguousarray(contacts[at_rest][:, [3, 4, 0, 2]]),
         ground_z=history.ground_z,
         ground_docks=history.ground_docks,
+        fixes=_planes(history),
         flip_height=_flip_height(history, sensed, end),
         spawn_position=_spawn_position(history, params),
         stances=_stances(history, sensed, length, contacts[~at_rest]),
@@ -98,6 +105,7 @@ def _sensed_orientation(history: History, length: Ints, params: SensingParams) -
     stance = np.concatenate([np.arange(count) for count in length])
     draw = 3 * stance[:, None] + np.arange(3)
     sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
+    sd[0] *= not history.is_planar
     turn = sd * normal(history.seed, "orientation", robot[:, None], draw)
     bias = np.zeros_like(turn)
     bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(history.seed, "yaw bias", robot, 0)
@@ -142,6 +150,12 @@ def _spawn_position(history: History, params: SensingParams) -> Reals:
         return np.full_like(true, np.nan)
     robot = np.arange(history.robot_count)[:, None]
     return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
+
+
+def _planes(history: History) -> Reals:
+    """Return y = 0 as a fix of each planar robot, rows as in `SensingLog.fixes`."""
+    robot = np.arange(history.robot_count if history.is_planar else 0)
+    return np.column_stack([robot, np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD], (len(robot), 1))])
 
 
 def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:

@@ -3,7 +3,8 @@
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; the error
 that the paper's loop tests is what a robot misses its measurements by, since its true error is
-unknown to it; a robot that touches no earlier one starts from the anchor. The paper says only that
+unknown to it; a robot that touches no earlier one starts from the anchor. Robots that a log puts
+into the anchor's plane y = const, see `_planar`, do not leave it. The paper says only that
 back-propagation would revisit recent robots every ten joins, and that a virtual torque would align
 yaw by dock geometry and neighbors.
 
@@ -16,7 +17,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Bools, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
@@ -72,7 +73,13 @@ def localize_batch(
     both = list(zip(logs, params, strict=True))
     direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
     height = np.concatenate([_heights(log, p) for log, p in both])
-    measured = LogArrays(*_contacts_by_robot(logs), direction.astype(dtype), height.astype(dtype))
+    planar = [np.logical_and.accumulate(_planar(log)) for log in logs]
+    measured = LogArrays(
+        *_contacts_by_robot(logs),
+        direction.astype(dtype),
+        height.astype(dtype),
+        np.concatenate(planar).astype(np.int32),
+    )
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
@@ -170,6 +177,7 @@ class Localizer:
         self._contact_start = np.zeros(capacity + 1, np.int32)
         self._direction = np.zeros((capacity, 3), dtype)
         self._height = np.full(capacity, np.nan, dtype)
+        self._is_planar = np.zeros(capacity, np.int32)
         self._robots = _robots(np.zeros((capacity, docks, 3), dtype))
         self._anchor = np.array(head.anchor_position)
         self._robots.position[0] = 0.0  # far from the origin, numbers lose digits
@@ -208,6 +216,7 @@ class Localizer:
         self._robots.dock_offset[n] = dock_offsets(alone.orientation_wxyz, self._dock_body)[0]
         self._direction[n] = _directions(alone.orientation_wxyz, self._params)[0]
         self._height[n] = _heights(alone, self._params)[0]
+        self._is_planar[n] = _planar(alone)[0] and self._is_planar[:n].all()
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         placed: Reals = self.positions[n]
@@ -218,6 +227,8 @@ class Localizer:
         level, up = self._head.ground_z, self._anchor[2]
         height = np.nan if line.flip_height is None else line.flip_height - up
         docks = [(0, *dock) for dock in stance.lists["ground_docks"]]
+        fixes = np.array([(0, *fix) for fix in stance.lists["fixes"]], np.float64).reshape(-1, 6)
+        fixes[:, 4] -= fixes[:, 1:4] @ self._anchor
         return SensingLog(
             robot_id=np.zeros(1, np.int64),
             dock_radius=self._unit,
@@ -227,6 +238,7 @@ class Localizer:
             contacts=np.empty((0, 4), np.int32),
             ground_z=None if level is None else level - up,
             ground_docks=np.array(docks, np.int32).reshape(-1, 2),
+            fixes=fixes,
             flip_height=np.array([height]),
             spawn_position=np.full((1, 3), np.nan),
         )
@@ -235,7 +247,9 @@ class Localizer:
         """Launch Algorithm 1 for the last robot alone."""
         dtype, count, every = self._height.dtype, self._count, self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
-        measured = LogArrays(self._contact_start, contact, self._direction, self._height)
+        measured = LogArrays(
+            self._contact_start, contact, self._direction, self._height, self._is_planar
+        )
         capacity = len(self._height)
         trace = Trace.allocate(2, capacity, dtype)
         kernels.localize_in_join_order(
@@ -289,6 +303,18 @@ def _heights(log: SensingLog, params: VirtualForceParams) -> Reals:
     count = np.bincount(rows.robot, minlength=log.robot_count)
     total = np.bincount(rows.robot, rows.places.value - rows.arm[:, 2], log.robot_count)
     return np.where(count > 0, total / np.maximum(count, 1), height)
+
+
+def _planar(log: SensingLog) -> Bools:
+    """Find robots with a fix along y at the y of the anchor, which is 0 in `log`, shape (N,).
+
+    A robot counts as planar if it and all robots before it have such a fix, so that a camera,
+    which measures another y of each robot, makes none planar.
+    """
+    robot, x, _, z, value, _ = log.fixes.T
+    planar = np.zeros(log.robot_count, np.bool_)
+    planar[robot[(x == 0.0) & (z == 0.0) & (value == 0.0)].astype(np.int64)] = True
+    return planar
 
 
 def _directions(orientation_wxyz: Reals, params: VirtualForceParams) -> Reals:

@@ -79,6 +79,9 @@ class LogArrays(NamedTuple):
     height: Reals1
     """Measured height of each center [R], NaN where unknown, shape (N,)."""
 
+    is_planar: Ints1
+    """Whether each robot stays at the anchor's y, shape (N,)."""
+
 
 class Robots(NamedTuple):
     """Estimated poses of N robots."""
@@ -219,6 +222,8 @@ def _virtual_force(
         force += _undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
     if gains.height_last == 0.0:
         force[2] += gains.height_gain * _height_missing(measured, robot, robots.position[robot, 2])
+    if measured.is_planar[robot]:
+        force[1] = 0.0
     return force
 
 
@@ -271,7 +276,10 @@ def _initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
         total = vector_at(robots.position, base)
         count = 1
     offset = vector_at(measured.initial_direction, robot)
-    return total / count + gains.initial_offset * offset
+    place = total / count + gains.initial_offset * offset
+    if measured.is_planar[robot]:
+        place[1] = robots.position[base, 1]
+    return place
 
 
 @ti.func
@@ -326,6 +334,7 @@ def localize_in_join_order(
     gains_table: Reals2, start: Ints1, placed_before: Ints1,
     # LogArrays
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
+    is_planar: Ints1,
     head: Ints2, following: Ints2,  # CellList of the robots placed before
     dock_offset: Reals3, yaw: Reals1, position: Reals2,  # Robots, read and written
     trace_position: Reals3, step_length: Reals2, steps: Ints1,  # Trace, written
@@ -347,7 +356,7 @@ def localize_in_join_order(
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
-    measured = ti.static(LogArrays(contact_start, contact, initial_direction, height))
+    measured = ti.static(LogArrays(contact_start, contact, initial_direction, height, is_planar))
     cells = ti.static(CellList(head, following))
     robots = ti.static(Robots(dock_offset, yaw, position))
     trace = ti.static(Trace(trace_position, step_length, steps))

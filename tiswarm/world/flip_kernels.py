@@ -59,6 +59,7 @@ class ClimbLimits:
     reach: F64
     inverse_edge: F64
     twists: I32
+    is_planar: I32
 
 
 class StructureArrays(NamedTuple):
@@ -229,6 +230,8 @@ def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover
     count = ti.min(found, near.shape[1])
     chosen.overflow = ti.cast(found > count, ti.i32)
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
+    if limits.is_planar:
+        normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
     side = normal.cross(to_center.normalized())
     for twist in range(limits.twists):
         turn = 0.5 * limits.full_turn * twist / limits.twists

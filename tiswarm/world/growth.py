@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
-from tiswarm.compute.math import uniform
+from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.progress import Advance, ignore
 from tiswarm.robot import DOCK_COUNT, RobotGeometry
 from tiswarm.world.flip_kernels import StructureArrays
@@ -74,6 +74,7 @@ class _GrowthBatch:
         self, params: StructureParams, robots: int, seeds: Sequence[int], robot: RobotGeometry
     ) -> None:
         self.robots = robots
+        robot = params.robot(robot)
         self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
         count, docks = len(seeds), DOCK_COUNT * robots
         self.arrays = StructureArrays(
@@ -167,7 +168,7 @@ class GrowingStructure:
         return len(self.walks) < self.params.founders * self.params.sides
 
     def spawn(self, docks: Reals) -> Spawn | None:
-        """Lay the next robot flat on the ground, turned at random.
+        """Put the next robot on the ground, turned at random: flat, or upright in a plane.
 
         Draws depend on the seed and the number of robots spawned before alone.
 
@@ -184,15 +185,17 @@ class GrowingStructure:
         self.spawned += 1
         side = (len(self.walks) if self.founding else index) % params.sides
         rim = max(0.0, self.rim[side] + self.robot.dock_radius) if self.walks else 0.0
-        settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle)
+        settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle) and not params.plane
         for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
-            center = np.array([x, y, self.level])
+            half = np.pi * draw[2]
+            turned_about = [0.0, np.sin(half), 0.0] if params.plane else [0.0, 0.0, np.sin(half)]
+            orientation = np.array([np.cos(half), *turned_about])
+            arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+            center = np.array([x, y, self.level - arm[:, 2].min()])
             distance = np.linalg.norm(self.low_docks - center, axis=1)
             if distance.min(initial=np.inf) > self.clearance:
-                half = np.pi * draw[2]
-                orientation = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
                 return Spawn(
                     center=center,
                     orientation_wxyz=orientation,
@@ -211,7 +214,7 @@ class GrowingStructure:
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
-        is_low = np.abs(new[:, 2] - self.level) <= self.clearance
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.rho
         self.low_docks = np.concatenate([self.low_docks, new[is_low]])
 
     def turn_away(self) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Reals
 from tiswarm.records.io import replacing
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import RobotGeometry
+from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world.params import StructureParams
 
 
@@ -116,6 +116,11 @@ class History:
         return np.array([walk.orientation_wxyz[-1] for walk in self.walks])
 
     @property
+    def is_planar(self) -> bool:
+        """Whether all robots are in the plane y = 0."""
+        return isinstance(self.robot, PlanarRobot)
+
+    @property
     def ground_z(self) -> float:
         """Height of the flat ground [R]."""
         return self.terrain.ground_z
@@ -183,7 +188,7 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
         loads = [LoadSummary(*row) for row in arrays["strain"].tolist()]
         return History(
             **json.loads(str(arrays["facts"])),
-            robot=robot,
+            robot=params.robot(robot),
             terrain=params.terrain,
             walks=tuple(walks),
             loads=tuple(replace(load, calling=int(load.calling)) for load in loads),

@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass
 from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
+from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world.mechanics import MechanicsParams
 
 
@@ -85,6 +86,15 @@ class GrowthParams(RecruitParams):
     sides: ClassVar[int] = 1
     """Sides that robots come from, in turn; the first robot of each founds the structure there."""
 
+    plane: Annotated[
+        bool,
+        Field(
+            description="Whether robots stand and flip in the vertical plane y = 0, as FireAnt2D "
+            "does. The only flip axis is then the plane's normal; climb.twists, climb.settle and "
+            "spawn_width have no effect."
+        ),
+    ] = False
+
     movers: Annotated[
         int,
         Field(
@@ -137,6 +147,10 @@ class GrowthParams(RecruitParams):
         MechanicsParams, Field(description="How stiff robots and contacts are.")
     ] = MechanicsParams()
 
+    def robot(self, shape: RobotGeometry) -> RobotGeometry:
+        """Return the robot of this shape that builds the structure, upright in a plane."""
+        return PlanarRobot(rho=shape.rho) if self.plane else shape
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class EdgeParams(GrowthParams):
@@ -157,7 +171,7 @@ class EdgeParams(GrowthParams):
 
     def start(self, _side: int, rim: float, draw: Reals) -> Reals:
         """At least `rim` behind the edge [R], by two random numbers in [0, 1), shape (2,)."""
-        y = self.spawn_width * (2.0 * draw[0] - 1.0)
+        y = 0.0 if self.plane else self.spawn_width * (2.0 * draw[0] - 1.0)
         back = rim + (self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min))
         return np.array([-back, y])
 
@@ -186,9 +200,11 @@ class TowerParams(GrowthParams):
         return np.asarray(np.hypot(docks[:, 0], docks[:, 1]))
 
     def start(self, _side: int, rim: float, draw: Reals) -> Reals:
-        """Anywhere outside the disc of radius `rim`, by two numbers in [0, 1) [R], shape (2,)."""
+        """Outside the disc of radius `rim` [R], by two random numbers in [0, 1), shape (2,)."""
         angle = 2.0 * np.pi * draw[0]
         distance = rim + self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min)
+        if self.plane:
+            return np.array([math.copysign(distance, draw[0] - 0.5), 0.0])
         place: Reals = distance * np.array([np.cos(angle), np.sin(angle)])
         return place
 

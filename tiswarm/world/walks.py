@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Reals
 from tiswarm.errors import TiswarmError
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import DOCK_COUNT, RobotGeometry
+from tiswarm.robot import DOCK_COUNT, PlanarRobot, RobotGeometry
 from tiswarm.world import flip_kernels
 from tiswarm.world.flip_kernels import (
     EDGE,
@@ -33,6 +33,7 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
     """Gather the numbers that do not change during a climb."""
     # No flip meets a dock whose center is farther than this from the pivot.
     reach = math.sqrt(3.0) * robot.rho + robot.spacing
+    is_planar = isinstance(robot, PlanarRobot)
     return ClimbLimits(
         spacing=robot.spacing,
         contact_gap=climb.contact_gap,
@@ -45,7 +46,8 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
         full_turn=2.0 * math.pi,
         reach=reach,
         inverse_edge=1.0 / reach,
-        twists=climb.twists,
+        twists=1 if is_planar else climb.twists,
+        is_planar=is_planar,
     )
 
 
