@@ -15,6 +15,7 @@ CUES = (
     "ground",
     "walk_contacts",
     "odometry",
+    "plane",
     "fixes",
     "ranges",
 )
@@ -144,6 +145,7 @@ class VirtualForceParams:
             "non_overlap": self.undocked_repulsion,
             "height": self.z_correction,
             "ground": self.ground,
+            "plane": True,
         }
         return tuple(cue for cue, is_used in chosen.items() if is_used)
 
@@ -175,6 +177,10 @@ class CueParams:
     odometry: Annotated[
         bool,
         Field(description="Robots that know where they started went as far as their flips say."),
+    ] = True
+
+    plane: Annotated[
+        bool, Field(description="Planar robots are in the vertical plane of the anchor.")
     ] = True
 
     fixes: Annotated[

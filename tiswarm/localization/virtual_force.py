@@ -3,8 +3,8 @@
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; the error
 that the paper's loop tests is what a robot misses its measurements by, since its true error is
-unknown to it; a robot that touches no earlier one starts from the anchor. Robots that a log puts
-into the anchor's plane y = const, see `_planar`, do not leave it. The paper says only that
+unknown to it; a robot that touches no earlier one starts from the anchor; planar robots, see
+`tiswarm.measurements.cues.in_plane`, stay at the anchor's y. The paper says only that
 back-propagation would revisit recent robots every ten joins, and that a virtual torque would align
 yaw by dock geometry and neighbors.
 
@@ -31,7 +31,7 @@ from tiswarm.localization.params import (
 )
 from tiswarm.localization.virtual_force_kernels import Gains, LogArrays, Robots, Trace
 from tiswarm.measurements.contacts import disconnected
-from tiswarm.measurements.cues import measure
+from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
@@ -73,7 +73,7 @@ def localize_batch(
     both = list(zip(logs, params, strict=True))
     direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
     height = np.concatenate([_heights(log, p) for log, p in both])
-    planar = [np.logical_and.accumulate(_planar(log)) for log in logs]
+    planar = [_planar(log) for log in logs]
     measured = LogArrays(
         *_contacts_by_robot(logs),
         direction.astype(dtype),
@@ -306,14 +306,8 @@ def _heights(log: SensingLog, params: VirtualForceParams) -> Reals:
 
 
 def _planar(log: SensingLog) -> Bools:
-    """Find robots with a fix along y at the y of the anchor, which is 0 in `log`, shape (N,).
-
-    A robot counts as planar if it and all robots before it have such a fix, so that a camera,
-    which measures another y of each robot, makes none planar.
-    """
-    robot, x, _, z, value, _ = log.fixes.T
-    planar = np.zeros(log.robot_count, np.bool_)
-    planar[robot[(x == 0.0) & (z == 0.0) & (value == 0.0)].astype(np.int64)] = True
+    """Find the planar robots, shape (N,)."""
+    planar: Bools = np.isin(np.arange(log.robot_count), log.fixes[in_plane(log), 0])
     return planar
 
 

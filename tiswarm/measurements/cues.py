@@ -5,11 +5,12 @@ then, unless its settings have a switch for it that is off. Lengths in R.
 """
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import AnyInts, Ints, Reals
+from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.records.sensing_log import SensingLog
@@ -89,8 +90,34 @@ def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precisi
     )
 
 
-def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:  # noqa: ARG001
+def _plane(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+    """The center of a planar robot is in the vertical plane y = const of the anchor."""
+    plane = log.fixes[in_plane(log)]
+    return _coordinates(replace(log, fixes=plane, stances=None), odometry, precision)
+
+
+def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
     """A center was found along given directions, at the end or at an earlier stance."""
+    return _coordinates(replace(log, fixes=log.fixes[~in_plane(log)]), odometry, precision)
+
+
+def in_plane(log: SensingLog) -> Bools:
+    """Choose the fixes that make robots planar: along y, at the y of the anchor.
+
+    Robots are planar up to the first one without such a fix. So cameras, which find robots at
+    different y, make none planar, and a robot is planar or not before later ones join.
+
+    Returns:
+        Which fixes, shape (F,).
+    """
+    robot, (x, y, z, value) = log.fixes[:, 0].astype(np.int64), log.fixes[:, 1:5].T
+    at_anchor = (x == 0.0) & (z == 0.0) & (value == y * log.anchor_position[1])
+    has_one = np.isin(np.arange(log.robot_count), robot[at_anchor])
+    chosen: Bools = at_anchor & np.logical_and.accumulate(has_one)[robot]
+    return chosen
+
+
+def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:  # noqa: ARG001
     stance, rows = _of_all_stances("fixes", log, odometry)
     length = np.linalg.norm(rows[:, :3], axis=1)
     value, sd = rows[:, 3:].T / length / log.dock_radius
@@ -128,6 +155,7 @@ CUES: list[tuple[tuple[str, ...], _Producer]] = [
     (("walk_contacts",), _walk_contacts),
     (("ground", "walk_contacts"), _walk_ground),
     (("odometry",), _odometry_from_spawn),
+    (("plane",), _plane),
     (("fixes",), _fixes),
     (("ranges",), _ranges),
 ]

@@ -189,11 +189,7 @@ class GrowingStructure:
         for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
-            half = np.pi * draw[2]
-            turned_about = [0.0, np.sin(half), 0.0] if params.plane else [0.0, 0.0, np.sin(half)]
-            orientation = np.array([np.cos(half), *turned_about])
-            arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
-            center = np.array([x, y, self.level - arm[:, 2].min()])
+            center, orientation = self._pose(x, y, np.pi * draw[2])
             distance = np.linalg.norm(self.low_docks - center, axis=1)
             if distance.min(initial=np.inf) > self.clearance:
                 return Spawn(
@@ -205,6 +201,15 @@ class GrowingStructure:
                 )
         self.ended = f"no free place to spawn robot {len(self.walks)}; raise structure.spawn_max"
         return None
+
+    def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
+        """Turn a robot by twice `half` [rad]: flat at x and y, or upright on one dock there."""
+        place = np.array([x, y, self.level])
+        if not self.params.plane:
+            return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+        return place - arm[arm[:, 2].argmin()], orientation
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""

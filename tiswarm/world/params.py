@@ -90,8 +90,9 @@ class GrowthParams(RecruitParams):
         bool,
         Field(
             description="Whether robots stand and flip in the vertical plane y = 0, as FireAnt2D "
-            "does. The only flip axis is then the plane's normal; climb.twists, climb.settle and "
-            "spawn_width have no effect."
+            "does. The only flip axis is its normal; climb.twists, climb.settle and spawn_width "
+            "have no effect. A robot starts on its lowest dock; distances of spawns and the anchor "
+            "are those of that dock."
         ),
     ] = False
 
