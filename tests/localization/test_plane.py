@@ -160,7 +160,7 @@ def test_the_scenario_runs_from_the_command_line(tiswarm, tmp_path):
 
     assert done.returncode == 0, done.stderr
     cases = sorted(tmp_path.glob("*/cases/*"))
-    assert len(cases) == 3
+    assert len(cases) == 4
     for case in cases:
         for table in ("truth.csv", "estimate.csv"):
             rows = [row.split(",") for row in (case / table).read_text().splitlines()[1:]]
