@@ -8,7 +8,7 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, write_case, write_summary, write_table
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
-from tiswarm.report import figures, table_figures
+from tiswarm.report import figure_style, figures, table_figures
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
 from tiswarm.report.run_data import load_run
@@ -103,9 +103,9 @@ def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
     np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), (long + extended) / 2.0)
 
 
-def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
-    """The axis label states the cut, and the other lines keep their width."""
-    last = {"baseline": 40, "no-z": 40, "back-propagation": 400}
+def test_a_method_of_many_more_iterations_is_drawn_to_its_end(tmp_path):
+    """Its last RMSE is the result; a logarithmic axis leaves room for short methods."""
+    last = {"baseline": 40, "no-z": 40, "joint": 400}
     for name, iteration in last.items():
         write_case(tmp_path / "cases" / f"0-{name}", seed=0, last_iteration=iteration)
     rows = [[f"0-{name}", "done", name, name] for name in last]
@@ -114,9 +114,45 @@ def test_a_line_that_goes_on_for_long_leaves_the_frame(tmp_path):
     figure = draw_convergence(load_run(tmp_path))
 
     (axes,) = figure.axes
-    assert axes.get_xlim() == (0.0, 80.0)
-    assert axes.get_xlabel() == "Iteration (drawn to 80 of 400)"
-    assert len(axes.lines[2].get_xdata()) > len(axes.lines[0].get_xdata())
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlim() == pytest.approx((10.0, 400.0))  # without iteration 0
+
+
+def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeypatch):
+    """A linear axis would draw all robots of the better method at zero."""
+    tables = {"coarse": np.array([[1.0, 5.0, 0], [2.0, 8.0, 1]]), "fine": np.zeros((2, 3))}
+    tables["fine"][:, 1] = 0.0, 0.01
+    found = iter(tables.values())
+    monkeypatch.setattr(figures, "_errors_at", lambda _cases, _column: next(found))
+
+    axes = draw_error_against_height(load_run(run_folder)).axes
+
+    heights = [panel.collections[0].get_offsets()[:, 1] for panel in axes[:2]]
+    assert axes[0].get_yscale() == "log"
+    assert axes[0].get_ylim()[0] == heights[1].min()  # no error at all is at the lower edge
+    assert sorted(heights[0]) == [5.0, 8.0]
+
+
+def test_panels_above_an_empty_place_have_numbers(run_folder):
+    """Panels share axes, and numbers are written below the last panel of each column."""
+    _, panels = figure_style.new_panels(3.0, 3.0, 5, 3, share="x")
+
+    assert [panel.xaxis.get_tick_params()["labelbottom"] for panel in panels] == [
+        False, False, True, True, True,
+    ]  # fmt: skip
+
+
+def test_a_figure_is_laid_out_once(monkeypatch):
+    """The layout is half of the work; saving would repeat it."""
+    figure, _ = figure_style.new_panels(2.0, 2.0, 1, 1)
+    done = []
+    engine = type(figure.get_layout_engine())
+    lay_out = engine.execute
+    monkeypatch.setattr(engine, "execute", lambda *args: done.append(0) or lay_out(*args))
+
+    png(figure)
+
+    assert len(done) == 1
 
 
 def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch):
@@ -283,6 +319,23 @@ def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
     np.testing.assert_allclose(few.get_xydata(), [[8.0, 0.0]])
     assert few.get_markerfacecolor() == "white"
     assert [text.get_text() for text in figure.axes[0].texts] == ["30", "6", "1"]
+
+
+def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
+    """A band covers most robots of each range; tables of earlier versions have none."""
+    rows = [
+        ["baseline", by, low, low, 9, 1.0, *([0.1, 3.0] if by == "join" else ["", ""])]
+        for by in PROFILED
+        for low in (1, 2, 4)
+    ]
+    write_table(run_folder / "profiles.csv", "condition,by,low,high,count,rmse_R,p10_R,p90_R", rows)
+
+    figure = profile_painters(load_run(run_folder))["profiles"](load_run(run_folder))
+
+    (band,) = figure.axes[0].collections
+    (corners,) = [path.vertices for path in band.get_paths()]
+    assert (corners[:, 1].min(), corners[:, 1].max()) == (0.1, 3.0)
+    assert not any(axes.collections for axes in figure.axes[1:])
 
 
 @pytest.mark.parametrize(("cases", "bars"), [(2, 0), (4, 2)])

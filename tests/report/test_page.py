@@ -1,10 +1,13 @@
 """The page of a run warns of limits, and shows runs without results."""
 
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
 from tests.report.conftest import write_summary, write_table
 from tiswarm.errors import InputError
@@ -13,7 +16,7 @@ from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
 from tiswarm.report.headline import conclusion
-from tiswarm.report.page import write_page
+from tiswarm.report.page import show_pictures, write_page
 from tiswarm.report.page_tables import (
     case_table,
     headline_table,
@@ -22,8 +25,10 @@ from tiswarm.report.page_tables import (
     warnings_of,
     with_ranges,
 )
+from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.space import build_view
+from tiswarm.report.swarm_view import read_case_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
 SCENARIO = "name: odd\ndescription: <script>boom()</script>\nstructure: {kind: tower}\n"
@@ -72,6 +77,25 @@ def test_texts_stay_texts(odd_run):
 def test_pictures_have_captions(name, case, caption):
     """A caption says what is seen, and which case where one is drawn."""
     assert re.fullmatch(caption, caption_of(name, case))
+
+
+def test_every_picture_of_a_run_has_a_caption(run_folder):
+    """A file name alone explains nothing; the structure comes first, as the overview."""
+    view = read_case_view(load_run(run_folder).cases[0])
+    robots = np.ones(len(view.robot))
+    planned = build_pictures(replace(view, sd=robots, force=robots))
+    renders = run_folder / "renders"
+    renders.mkdir()
+    for name in planned:
+        Image.new("RGB", (8, 8)).save(renders / f"{name}.png")
+
+    shown = show_pictures(renders, case="0-joint")
+
+    assert "sd" in planned
+    assert [Path(picture.file).stem for picture in shown] == [
+        "structure", "truth-and-estimate", "error", "sd", "contact-graph", "sensed-force",
+    ]  # fmt: skip
+    assert all(picture.caption.endswith("Case 0-joint.") for picture in shown)
 
 
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
@@ -132,7 +156,10 @@ def test_what_makes_results_wrong_is_apart_from_what_is_good_to_know():
     assert "in 1 case: the gap is bridged" in ended
     assert "leave 4 to 12 floppy modes" in floppy
     assert "open3d: died" in renderer
-    assert case_table(summary).frame["status"].tolist() == ["done", "done", "failed"]
+    cases = case_table(summary).frame
+    assert cases["status"].tolist() == ["done", "done", "failed"]
+    assert cases["reason"].tolist() == ["the gap is bridged", "", "too few robots"]
+    assert "reason" not in case_table(summary.assign(reason=None)).frame
 
 
 def test_cases_that_did_not_converge_are_named():
@@ -188,6 +215,11 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     assert tables[-1].frame.to_dict("records") == [
         {"condition": "a", "robots in their 50 % interval": "0.480 ± 0.020"}
     ]
+    assert "outliers" not in tables[-1].note
+
+    both = result_tables(pd.concat([silent, frank.assign(condition="b")]), pd.DataFrame())
+
+    assert list(both[-1].frame["condition"]) == ["b"]
 
 
 def test_published_numbers_have_a_table_of_their_own():

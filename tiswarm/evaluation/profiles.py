@@ -45,7 +45,8 @@ def error_profile(robots: pd.DataFrame) -> pd.DataFrame:
         robots: Rows of `robots.csv` of any number of structures, with a column `join`.
 
     Returns:
-        Columns by, low, high (both ends included), count (of robots), mean_error_R, rmse_R.
+        Columns by, low, high (both ends included), count (of robots), mean_error_R, rmse_R, and
+        the 10 % and 90 % quantiles p10_R and p90_R.
 
     >>> robots = pd.DataFrame({"join": [0, 1], "z_R": [1.0, 3.0], "error_R": [0.0, 2.0]})
     >>> profile = error_profile(robots.assign(hops_from_anchor=[0, 1], contacts=1))
@@ -93,6 +94,7 @@ def _ranges(robots: pd.DataFrame, name: str) -> pd.DataFrame:
             "high": min(least + where * width + last, most),
             "count": len(part),
             **_statistics(part.to_numpy()),
+            **dict(zip(("p10_R", "p90_R"), np.quantile(part, [0.1, 0.9]).tolist(), strict=True)),
         }
         for where, part in known["error_R"].groupby(place)
     ]

@@ -6,16 +6,20 @@ CAPTIONS = {
     "there are any, are published numbers. Farther left is better.",
     "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
     "one standard deviation where there are few lines. A flat end shows that more iterations would "
-    "not help.",
+    "not help. Iterations of different methods do not cost the same.",
     "error-against-height": "Error of each robot against its true height, a panel for each "
-    "condition. A dot is a robot; its color is its join index, the order in which robots joined.",
+    "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
+    "Dots on the lower edge of a logarithmic axis have this error or less.",
     "error-along-growth": "Error of each robot against its place along the structure, a panel for "
     "each kind of structure. A dot is a robot; its color is its join index, the order in which "
     "robots joined.",
     "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
-    "hops (contacts on the shortest way to the anchor) and number of contacts. Numbers above count "
+    "hops (contacts on the shortest way to the anchor) and number of contacts. Bands cover the "
+    "errors of 80 % of these robots. Numbers above count "
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
     "between two robots.",
+    "sd": "True structure, each robot colored by the standard deviation of its position that the "
+    "method reports. It should resemble the errors.",
     "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
     "state the power of N that fits all sizes, and the last two.",
     "contact-graph": "Contacts: each ball is a robot, colored by its hops from the anchor, and "

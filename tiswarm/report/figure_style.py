@@ -34,6 +34,9 @@ PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
 """Widths of a column and of a page of a paper [inch]."""
 
+MOST_BANDS = 5
+"""Lines in a panel beyond which bands would hide each other."""
+
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
@@ -88,6 +91,8 @@ def new_panels(
     grid = figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
     for unused in grid[count:]:
         unused.set_axis_off()
+    for lowest in grid[max(0, count - columns) : count]:
+        lowest.tick_params(labelbottom=True)  # above an unused place, too
     return figure, list(grid[:count])
 
 
@@ -155,6 +160,9 @@ def pdf(figure: "Figure") -> bytes:
 
 
 def _encoded(figure: "Figure", form: str, metadata: dict[str, None]) -> bytes:
+    engine: Any = figure.get_layout_engine()
+    engine.execute(figure)  # saving would lay it out twice
+    figure.set_layout_engine("none")
     stream = io.BytesIO()
     figure.savefig(stream, format=form, metadata=metadata)
     return stream.getvalue()

@@ -13,6 +13,7 @@ from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
+    MOST_BANDS,
     PAGE_WIDTH,
     fit_axis,
     line_style,
@@ -30,9 +31,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MAX_PANELS = 9
-_MAX_BANDS = 5  # lines in a panel beyond which bands would hide each other
+_MANY_TIMES = 4.0  # ratio of iterations from which the axis is logarithmic
 _MAX_POINTS = 20_000  # points drawn in one panel: a fixed random choice where there are more
 _MAX_KINDS = 4
+_LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
 _LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
 
 _GROWS = {
@@ -98,7 +100,7 @@ def draw_convergence(run: RunData) -> "Figure":
     shown = dict(list(points.items())[:_MAX_PANELS])
     names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
     seeds = max(map(len, run.series.values()))
-    bands = len(names) <= _MAX_BANDS and seeds > 1
+    bands = len(names) <= MOST_BANDS and seeds > 1
     columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
     rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
@@ -152,12 +154,9 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
         top = max(top, float((mean + sd).max()))
     axes.set_xlabel("Iteration")
     axes.margins(x=0.0)
-    # cut lines that are much longer than most, which they would compress
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
-    drawn = 2.0 * float(np.median(ends or [0.0]))
-    if max(ends, default=0.0) > drawn > 0.0:
-        axes.set_xlim(right=drawn)
-        axes.set_xlabel(f"Iteration (drawn to {drawn:.0f} of {max(ends):.0f})")
+    if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
+        axes.set_xscale("log", nonpositive="mask")
     return top
 
 
@@ -180,7 +179,8 @@ def draw_error_against_height(run: RunData) -> "Figure":
         conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
         shown.sort(key=lambda item: conditions.index(item[1][0].condition))
     shown = shown[:_MAX_PANELS]
-    columns = 2 if len(_by_point(run.series)) == 2 else min(3, len(shown))  # noqa: PLR2004 - pairs
+    pairs = len(_by_point(run.series)) == 2 or len(shown) == 4  # noqa: PLR2004
+    columns = 2 if pairs else min(3, len(shown))
     shown = shown[: _MAX_PANELS // columns * columns]
     rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
@@ -239,19 +239,34 @@ def _errors_at(cases: list[Case], column: str) -> Reals:
 
 
 def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
-    """Draw a table of `_errors_at` in each panel, colored by join index."""
+    """Draw a table of `_errors_at` in each panel, colored by join index.
+
+    Where methods differ much, the axis of errors is logarithmic; less is drawn at its lower edge.
+    """
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.ticker import MaxNLocator
 
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
+    errors = [table[:, 1] for table in tables if len(table)]
+    typical = [np.quantile(error, _LOW_AND_MIDDLE) for error in errors]
+    fit_axis(panels[0], "y", np.concatenate([[0.0], *typical]))
+    low = panels[0].get_ylim()[0]
     for axes, table in zip(panels, tables, strict=True):
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
-            x, y, c=join, s=area, cmap=colors, vmin=0.0, vmax=last, linewidths=0.0, clip_on=False
+            x,
+            np.maximum(y, low),
+            c=join,
+            s=area,
+            cmap=colors,
+            vmin=0.0,
+            vmax=last,
+            linewidths=0.0,
+            clip_on=False,
         )
-    panels[0].set_ylim(bottom=0.0)
+    panels[0].set_ylim(bottom=low)
     figure = panels[0].figure
     aspect = 25 * -(-len(panels) // 3)
     bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)

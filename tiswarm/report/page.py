@@ -35,6 +35,9 @@ from tiswarm.scenario.yaml_source import read_yaml
 LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
 
+_FIRST = ("accuracy", "convergence", "structure", "truth-and-estimate", "error", "sd", "contact")
+"""Beginnings of the names of the first pictures; others follow by name."""
+
 
 class _Shown(NamedTuple):
     """A picture within the page; sizes in pixels."""
@@ -156,7 +159,7 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
     `case` is what pictures show whose names do not say it.
     """
     pictures = []
-    for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")]):
+    for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")], key=_place):
         kind, data, (width, height) = _encoded(path, lossless=folder.name != "renders")
         # GIFs have a screen's resolution
         share = 0.72 if kind == "gif" else 0.36 if folder.name == "renders" else 0.42
@@ -167,6 +170,12 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
             source, caption = file, f"{caption} Separate file {file}: page size limit."
         pictures.append(_Shown(source, file, caption, width, height, wide=round(width * share)))
     return pictures
+
+
+def _place(path: Path) -> tuple[int, str]:
+    """Return the place of a picture among others: first the ones that show most."""
+    first = (place for place, name in enumerate(_FIRST) if path.stem.startswith(name))
+    return next(first, len(_FIRST)), path.name
 
 
 def _encoded(path: Path, *, lossless: bool) -> tuple[str, bytes, tuple[int, int]]:

@@ -135,10 +135,17 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
     if calibration := _means(table, _CALIBRATION):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
-            "standard deviation implies. Precision: wrong contacts among those reported as "
-            "outliers; recall: reported outliers among wrong contacts."
+            "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
+            "are too large."
         )
-        tables.append(_labeled(words, calibration, "Calibration", note))
+        if any("outliers" in label for label in calibration):
+            note += (
+                " Precision: wrong contacts among those reported as outliers; recall: reported "
+                "outliers among wrong contacts."
+            )
+        shown = _labeled(words, calibration, "Calibration", note)
+        reported = (shown.frame[[*calibration]] != "").any(axis=1)
+        tables.append(replace(shown, frame=shown.frame[reported]))
     if anchor := _means(table, _ANCHOR):
         note = (
             "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
@@ -183,10 +190,11 @@ def case_table(summary: pd.DataFrame) -> Table:
     shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
     numbers = {label: _numbers(shown[name]) for label, name in _CASE if name in shown}
-    reason = {"reason": shown["reason"].fillna("").astype(str)}
+    reasons = shown["reason"].fillna("").astype(str)
+    reason = {"reason": reasons} if reasons.any() else {}
     left_out = len(summary) - len(shown)
     note = f"{counted(left_out, 'more case')} in summary.csv." if left_out else ""
-    return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, "reason"])
+    return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 
 def machine_table(manifest: Manifest) -> Table:

@@ -15,6 +15,7 @@ from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
+    MOST_BANDS,
     PAGE_WIDTH,
     fit_axis,
     marker_style,
@@ -175,7 +176,7 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 
     All series share a figure if there are many points, or no sweep.
     """
-    numbers = ["low", "high", "rmse_R"]
+    numbers = ["low", "high", "rmse_R"]  # earlier versions wrote no quantiles
     table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
     if table.empty:  # no case was finished
         return {}
@@ -194,14 +195,17 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
 
-    Small numbers count the robots, or pairs, of each point in the first series. Points of few are
-    open, and not connected.
+    Bands of a few series cover the errors of most robots of a range, 10 % to 90 %. Small numbers
+    count the robots, or pairs, of each point in the first series. Points of few are open, and not
+    connected.
     """
     swept = swept_columns(table, before="by")
     height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
     figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
+    few_series = len(table[swept].drop_duplicates()) <= MOST_BANDS
+    bands = few_series and {"p10_R", "p90_R"} <= {*table}
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
@@ -211,6 +215,11 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
                 joined["at"], joined["rmse_R"], marker="o", markersize=2.5,
                 label=", ".join(map(str, reversed(series))), **look,
             )  # fmt: skip
+            if bands and joined["p90_R"].notna().any():
+                low, high = joined["p10_R"].to_numpy(float), joined["p90_R"].to_numpy(float)
+                axes.fill_between(
+                    joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0
+                )
             look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
             axes.plot(few["at"], few["rmse_R"], marker="o", markersize=2.5, **look)
             if place == 0:
