@@ -242,6 +242,8 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
         ("render . --out pictures", "--out: a run has its own; leave it out"),
         ("render log.jsonl --animate", "--animate: a log is no run; leave it out"),
         ("export log.jsonl --format csv --case 0-a", "--case: a log is no run; leave it out"),
+        ("localize log.jsonl --open", "--open: needs a page; add --report PAGE"),
+        ("export . --case 0-a", "contains no summary of a run"),
         ("render nowhere", "nowhere: there is no such file; check the path"),
     ],
 )

@@ -67,7 +67,7 @@ def test_texts_stay_texts(odd_run):
     ("name", "case", "caption"),
     [
         ("convergence", "", r"RMSE against iteration .*\."),
-        ("convergence-robots-30", "", r"RMSE against iteration .* robots-30\."),
+        ("convergence-robots-30", "", r"RMSE against iteration .*\. Shown: robots-30\."),
         ("error", "0-joint", r"True structure, .* Case 0-joint\."),
         ("error-1-paper", "0-joint", r"True structure, .* 1-paper\."),
         ("error-against-height", "", r"Error of each robot .* A dot is a robot.*"),
@@ -184,6 +184,23 @@ def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():
     assert conclusion(wins[1]) == "a has the smallest RMSE at 2 of 2 sweep points"
 
 
+def test_swept_methods_are_compared_under_each_condition():
+    """Conditions are levels of noise there, and no noise would always win."""
+    table = pd.DataFrame({"condition": ["none", "much"] * 2, "cases": 2})
+    table.insert(1, "localization.method", [*"aabb"])
+
+    text = conclusion(table.assign(rmse_R_mean=[1.0, 9.0, 2.0, 10.0]))
+
+    assert text == "a has the smallest RMSE under 2 of 2 conditions"
+
+
+def test_large_ratios_have_no_exponent():
+    """Nobody reads 2.56e+03 at a glance."""
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [0.001, 2.56]})
+
+    assert conclusion(table).endswith("that of b is 2560 times as large")
+
+
 def test_intervals_need_some_structures():
     """A mean of fewer than four has a range; conditions are sorted by error."""
     table = pd.DataFrame({"condition": ["a", "b", "c"], "cases": [4, 3, 1]})
@@ -220,6 +237,19 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     both = result_tables(pd.concat([silent, frank.assign(condition="b")]), pd.DataFrame())
 
     assert list(both[-1].frame["condition"]) == ["b"]
+
+
+def test_what_conditions_have_in_common_is_said_once():
+    """All conditions localize the same structures, so the anchor's neighbors are the same."""
+    table = pd.DataFrame({"condition": [*"abab"], "kind": ["tower", "tower", "chain", "chain"]})
+    table = table.assign(cases=4, paper_rmse_radii=None, first_on_anchor_mean=[1.0, 1.0, 2.0, 2.0])
+
+    shown = result_tables(table, pd.DataFrame())[-1]
+
+    assert shown.title == "Robots on the anchor"
+    assert shown.frame.to_dict("records") == [
+        {"kind": "tower", "first robot": "1"}, {"kind": "chain", "first robot": "2"},
+    ]  # fmt: skip
 
 
 def test_published_numbers_have_a_table_of_their_own():

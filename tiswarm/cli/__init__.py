@@ -26,7 +26,7 @@ __all__ = ["main"]
 def check(
     files: Annotated[list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
 ) -> None:
-    """Check scenarios and sensing logs for mistakes, without running anything."""
+    """Check scenarios and sensing logs for mistakes."""
     from tiswarm.inspection import inspect
 
     mistakes: list[InputError] = []
@@ -45,7 +45,10 @@ def check(
 def schema(
     *, of_log: Annotated[bool, Option("--log", help="Of a line of a sensing log instead.")] = False
 ) -> None:
-    """Print the JSON Schema of a scenario, for editors that complete and check YAML."""
+    """Print the JSON Schema of a scenario or of a log.
+
+    Editors complete and check files with it.
+    """
     from tiswarm.records.sensing_format import line_schema
     from tiswarm.scenario.model import scenario_schema
 
@@ -59,7 +62,10 @@ def doctor(
         bool, Option("--missing-packages", help="Print only the missing system packages.")
     ] = False,
 ) -> None:
-    """List which devices and renderers work on this machine, and what to install for others."""
+    """List the devices and renderers that work on this machine.
+
+    The list names what to install for the others.
+    """
     from tiswarm.doctor import examine, missing_packages
 
     if only_packages:

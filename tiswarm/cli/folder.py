@@ -20,7 +20,7 @@ _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sens
 def report(
     run: RunFolderPath, *, pdf: Pdf = False, opened: Open = False, quiet: Quiet = False
 ) -> None:
-    """Redraw all tables, figures and report.html of a run from its stored data."""
+    """Redraw tables, figures and report.html of a run."""
     from tiswarm import study
     from tiswarm.drawing import PAGE, draw
     from tiswarm.report.headline import headline
@@ -52,7 +52,7 @@ def render(
     movie: Movie = "gif",
     quiet: Quiet = False,
 ) -> None:
-    """Draw 3D pictures of a run for its report.html, or of a log and its estimate."""
+    """Draw 3D pictures of a run, or of a log and its estimate."""
     from tiswarm.drawing import draw, render_log
     from tiswarm.report.run_data import load_run
     from tiswarm.report.swarm_view import view_log
@@ -77,7 +77,10 @@ def compare(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Compare runs: a table, a figure, and differences on the structures that they share."""
+    """Compare runs in a table and a figure.
+
+    paired.csv has differences on the structures that the runs share.
+    """
     from tiswarm import study
     from tiswarm.report.table_figures import draw_comparison
 
@@ -92,7 +95,7 @@ def export(
     source: _RunOrLog,
     form: Annotated[
         Literal["csv", "gltf", "parquet", "ply"], Option("--format", help="File format.")
-    ],
+    ] = "gltf",
     estimate: EstimateTable = None,
     truth: Truth = None,
     out: Annotated[
@@ -102,7 +105,10 @@ def export(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Export structure, contacts and estimate of a case, or of a log, for other programs."""
+    """Export a case, or a log and its estimate, for other programs.
+
+    The files have structure, contacts and estimate.
+    """
     from tiswarm.interop.exports import export_view
     from tiswarm.report.run_data import load_run
     from tiswarm.report.swarm_view import read_case_view, view_log

@@ -48,14 +48,16 @@ def localize(
     precision: Annotated[Precision, Option(help="Floating-point type.")] = "f64",
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List joint's solutions.")] = False,
+    opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the robots' positions from a sensing log of any simulator or real swarm.
+    """Estimate the robots' positions from a sensing log.
 
-    The exit status is 4 if the estimate did not converge; it is written all the same.
+    Simulators and real swarms write such logs (docs/files.md). The exit status is 4 if the estimate
+    did not converge; it is written all the same.
     """
     from tiswarm.compute import backend
-    from tiswarm.errors import NOT_CONVERGED
+    from tiswarm.errors import NOT_CONVERGED, InputError
     from tiswarm.inspection import (
         convergence_warning,
         describe_estimate,
@@ -67,6 +69,8 @@ def localize(
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.scenario.validation import localization_params
 
+    if opened and report is None:
+        raise InputError("needs a page; add --report PAGE", key="--open")
     seeds = [] if seed is None else [f"seed={seed}"]
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     params = localization_params(method, [*seeds, *overrides], cues=names)
@@ -96,8 +100,8 @@ def localize(
 
         findings = explain_estimate(sensed, log, estimate)
         draw_log(report, sensed, estimate, name=f"{chosen}{log.name}", **findings._asdict())
-        if not quiet:
-            show_page(report, opened=False)
+        if opened or not quiet:
+            show_page(report, opened=opened)
     if warning:
         raise typer.Exit(NOT_CONVERGED)
 
@@ -112,7 +116,10 @@ def view(
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open."""
+    """Show an estimate on a page with a 3D view.
+
+    The page has the estimate's uncertainty, and what the log leaves open.
+    """
     from tiswarm.drawing import draw_log
     from tiswarm.inspection import explain_estimate
 
@@ -129,9 +136,10 @@ def advise(
     log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     estimate: EstimateTable = None,
 ) -> None:
-    """List which further contact, height or known position would constrain most robots.
+    """List which further measurements would determine most.
 
-    The expected RMSE is computed for up to 1,000 robots. More are ranked by floppy modes.
+    Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
+    1,000 robots. More are ranked by floppy modes.
     """
     from tiswarm.inspection import advice_rows, describe_advice
     from tiswarm.localization.params import JointParams
@@ -224,7 +232,7 @@ def import_(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert robot poses of any simulator to a sensing log with contacts, and a truth.
+    """Convert poses of any simulator to a sensing log and a truth.
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """

@@ -53,7 +53,7 @@ def run(
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
-    """Grow, sense, localize, evaluate and draw all cases of a scenario.
+    """Run a scenario: grow, sense, localize, evaluate and draw.
 
     An interrupted run continues where it stopped.
     """
@@ -121,9 +121,9 @@ def tune(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Fit the gains of virtual-force on other structures than those of the scenario.
+    """Fit the gains of virtual-force on training structures.
 
-    An interrupted fit continues where it stopped.
+    None of them is a structure of the scenario. An interrupted fit continues where it stopped.
     """
     from tiswarm import study
     from tiswarm.scenario.expansion import load_scenario

@@ -43,5 +43,5 @@ def caption_of(name: str, case: str = "") -> str:
     """
     known = max((key for key in CAPTIONS if f"{name}-".startswith(f"{key}-")), key=len, default="")
     rest = name.removeprefix(known).strip("-")
-    shown = f"Case {case}." if case and not rest else f"{rest}." if known and rest else rest
+    shown = f"Case {case}." if case and not rest else f"Shown: {rest}." if known and rest else rest
     return " ".join(filter(None, [CAPTIONS.get(known, ""), shown]))

@@ -18,6 +18,7 @@ FEWEST_FOR_CI = 4
 _MEASURES = [
     "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
 ]  # fmt: skip
+_METHOD = "localization.method"
 _Row = dict[Hashable, Any]
 
 
@@ -32,24 +33,30 @@ def headline(folder: Path) -> str:
 
 
 def conclusion(table: pd.DataFrame) -> str:
-    """Name the condition with the least error; empty where there is none to compare with."""
+    """Name the condition with the least error; empty where there is none to compare with.
+
+    Where methods are swept, they are compared instead, under each condition.
+    """
     rows = table[table["cases"] > 0].to_dict("records")
+    names = table.columns[: table.columns.get_loc("cases")]
+    compared = _METHOD if _METHOD in names else "condition"
     points: dict[str, list[_Row]] = {}
     for row in rows:
-        points.setdefault(str([row[key] for key in _swept(row)]), []).append(row)
+        points.setdefault(str([row[key] for key in names if key != compared]), []).append(row)
     best = [min(each, key=lambda row: row["rmse_R_mean"]) for each in points.values()]
     if not best or len(points) == len(rows):
         return ""
     if len(best) == 1:
         other = next(row for row in rows if row is not best[0])
-        error, name = best[0]["rmse_R_mean"], best[0]["condition"]
-        ratio = f"{other['rmse_R_mean'] / error:.3g} times as large" if error else "larger"
-        return (
-            f"{name} has the smallest RMSE, {error:.3g} R; that of {other['condition']} is {ratio}"
-        )
-    (first, most), *others = Counter(str(row["condition"]) for row in best).most_common()
-    texts = [f"{first} has the smallest RMSE at {most} of {counted(len(best), 'sweep point')}"]
-    return ", ".join(texts + [f"{name} at {count}" for name, count in others])
+        error, name = best[0]["rmse_R_mean"], best[0][compared]
+        times = other["rmse_R_mean"] / error if error else math.inf
+        digits = f"{times:.3g}" if times < 1000.0 else f"{times:.0f}"  # noqa: PLR2004 - no exponent
+        ratio = f"{digits} times as large" if error else "larger"
+        return f"{name} has the smallest RMSE, {error:.3g} R; that of {other[compared]} is {ratio}"
+    (first, most), *others = Counter(str(row[compared]) for row in best).most_common()
+    where = ("under", "condition") if [*names[1:]] == [_METHOD] else ("at", "sweep point")
+    texts = [f"{first} has the smallest RMSE {where[0]} {most} of {counted(len(best), where[1])}"]
+    return ", ".join(texts + [f"{name} {where[0]} {count}" for name, count in others])
 
 
 def result_of(table: pd.DataFrame) -> str:

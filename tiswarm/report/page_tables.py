@@ -151,8 +151,15 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
             "Join index of the robots that touch the anchor in the end; the anchor has index 0. "
             "Means are over structures in which so many robots touch it."
         )
-        tables.append(_labeled(words, anchor, "Robots on the anchor", note))
+        shown = _labeled(words, anchor, "Robots on the anchor", note)
+        tables.append(replace(shown, frame=_once(shown.frame)))
     return tables
+
+
+def _once(frame: pd.DataFrame) -> pd.DataFrame:
+    """Leave out the conditions of a table where all of them have the same rows."""
+    shared = frame.drop(columns="condition").drop_duplicates()
+    return shared if len(shared) * frame["condition"].nunique() == len(frame) else frame
 
 
 def _beside_the_paper(table: pd.DataFrame) -> Table:

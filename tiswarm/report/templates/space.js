@@ -121,7 +121,8 @@ function drawBox(pen, box, { radius, unit }, { toward, place }) {
     pen.font = "12px system-ui, sans-serif";
     for (const tick of box.ticks[k]) write(String(Number((tick * radius).toPrecision(9))), at(k, tick, edges[k]), 16);
     pen.font = "600 13px system-ui, sans-serif";
-    write(`${"xyz"[k]} [${unit}]`, at(k, box.middle[k], edges[k]), 42);
+    const label = `${"xyz"[k]} [${unit}]`;
+    write(label, at(k, box.middle[k], edges[k]), k === 2 ? 36 + pen.measureText(label).width / 2 : 42);
   }
 }
 
@@ -252,7 +253,8 @@ function showSpace(view) {
   const [picker, quantity, slider, joined, pointed] = ["case", "quantity", "joins", "joined", "pointed"].map(byId);
   const boxes = ["truth", "estimate", "error", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const pen = view.getContext("2d");
-  const balls = { truth: ball(colorsOf("--true")[0]), unknown: ball(UNKNOWN_COLOR) };
+  const balls = { unknown: ball(UNKNOWN_COLOR) };
+  if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
   for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
   let look = { ...START }, shown, colorings, box, place, due = 0;
   data.cases.forEach((each, n) => picker.add(new Option(each.name, n)));
@@ -268,6 +270,7 @@ function showSpace(view) {
     const wanted = Object.fromEntries(boxes.map(([id, check]) => [id, check.checked]));
     const camera = cameraOf(box, look, fitOf(box, width, height), width, height);
     const coloring = colorings[quantity.selectedIndex];
+    balls.truth = ball(colorsOf("--true")[0]); // dark pages have another
     place = camera.place;
     drawBox(pen, box, data, camera);
     const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
