@@ -2,7 +2,7 @@
 
     run(scenario, overrides)         grow, sense, localize, evaluate and draw a scenario
     open_run(folder)                 results of an earlier run: data frames and figures
-    render(run), export(run, "ply")  3D pictures of a run; a case for other programs
+    render(run), export(run, "ply")  3D pictures, and files for other programs; of a log, too
     read_log(path)                   read a sensing log
     import_poses(table)              make a log from robot poses of any simulator
     localize(log)                    estimate the positions of a log's robots

@@ -16,7 +16,7 @@ import html
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -39,7 +39,9 @@ from tiswarm.scenario.validation import localization_params
 if TYPE_CHECKING:
     import pandas as pd
 
+    from tiswarm.aliases import Reals
     from tiswarm.interop.imports import Imported
+    from tiswarm.report.swarm_view import SwarmView
 
 
 File = str | PathLike[str]
@@ -241,22 +243,34 @@ def check(path: File) -> Inspection:
     return inspect(Path(path))
 
 
-def import_poses(poses: File, **assumed: Any) -> "dict[str, Imported]":  # noqa: ANN401
+def import_poses(
+    poses: File,
+    *,
+    out: File | None = None,
+    **assumed: Any,  # noqa: ANN401 - types of their own
+) -> "dict[str, Imported]":
     """Convert robot poses of any simulator to sensing logs and true positions.
 
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`.
+        out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         assumed: Fields of `tiswarm.interop.imports.Assumptions`, such as `dock_radius`.
 
     Returns:
         Log, positions and notes of each structure by its name in the column `run`, or by "".
 
     Raises:
-        InputError: the table is malformed.
+        InputError: the table is malformed, or there is no such field.
     """
     from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
 
-    return imports.import_poses(Path(poses), imports.Assumptions(**assumed))
+    for name in assumed:
+        _choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
+    found = imports.import_poses(Path(poses), imports.Assumptions(**assumed))
+    if out is not None:
+        for run, imported in found.items():
+            imports.write_import(imported, Path(out) / run)
+    return found
 
 
 def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
@@ -285,7 +299,10 @@ def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "
 
     sensed, found = _estimated(log, estimate)
     path = Path("log") if isinstance(log, SensingLog) else Path(log)
-    return pd.DataFrame(explain_estimate(sensed, path, found).advice)
+    rows = pd.DataFrame(explain_estimate(sensed, path, found).advice)
+    for name in rows.columns.drop(["further measurement", "robots determined"], errors="ignore"):
+        rows[name] = pd.to_numeric(rows[name])
+    return rows
 
 
 def view(
@@ -312,7 +329,7 @@ def view(
     from tiswarm.drawing import draw_log  # noqa: PLC0415 - slow to import
 
     sensed, found = _estimated(log, estimate)
-    true = None if truth is None else read_positions_of(sensed, Path(truth))
+    true = _true_positions(sensed, truth)
     path = Path("sensing log" if isinstance(log, SensingLog) else log)
     findings = explain_estimate(sensed, path, found)
     draw_log(Path(out), sensed, found, name=path.name, true=true, **findings._asdict())
@@ -330,51 +347,65 @@ def _estimated(
 
 
 def render(
-    run: Run | File,
+    source: Run | SensingLog | File,
+    estimate: Estimate | File | None = None,
+    truth: File | None = None,
     *,
     renderer: str | None = None,
     case: str | None = None,
     movie: Literal["gif", "mp4"] | None = None,
+    out: File | None = None,
     quiet: bool = False,
 ) -> dict[str, Figure]:
-    """Draw 3D pictures of a run from its stored data, and add them to report.html.
+    """Draw 3D pictures of a run, which its report.html shows too, or of a log and its estimate.
 
     Args:
-        run: Run, or its folder.
+        source: Run or its folder, or a sensing log or its file.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: Table of a log's true positions, if there is one.
         renderer: "open3d" or "taichi"; the first that works if None.
-        case: Case to draw; the largest if None.
-        movie: File format of an animation of the growth; none if None.
+        case: Case of a run; the largest if None.
+        movie: File format of an animation of a run's growth; none if None.
+        out: Folder for pictures of a log; `renders` if None.
         quiet: Whether to hide progress.
 
     Returns:
-        Figures and renders of the run by name.
+        Figures and renders of the run, or pictures of the log, by name.
     """
-    from tiswarm.drawing import draw  # noqa: PLC0415 - slow to import
+    from tiswarm.drawing import draw, render_log  # noqa: PLC0415 - slow to import
     from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
-    drawn = run if isinstance(run, Run) else open_run(run)
-    draw(
-        load_run(drawn.folder), ConsoleProgress(quiet=quiet),
-        renders=True, movie=movie, renderer=renderer, case=case,
-    )  # fmt: skip
-    return drawn.figures
+    progress = ConsoleProgress(quiet=quiet)
+    if run := _as_run(source):
+        _refuse("a run has its own", estimate=estimate, truth=truth, out=out)
+        data = load_run(run.folder)
+        draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
+        return run.figures
+    _refuse("a log is no run", case=case, movie=movie)
+    folder = Path(out or "renders")
+    render_log(_view_of(source, estimate, truth), folder, progress, renderer=renderer)
+    return {path.stem: Figure(path) for path in sorted(folder.glob("*.png"))}
 
 
 def export(
-    run: Run | File,
-    form: Literal["csv", "gltf", "parquet", "ply"],
+    source: Run | SensingLog | File,
+    form: Literal["csv", "gltf", "parquet", "ply"] = "gltf",
+    estimate: Estimate | File | None = None,
+    truth: File | None = None,
     *,
     out: File | None = None,
     case: str | None = None,
     quiet: bool = False,
 ) -> Path:
-    """Export structure, contacts and estimate of a case for other programs.
+    """Export structure, contacts and estimate of a case, or of a log, for other programs.
 
     Args:
-        run: Run, or its folder.
+        source: Run or its folder, or a sensing log or its file.
         form: File format.
-        out: Folder to write to; `export` in the run's folder if None.
-        case: Case to export; the largest if None.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: Table of a log's true positions, if there is one.
+        out: Folder to write to; `export`, in the run's folder if there is one, if None.
+        case: Case of a run; the largest if None.
         quiet: Whether to hide progress.
 
     Returns:
@@ -384,8 +415,42 @@ def export(
     from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
     from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 
-    source = (run if isinstance(run, Run) else open_run(run)).folder
-    folder = source / "export" if out is None else Path(out)
-    shown = read_case_view(load_run(source).choose(case))
+    if run := _as_run(source):
+        _refuse("a run has its own", estimate=estimate, truth=truth)
+        shown = read_case_view(load_run(run.folder).choose(case))
+    else:
+        _refuse("a log is no run", case=case)
+        shown = _view_of(source, estimate, truth)
+    folder = Path(out or (run.folder / "export" if run else "export"))
     export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
     return folder
+
+
+def _as_run(source: Run | SensingLog | File) -> Run | None:
+    """Open a run; None if the source is a log."""
+    if isinstance(source, Run | SensingLog):
+        return source if isinstance(source, Run) else None
+    return open_run(source) if Path(source).is_dir() else None
+
+
+def _refuse(reason: str, **given: object) -> None:
+    """Refuse the first argument that has a value."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{reason}; leave it out", argument=name)
+
+
+def _view_of(
+    log: Any,  # noqa: ANN401 - what is left of a source
+    estimate: Estimate | File | None,
+    truth: File | None,
+) -> "SwarmView":
+    """Gather what pictures show of a log, its estimate, and the truth if there is one."""
+    from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
+
+    sensed, found = _estimated(log, estimate)
+    return view_log(sensed, found, _true_positions(sensed, truth))
+
+
+def _true_positions(log: SensingLog, truth: File | None) -> "Reals | None":
+    return None if truth is None else read_positions_of(log, Path(truth))

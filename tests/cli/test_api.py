@@ -140,7 +140,9 @@ def test_an_estimate_is_scored_and_shown(run, tmp_path):
     pd.testing.assert_frame_equal(estimate.to_frame(), frame)
     assert rmse == library.score(case / "truth.csv", case / "estimate.csv")["RMSE"]
     assert f"RMSE of {rmse:.3g} R" in page.read_text()
-    assert set(library.advise(log, estimate)["rank"]) <= {*"123456789"}
+    advised = library.advise(log, estimate)
+    assert set(advised["rank"]) <= {*range(1, 10)}
+    assert advised["floppy modes removed"].ge(0).all()  # numbers, not words
     with pytest.raises(InputError, match="estimate: is in mm, the truth in R"):
         library.score(case / "truth.csv", replace(estimate, length_unit="mm"))
 
@@ -162,12 +164,35 @@ def test_commands_are_calls(run, tmp_path):
     """Each writes or returns what its command does."""
     exported = library.export(run, "csv", out=tmp_path, quiet=True)
     checked = library.check(run.folder / "cases" / "0-baseline" / "sensing.jsonl")
-    imported = library.import_poses("scenarios/examples/foreign-poses.csv", dock_radius=0.5)
+    poses = "scenarios/examples/foreign-poses.csv"
+    imported = library.import_poses(poses, dock_radius=0.5, out=tmp_path / "imported")
 
     assert {path.name for path in exported.iterdir()} >= {"structure.csv", "estimate.csv"}
     assert checked.summary.startswith("6 robots")
     assert not checked.mistakes
     assert imported[""].log.robot_count == 36
+    assert library.read_log(tmp_path / "imported" / "sensing.jsonl").robot_count == 36
+    with pytest.raises(InputError, match="there is no 'dock_ofset'; choose one of dock_radius"):
+        library.import_poses(poses, dock_ofset=1.0)
+
+
+def test_pictures_and_exports_of_a_log_need_no_run(run, tmp_path):
+    """As the commands do: of the log's file or object, with its estimate."""
+    case = run.folder / "cases" / "0-baseline"
+    log, estimate = library.read_log(case / "sensing.jsonl"), case / "estimate.csv"
+
+    exported = library.export(log, "ply", estimate, case / "truth.csv", out=tmp_path, quiet=True)
+    drawn = library.render(
+        case / "sensing.jsonl", estimate, renderer="taichi", out=tmp_path / "renders", quiet=True
+    )
+
+    assert {"structure.ply", "estimate.ply"} <= {path.name for path in exported.iterdir()}
+    assert {"estimate", "contact-graph"} <= {*drawn}
+    assert drawn["estimate"]._repr_png_().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match="case: a log is no run; leave it out"):
+        library.export(log, "ply", estimate, case="0-baseline")
+    with pytest.raises(InputError, match="estimate: a run has its own; leave it out"):
+        library.render(run, estimate)
 
 
 def test_the_calls_are_listed():
