@@ -10,6 +10,7 @@ Part = str | int
 """One step of the path to a value: a key, or an index into a list."""
 
 UNKNOWN_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
+_SECTION = frozenset({"dataclass_type", "model_type", "dict_type"})  # a value in place of one
 _MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
 
 
@@ -26,6 +27,10 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         return str(context["error"])
     if kind == "union_tag_invalid":
         return f"{shown(context['tag'])} should be one of {context['expected_tags']}"
+    if kind in _SECTION:
+        near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=2)[1:]
+        meant = f"; did you mean {near[0]}?" if near else ""
+        return f"{shown(error['input'])} should be keys with values{meant}"
     if message.startswith("Input should"):
         message = shown(error["input"]) + message.removeprefix("Input")
     return message.replace(" after validation", "")
