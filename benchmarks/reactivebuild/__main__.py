@@ -19,7 +19,7 @@ import pandas as pd
 import yaml
 
 import tiswarm
-from benchmarks.reactivebuild.figures import draw_figures
+from benchmarks.reactivebuild.figures import CAPTIONS, draw_figures
 from benchmarks.reactivebuild.laws import count_verdicts, curves_of, law_points, measure, scorecard
 from benchmarks.reactivebuild.structures import read_structures
 from tiswarm.errors import TiswarmError
@@ -62,19 +62,22 @@ def compare(folder: Path) -> str:
     place.mkdir(exist_ok=True)
     table.to_csv(place / "laws.csv", index=False, lineterminator="\n")
     law_points(curves).to_csv(place / "law-points.csv", index=False, lineterminator="\n")
-    summary = f"laws.csv: {count_verdicts(table)}"
+    summary = count_verdicts(table)
     if structures.failed:
         summary += f"; {counted(structures.failed, 'case')} failed"
     draw_figures(curves, place)
     page = Page(
         name=f"Structures against published laws: {folder.resolve().name}",
-        result=f"{summary}.",
+        result=f"Published quantities: {summary}.",
         what=SOURCE,
         headline=_verdicts(table),
-        figures=show_pictures(place),
+        figures=[
+            picture._replace(caption=CAPTIONS[Path(picture.file).stem])
+            for picture in show_pictures(place)
+        ],
     )
     (place / "laws.html").write_text(page.html(), encoding="utf-8")
-    return f"results in {place}\n{summary}"
+    return f"results in {place}\nlaws.csv: {summary}"
 
 
 def _verdicts(table: pd.DataFrame) -> Table:

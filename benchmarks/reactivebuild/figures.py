@@ -273,3 +273,16 @@ FIGURES: dict[str, Callable[[LawCurves], "Figure"]] = {
     "chain-depth": draw_chains,
 }
 """File name and painter of each figure."""
+
+CAPTIONS = {
+    "towers": "Height and peak stress of towers against threshold F, growth B and largest call J, "
+    "and against the number of robots N. Bars are one standard deviation.",
+    "tower-cross-section": "Spheres of a tower that a horizontal layer cuts, against the distance "
+    "from its top.",
+    "cantilever-reach": "Reach of cantilevers beyond the edge, against the number of robots. "
+    "Hollow markers are the published ends of growth.",
+    "bridge-success": "Share of bridges that cross a gap, with 95 % CI (Wilson).",
+    "chain-depth": "Depth of chains below the ground, against threshold F and, of complete chains, "
+    "against the number of robots. Bars are one standard deviation.",
+}
+"""What each figure shows."""

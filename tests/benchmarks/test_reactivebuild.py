@@ -12,7 +12,13 @@ from PIL import Image
 from benchmarks.reactivebuild import laws
 from benchmarks.reactivebuild.__main__ import compare
 from benchmarks.reactivebuild.curves import Curve, Form, fit
-from benchmarks.reactivebuild.figures import FIGURES, draw_cross_section, draw_figures, draw_towers
+from benchmarks.reactivebuild.figures import (
+    CAPTIONS,
+    FIGURES,
+    draw_cross_section,
+    draw_figures,
+    draw_towers,
+)
 from benchmarks.reactivebuild.laws import (
     LAWS,
     Band,
@@ -405,6 +411,8 @@ def test_a_run_folder_gives_the_same_files_again(finished):
         f"{n}.png" for n in FIGURES
     }
     assert done.stdout.splitlines()[-1] == printed.splitlines()[-1]
+    page = before["laws.html"].decode()
+    assert all(caption in page for caption in CAPTIONS.values())
 
 
 def test_failed_cases_are_counted(finished, tmp_path):

@@ -380,3 +380,11 @@ def test_series_that_are_equal_are_one_line(tmp_path):
     assert set(lines.values()) == {2}
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["paper", "joint", "all series"]
+    assert "powers of N" in figure.texts[-1].get_text()
+
+    write_table(
+        tmp_path / "scaling.csv", "series,measure,robots,mean,exponent,slope",
+        [[*row[:4], "", ""] for row in rows],
+    )  # fmt: skip
+
+    assert not draw_scaling(load_run(tmp_path)).texts

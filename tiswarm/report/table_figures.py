@@ -286,7 +286,8 @@ def draw_scaling(run: RunData) -> "Figure":
         [legend[name] for name in shown], shown, loc="outside upper right", ncols=_MOST_COLUMNS
     )
     powers = "powers of N are fitted to all sizes, then to the two largest"
-    figure_style.add_note(figure, powers, run.note)
+    fitted = table["exponent"].notna().any()
+    figure_style.add_note(figure, powers if fitted else "", run.note)
     return figure
 
 
