@@ -26,7 +26,7 @@ for (const table of document.querySelectorAll("table")) {
   link.download = `${table.dataset.name}.csv`;
   link.href = "#";
   link.addEventListener("click", () => {
-    const rows = [...table.rows].map((row) => [...row.cells].map(({ textContent }) => `"${textContent.replaceAll('"', '""')}"`).join(","));
+    const rows = [...table.rows].map((row) => [...row.cells].map(({ textContent }) => `"${textContent.replaceAll("\u00a0", " ").replaceAll('"', '""')}"`).join(","));
     link.href = `data:text/csv;charset=utf-8,${encodeURIComponent(rows.join("\n") + "\n")}`;
   });
   table.parentElement.after(link);
