@@ -32,10 +32,11 @@ def matrix(wxyz):
 def localize(log, params):
     """Algorithm 1, line by line as the paper lists it; everything in units of the dock radius.
 
-    Beside the listing: the ramp and the capped step, rounds of back-propagation, and the torque.
+    Beside the listing: the ramp and the capped step, robots without located neighbors, rounds of
+    back-propagation, and the torque.
 
     Returns:
-        Positions, turns about the vertical [rad], and steps until each robot stopped.
+        Positions, turns about the vertical [rad], and the number of steps of each robot.
     """
     turn = [matrix(q) for q in log.orientation_wxyz]
     dock = [[r @ b for b in log.dock_offset_body] for r in turn]
@@ -46,7 +47,7 @@ def localize(log, params):
     rounds = params.back_propagation
     for r in range(1, log.robot_count):  # foreach new robot r joining the structure
         own_z = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[r][:, 2]
-        around = [n for n in place if touches(connected, r, n)]
+        around = [n for n in place if touches(connected, r, n)] or [0]
         place[r] = np.mean([place[n] for n in around], axis=0) + params.initial_offset * own_z
         for t in range(1, params.iterations + 1):  # repeat
             force, torque = dock_forces(params, connected, place, dock, r, t / params.iterations)
@@ -61,6 +62,7 @@ def localize(log, params):
                 for i in recent:
                     force, torque = dock_forces(params, connected, place, dock, i, ramp, taut=True)
                     update(log, params, place, dock, yaw, i, force, torque, rounds.gain)
+                    steps[i] += i > 0
     return np.array(list(place.values())), yaw, steps
 
 

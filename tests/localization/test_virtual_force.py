@@ -89,6 +89,17 @@ def test_algorithm_1_matches_the_paper_written_out_slowly(log, params):
         assert np.abs(yaw).max() > 0.01
 
 
+def test_a_robot_without_located_neighbors_starts_from_the_anchor(log):
+    """Before the gap to the anchor closes, robots have no located neighbor to start from."""
+    touches_earlier = np.isin(log.contacts[:, 2], [4, 5])
+    log = dataclasses.replace(log, contacts=log.contacts[~touches_earlier])
+    params = dataclasses.replace(SHORT, initial_offset_axis="body")
+
+    estimate = localize(log, params)
+
+    np.testing.assert_allclose(estimate.position, oracle.localize(log, params)[0], atol=1e-6)
+
+
 def test_a_wrong_reference_would_be_noticed(log):
     """The cues matter here, so agreement with the slow version is no accident."""
     places = [localize(log, params).position for params in CUES]

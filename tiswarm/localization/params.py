@@ -118,7 +118,8 @@ class VirtualForceParams:
     """k_z in Eq. (3): step per unit of height missing [1]."""
 
     initial_offset: float = 6.3
-    """s in Algorithm 1: how far from its neighbors' mean a robot starts [R]."""
+    """s in Algorithm 1: how far a robot starts from the mean of its located neighbors, or from the
+    anchor if it has none [R]."""
 
     initial_offset_axis: Literal["world", "body"] = "world"
     """Direction of that offset: world up, or the robot's own z axis."""

@@ -106,7 +106,7 @@ class Trace(NamedTuple):
     """Last step before each frame [R], shape (F, N)."""
 
     steps: Ints1
-    """Steps that each robot took before the next one joined, shape (N,)."""
+    """Steps of each robot before the next one joined and in rounds, shape (N,)."""
 
     @classmethod
     def allocate(cls, frames: int, robots: int, dtype: DTypeLike) -> "Trace":
@@ -413,3 +413,4 @@ def localize_in_join_order(
                             _move(gains, j, base, s, step, turn, robots, cells)
                             there = vector_at(position, j)
                             _record(trace, frame + sweep // trace_every, j, there, step.norm())
+                            steps[j] += j > base

@@ -145,7 +145,8 @@ class Estimate:
     none."""
 
     steps: Ints | None = None
-    """Refinement steps of each robot, shape (N,); None where the method has none."""
+    """Steps of each robot, those in rounds of back-propagation too, shape (N,); None where the
+    method has none."""
 
     residual: Reals
     """Quantity that the method minimizes, at each iteration of the trace, shape (K,).
