@@ -254,10 +254,9 @@ def test_what_conditions_have_in_common_is_said_once():
 
 def test_published_numbers_have_a_table_of_their_own():
     """It has the rows of the paper's settings only, and each number beside its counterpart."""
-    table = pd.DataFrame({"condition": ["a", "b"], "cases": [2, 2]})
-    table = table.assign(
-        paper_rmse_radii=[1.64, None], rmse_R_mean=[2.0, 3.0], rmse_R_ci95=0.1, rmse_mm_mean=65.8
-    )
+    table = pd.DataFrame({"condition": ["a", "b"], "cases": [25, 25]})
+    table = table.assign(paper_rmse_radii=[1.64, None], rmse_R_mean=[2.0, 3.0], rmse_R_ci95=0.1)
+    table = table.assign(rmse_mm_mean=65.8, rmse_mm_ci95=3.29)
 
     found = {t.title: t.frame for t in result_tables(table, pd.DataFrame())}
 
@@ -265,8 +264,8 @@ def test_published_numbers_have_a_table_of_their_own():
         {
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
-            "RMSE [R]": "2",
-            "RMSE [mm]": "65.8",
+            "RMSE [R]": "2.00 ± 0.10",
+            "RMSE [mm]": "65.8 ± 3.3",
         }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())
