@@ -15,7 +15,9 @@ from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import (
     PROFILED,
     SCALING_PANELS,
+    compares_rounds,
     draw_accuracy,
+    draw_rounds,
     draw_scaling,
     profile_painters,
 )
@@ -247,6 +249,38 @@ def test_published_numbers_stand_beside_ours(tmp_path):
     assert disparity.get_xlabel() == "Procrustes disparity"
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["tower", "published (robot radii)"]
+
+
+def test_rounds_of_back_propagation_are_drawn_against_their_cost(tmp_path):
+    """Lines join rounds that move equally many robots; what has no rounds is a level."""
+    header = "condition,structure.kind,cases,steps_per_robot_mean,round_every,round_recent"
+    header += ",round_sweeps,rmse_R_mean,rmse_R_ci95"
+    header += ",procrustes_disparity_mean,procrustes_disparity_ci95"
+    rows = [
+        [name, kind, 25, steps, every, recent, 2000 if every else "", rmse, 0.1, 0.1, 0.1]
+        for kind in ("tower", "cantilever")
+        for name, steps, every, recent, rmse in (
+            ("never", 300, "", "", 3.0),
+            ("every-10", 9000, 10, "", 1.0),
+            ("every-50", 3000, 50, "", 2.0),
+            ("every-10-last-20", 4000, 10, 20, 2.5),
+            ("joint", "", "", "", 0.1),
+        )
+    ]
+    write_table(tmp_path / "table.csv", header, rows)
+    write_summary(tmp_path, "case,status", [["0-never", "done"]])
+    run = load_run(tmp_path)
+
+    figure = draw_rounds(run)
+
+    assert compares_rounds(run)
+    assert [axes.get_title() for axes in figure.axes] == ["tower", "cantilever"]
+    levels, lines = figure.axes[0].lines[:2], figure.axes[0].containers
+    assert [line.get_ydata()[0] for line in levels] == [3.0, 0.1]
+    np.testing.assert_allclose(lines[0].lines[0].get_xydata(), [[3000, 2.0], [9000, 1.0]])
+    np.testing.assert_allclose(lines[1].lines[0].get_xydata(), [[4000, 2.5]])
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["all", "last 20"]
 
 
 def test_rows_of_a_comparison_have_all_their_words(tmp_path, monkeypatch):

@@ -44,6 +44,21 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
         assert (table["rmse_change_percent"] == 0.0).all()
 
 
+def test_rounds_of_back_propagation_are_in_the_table():
+    """A round follows the last join at the latest; conditions without rounds have gaps."""
+    path = REPOSITORY / "scenarios" / "back-propagation.yaml"
+    cases = study.plan(load_scenario(path, ["seeds=1"]))
+    records = [replace(failure(case, ""), status="done", scores={"rmse_R": 3.0}) for case in cases]
+
+    table = tables.table(records, [case.settings for case in cases]).set_index("condition")
+
+    rounds = table.loc[
+        ["never", "once", "every-5-last-20-short", "joint"], "round_every":"round_sweeps"
+    ]
+    expected = [[np.nan] * 3, [100, np.nan, 2000], [5, 20, 200], [np.nan] * 3]
+    np.testing.assert_equal(rounds.to_numpy(float)[::2], expected)
+
+
 @pytest.mark.parametrize("name", ["NA", "null"])
 def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     """The headline and the comparison of runs have the names as in `table.csv`."""

@@ -4,6 +4,10 @@ CAPTIONS = {
     "accuracy": "Errors of each condition: mean RMSE and mean Procrustes disparity over the "
     "structures. Bars are 95 % CI; of few structures, each has a small dot. Hollow markers, where "
     "there are any, are published numbers. Farther left is better.",
+    "back-propagation": "RMSE against the steps that a robot takes, in the mean over all robots: a "
+    "dot for each interval between two rounds, stated in joins, and a line for rounds that move "
+    "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
+    "CI.",
     "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
     "one standard deviation where there are few lines. A flat end shows that more iterations would "
     "not help. Iterations of different methods do not cost the same.",

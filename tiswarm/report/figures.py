@@ -23,7 +23,13 @@ from tiswarm.report.figure_style import (
     shortened,
 )
 from tiswarm.report.run_data import Case, RunData, Series
-from tiswarm.report.table_figures import draw_accuracy, draw_scaling, profile_painters
+from tiswarm.report.table_figures import (
+    compares_rounds,
+    draw_accuracy,
+    draw_rounds,
+    draw_scaling,
+    profile_painters,
+)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -88,6 +94,8 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
         painters["scaling"] = draw_scaling
     if (run.folder / "table.csv").is_file():
         painters["accuracy"] = draw_accuracy
+    if compares_rounds(run):
+        painters["back-propagation"] = draw_rounds
     return painters | profile_painters(run)
 
 

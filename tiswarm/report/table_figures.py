@@ -1,10 +1,10 @@
 """Draws the figures of tables: accuracy, profiles, scaling, and the comparison of runs."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -111,6 +111,78 @@ def draw_accuracy(run: RunData) -> "Figure":
     more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
     figure_style.add_note(figure, more, run.note)
     return figure
+
+
+def compares_rounds(run: RunData) -> bool:
+    """Whether conditions of a run have rounds of back-propagation at several intervals."""
+    table = run.table("table.csv", ["condition"], [], after="cases", optional=True)
+    if "round_every" not in table:
+        return False
+    return len(set(table.groupby("condition")["round_every"].first().dropna())) > 1
+
+
+def draw_rounds(run: RunData) -> "Figure":
+    """Draw RMSE against steps per robot, for rounds of back-propagation at several intervals.
+
+    A line joins rounds that move equally many robots by equally many steps. A condition without
+    rounds is a horizontal line. Each point of a sweep has a panel.
+    """
+    gaps = ["cases", *_DRAWN, "steps_per_robot_mean", "round_every", "round_recent", "round_sweeps"]
+    table = run.table("table.csv", ["condition"], gaps, after="cases")
+    swept = swept_words(table).columns[1:]
+    points = [*table.groupby([*swept], sort=False)] if len(swept) else [((), table)]
+    shown = points[:_MOST_POINTS]
+    one_length = len(set(table["round_sweeps"].dropna())) == 1
+    figure, panels = new_panels(
+        PAGE_WIDTH, 0.6 + 2.7 * -(-len(shown) // 2), len(shown), 2, share="xy"
+    )
+    for axes, (point, part) in zip(panels, shown, strict=True):
+        has_rounds = part["round_every"].notna()
+        for name, row in part[~has_rounds].set_index("condition").iterrows():
+            _draw_level(axes, str(name), row["rmse_R_mean"], row["rmse_R_ci95"])
+        rounds = part[has_rounds].fillna({"round_recent": np.inf})
+        families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
+        for place, ((sweeps, recent), family) in enumerate(families):
+            name = f"last {recent:g}" if np.isfinite(recent) else "all"
+            name += "" if one_length else f", {sweeps:g} steps"
+            _draw_family(axes, family, {"label": name, **marker_style(place)})
+        title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
+        axes.set_title(shortened(title), fontsize=8.0)
+        axes.set(xscale="log", xlabel="Steps per robot")
+    steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
+    panels[0].set(ylabel="RMSE [R]", xlim=(0.7 * steps.min(), 1.4 * steps.max()))
+    fit_axis(panels[0], "y", table["rmse_R_mean"].to_numpy(float))
+    number = counted(int(table["cases"].max()), "structure")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=_MOST_COLUMNS,
+        title=f"robots moved in a round; mean and 95 % CI, {number}", title_fontsize=7.0,
+    )  # fmt: skip
+    left = len(points) - len(shown)
+    more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
+    figure_style.add_note(figure, "numbers: joins between two rounds", more, run.note)
+    return figure
+
+
+def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
+    """Draw a line through rounds at several intervals, with the joins between two."""
+    line = family.sort_values("steps_per_robot_mean")
+    steps, rmse = line["steps_per_robot_mean"], line["rmse_R_mean"]
+    for x, y, joins in zip(steps, rmse, line["round_every"], strict=True):
+        axes.annotate(
+            f"{joins:g}", (x, y), (0.0, 4.0), textcoords="offset points", ha="center",
+            fontsize=5.5, color=look["color"],
+        )  # fmt: skip
+    axes.errorbar(steps, rmse, yerr=line["rmse_R_ci95"].fillna(0.0), markersize=3.0, **look)
+
+
+def _draw_level(axes: "Axes", name: str, mean: float, half: float) -> None:
+    """Draw a mean and its confidence interval across a panel, with its name."""
+    axes.axhline(mean, color="0.35", linewidth=0.8, linestyle="--")
+    axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
+    axes.annotate(
+        name, (1.0, mean), (0.0, 1.5), xycoords=("axes fraction", "data"), fontsize=6.0,
+        textcoords="offset points", ha="right", color="0.35",
+    )  # fmt: skip
 
 
 def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]":

@@ -172,8 +172,8 @@ def _localize_s(settings: Scenario) -> float:
     if isinstance(params, VirtualForceParams):
         steps = float(params.iterations)
         if rounds := params.back_propagation:
-            # A robot moves in the rounds after its join: half of them on average, and the last.
-            steps += rounds.sweeps * (1.0 + max(n / rounds.every, 1.0)) / 2.0
+            after = [*range(rounds.every, n, rounds.every), n]  # so many joins
+            steps += rounds.sweeps * sum(min(joins, rounds.recent or n) for joins in after) / n
         return _VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
         return _JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)

@@ -86,8 +86,9 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
+            setting = setting_of[first.case]
             row = {"condition": first.condition, **first.point, **ours}
-            at_point.append(row | _paper(setting_of[first.case], ours))
+            at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
         base = (of_paper or at_point)[0]
         for row, (name, rmse) in itertools.product(
@@ -97,6 +98,21 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
             row[f"{name}rmse_change_percent"] = 100.0 * change
         rows += at_point
     return pd.DataFrame(rows)
+
+
+def _rounds(setting: Scenario) -> dict[str, float]:
+    """Return the settings of rounds of back-propagation, if there are any; NaN if all robots move.
+
+    The last join is always followed by a round, so there are at most `robots` joins between two.
+    """
+    method = setting.localization
+    if not isinstance(method, VirtualForceParams) or not (rounds := method.back_propagation):
+        return {}
+    return {
+        "round_every": min(rounds.every, setting.robots),
+        "round_recent": rounds.recent or math.nan,
+        "round_sweeps": rounds.sweeps,
+    }
 
 
 def _published(setting: Scenario) -> Published | None:
@@ -123,6 +139,7 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
         "paper_rmse_radii": rmse,
         "paper_procrustes_disparity": disparity,
         "rmse_mm_mean": ours["rmse_R_mean"] * MM_PER_RADIUS,
+        "rmse_mm_ci95": ours["rmse_R_ci95"] * MM_PER_RADIUS,
         "rmse_R_to_paper": ours["rmse_R_mean"] / rmse,
         "rmse_rho_to_paper": ours["rmse_rho_mean"] / rmse,
         "procrustes_disparity_to_paper": ours["procrustes_disparity_mean"] / disparity,
