@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from tiswarm.compute import backend
+from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rms_radius
 from tiswarm.evaluation.tables import totals
 from tiswarm.robot import RobotGeometry
@@ -28,6 +30,9 @@ from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
 
 FIRST_SEED = 1000
 """Seed of the first training structure; results are reported on seeds 0 to 24."""
+
+NEAR = 0.5
+"""Gap up to which docks that do not touch count as near [R]."""
 
 ON_ANCHOR = ("first_on_anchor", "second_on_anchor", "third_on_anchor")
 KINDS: dict[str, Callable[..., TowerParams | CantileverParams]] = {
@@ -65,7 +70,7 @@ def facts(structures: Sequence[History], robots: int) -> dict[str, object]:
 
     Returns:
         Medians of join indices, where a touch that never happens counts as infinite; shares of
-        structures; means of sizes [R, rho].
+        structures; means of sizes [R, rho], and of near docks per robot.
     """
     table = pd.DataFrame([totals(history) for history in structures])
     touched = table[[*ON_ANCHOR]].fillna(np.inf)
@@ -81,7 +86,18 @@ def facts(structures: Sequence[History], robots: int) -> dict[str, object]:
         "rms_radius_rho": radius / structures[0].robot.rho,
         "height_R": table["height_R"].mean(),
         "reach_R": table["reach_R"].mean(),
+        "near_docks": np.mean([near_docks(history) for history in structures]),
     }
+
+
+def near_docks(history: History) -> float:
+    """Count pairs of docks per robot that are less than NEAR apart, but do not touch."""
+    arms = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
+    centers = (history.position[:, None] + arms).reshape(-1, 3)
+    pair = cKDTree(centers).query_pairs(2.0 + NEAR, output_type="ndarray")
+    robot = pair // arms.shape[1]
+    between = np.count_nonzero(robot[:, 0] != robot[:, 1])
+    return (between - len(history.contacts)) / history.robot_count
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

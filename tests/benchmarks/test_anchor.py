@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reactivebuild import anchor
+from tests import oracle
 
 
 def test_facts_are_those_of_the_structures(towers):
@@ -23,6 +24,28 @@ def test_facts_are_those_of_the_structures(towers):
     spread = [history.position - history.position.mean(axis=0) for history in towers[1:]]
     size = sum(np.sqrt((offset**2).sum(axis=1).mean()) for offset in spread) / 3
     np.testing.assert_allclose(found["rms_radius_R"], size)
+
+
+def test_near_docks_are_those_of_two_robots_that_do_not_touch(towers):
+    """The count is that of a loop over all pairs of docks."""
+    history = towers[0]
+    contacts = {tuple(row) for row in history.contacts.tolist()}
+    docks = [
+        (i, a, place + oracle.matrix(turn) @ arm)
+        for i, (place, turn) in enumerate(
+            zip(history.position, history.orientation_wxyz, strict=True)
+        )
+        for a, arm in enumerate(history.robot.dock_offset_body)
+    ]
+
+    near = [
+        np.linalg.norm(one - other) < 2.0 + anchor.NEAR and (i, a, j, b) not in contacts
+        for i, a, one in docks
+        for j, b, other in docks
+        if i < j
+    ]
+
+    assert anchor.near_docks(history) == sum(near) / history.robot_count > 0.0
 
 
 def test_every_rule_can_be_grown():
