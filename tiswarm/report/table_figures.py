@@ -12,7 +12,7 @@ import pandas as pd
 from tiswarm.progress import Progress
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import write_bytes
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, three_digits
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     MOST_BANDS,
@@ -134,12 +134,13 @@ def draw_rounds(run: RunData) -> "Figure":
     shown = points[:_MOST_POINTS]
     one_length = len(set(table["round_sweeps"].dropna())) == 1
     figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 2.7 * -(-len(shown) // 2), len(shown), 2, share="xy"
+        PAGE_WIDTH, 0.6 + 3.2 * -(-len(shown) // 2), len(shown), 2, share="x"
     )
     for axes, (point, part) in zip(panels, shown, strict=True):
         has_rounds = part["round_every"].notna()
-        for name, row in part[~has_rounds].set_index("condition").iterrows():
-            _draw_level(axes, str(name), row["rmse_R_mean"], row["rmse_R_ci95"])
+        levels = part.loc[~has_rounds, ["condition", "rmse_R_mean", "rmse_R_ci95"]]
+        for place, level in enumerate(levels.itertuples(index=False)):
+            _draw_level(axes, *level, at_right=place % 2 == 0)
         rounds = part[has_rounds].fillna({"round_recent": np.inf})
         families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
         for place, ((sweeps, recent), family) in enumerate(families):
@@ -149,9 +150,9 @@ def draw_rounds(run: RunData) -> "Figure":
         title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
         axes.set_title(shortened(title), fontsize=8.0)
         axes.set(xscale="log", xlabel="Steps per robot")
+        axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
     panels[0].set(ylabel="RMSE [R]", xlim=(0.7 * steps.min(), 1.4 * steps.max()))
-    fit_axis(panels[0], "y", table["rmse_R_mean"].to_numpy(float))
     number = counted(int(table["cases"].max()), "structure")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=_MOST_COLUMNS,
@@ -169,19 +170,24 @@ def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) ->
     steps, rmse = line["steps_per_robot_mean"], line["rmse_R_mean"]
     for x, y, joins in zip(steps, rmse, line["round_every"], strict=True):
         axes.annotate(
-            f"{joins:g}", (x, y), (0.0, 4.0), textcoords="offset points", ha="center",
-            fontsize=5.5, color=look["color"],
+            f"{joins:g}", (x, y), (2.0, 2.0), textcoords="offset points", fontsize=5.5,
+            color=look["color"],
         )  # fmt: skip
-    axes.errorbar(steps, rmse, yerr=line["rmse_R_ci95"].fillna(0.0), markersize=3.0, **look)
+    axes.errorbar(
+        steps, rmse, yerr=line["rmse_R_ci95"].fillna(0.0), markersize=3.0, linewidth=1.0,
+        elinewidth=0.4, **look,
+    )  # fmt: skip
 
 
-def _draw_level(axes: "Axes", name: str, mean: float, half: float) -> None:
-    """Draw a mean and its confidence interval across a panel, with its name."""
+def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: bool) -> None:
+    """Draw a mean and its confidence interval across a panel, with its name at one end."""
     axes.axhline(mean, color="0.35", linewidth=0.8, linestyle="--")
     axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
     axes.annotate(
-        name, (1.0, mean), (0.0, 1.5), xycoords=("axes fraction", "data"), fontsize=6.0,
-        textcoords="offset points", ha="right", color="0.35",
+        f"{name}, {three_digits(mean)} R", (float(at_right), mean), (0.0, 1.5), fontsize=6.0,
+        xycoords=("axes fraction", "data"), textcoords="offset points", color="0.35",
+        ha="right" if at_right else "left",
+        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 0.5},
     )  # fmt: skip
 
 
