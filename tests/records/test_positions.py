@@ -1,5 +1,6 @@
 """Positions come back from their table; malformed tables are refused with file and line."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,8 @@ from tiswarm.records.positions import (
     write_estimate,
     write_positions,
 )
+
+COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg][,undetermined]"
 
 
 @pytest.fixture(scope="module")
@@ -77,10 +80,7 @@ def test_another_unit_is_not_taken_for_ours(tmp_path):
     names, _ = read_positions(path, length_unit="mm")
 
     assert names.tolist() == [0]
-    with pytest.raises(
-        InputError,
-        match=r"columns are not robot,x_R,y_R,z_R\[,sd_R\]\[,known\]\[,yaw_deg\]; rename",
-    ):
+    with pytest.raises(InputError, match=re.escape(f"columns are not {COLUMNS}; rename")):
         read_positions(path)
 
 
@@ -93,14 +93,8 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (
-            "",
-            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg]; rename them",
-        ),
-        (
-            "robot,x,y,z\n",
-            "{path}:1: the columns are not robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg]; rename them",
-        ),
+        ("", f"{{path}}:1: the columns are not {COLUMNS}; rename them"),
+        ("robot,x,y,z\n", f"{{path}}:1: the columns are not {COLUMNS}; rename them"),
         ("robot,x_R,y_R,z_R\n", "{path}:2: there are no robots; add a row for each"),
         ("robot,x_R,y_R,z_R\n1,0,0\n", "{path}:2: has 3 cells; 4 are needed"),
         ("robot,x_R,y_R,z_R\n1,0,0,0\n\n", "{path}:3: has 0 cells; 4 are needed"),
@@ -118,6 +112,10 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
         ("robot,x_R,y_R,z_R\n1,0,-1e308,0\n", "{path}:2: y_R: '-1e308' is not a finite number up"),
         ("robot,x_R,y_R,z_R,sd_R\n1,0,0,0,inf\n", "{path}:2: sd_R: 'inf' is not a finite"),
         ("robot,x_R,y_R,z_R,known,yaw_deg\n1,0,0,0,,?\n", "{path}:2: yaw_deg: '?' is not a finite"),
+        (
+            "robot,x_R,y_R,z_R,undetermined\n1,0,0,0,zx\n",
+            "{path}:2: undetermined: 'zx' should be x, ",
+        ),
         ('robot,x_R,y_R,z_R\n"1,0,0,0\n', "{path}:2: not a row of a table: "),
     ],
 )

@@ -52,6 +52,7 @@ def score(
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
         **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[1:])}),
+        **_of_located(truth, estimate),
         **_calibration(truth, estimate),
     }
 
@@ -217,6 +218,15 @@ def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:
         "rms radius of the structure": metrics.rms_radius(true),
         "Procrustes disparity": metrics.procrustes_disparity(estimated, true),
     }
+
+
+def _of_located(truth: Truth, estimate: Estimate) -> dict[str, float]:
+    """Return the share of robots located, and their RMSE; both without the anchor."""
+    if estimate.located is None:
+        return {}
+    located = estimate.located[1:]
+    square = metrics.robot_errors(estimate.position, truth.position)[1:][located] ** 2
+    return {"located": _mean(located), "rmse_located_R": _mean(square) ** 0.5}
 
 
 def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:

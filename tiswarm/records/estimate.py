@@ -112,6 +112,10 @@ class Estimate:
 
     Half of the robots should be within `HALF_WITHIN` sd, nine of ten within `MOST_WITHIN` sd."""
 
+    undetermined: Bools | None = None
+    """Coordinates that measurements of the world and of located robots leave open, shape (N, 3); a
+    robot with none is located. None where the method does not place robots one by one."""
+
     yaw: Reals | None = None
     """Correction of each robot's sensed yaw [rad], shape (N,); None where the method solves for
     none."""
@@ -151,8 +155,8 @@ class Estimate:
     residual: Reals
     """Quantity that the method minimizes, at each iteration of the trace, shape (K,).
 
-    For virtual-force: RMS step of the robots [log unit per iteration]. For joint and least-squares:
-    RMS deviation from D of the distance between docks in contact [log unit].
+    For virtual-force: RMS step of the robots [log unit per iteration]. For all other methods: RMS
+    deviation from D of the distance between docks in contact [log unit].
     """
 
     length_unit: str = "R"
@@ -162,6 +166,11 @@ class Estimate:
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    @property
+    def located(self) -> Bools | None:
+        """Whether each robot is located, shape (N,); None where `undetermined` is."""
+        return None if self.undetermined is None else np.logical_not(self.undetermined.any(axis=1))
 
     def __repr__(self) -> str:
         """Describe the estimate in a line."""
@@ -182,6 +191,9 @@ class Estimate:
             found["known"] = self.observability.known
         if self.yaw is not None:
             found["yaw_deg"] = np.degrees(self.yaw).tolist()
+        if self.undetermined is not None:
+            axes = np.where(self.undetermined, [*"xyz"], "")
+            found["undetermined"] = ["".join(row) for row in axes.tolist()]
         return found
 
     def to_frame(self) -> "pd.DataFrame":

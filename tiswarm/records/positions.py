@@ -1,7 +1,7 @@
 """True and estimated positions, and their tables `robot,x_R,y_R,z_R`.
 
-The table of an estimate may also have the columns `sd_R`, `known` and `yaw_deg`. No localizer may
-import this module, which holds the truth.
+The table of an estimate may also have the columns `sd_R`, `known`, `yaw_deg` and `undetermined`. No
+localizer may import this module, which holds the truth.
 """
 
 import csv
@@ -20,6 +20,12 @@ from tiswarm.errors import InputError
 from tiswarm.records.estimate import Estimate, Observability, position_columns
 from tiswarm.records.io import Table, write_text
 from tiswarm.records.sensing_log import SensingLog
+
+_WORDS = {
+    "known": ("yes", "floppy", "disconnected"),
+    "undetermined": ("x", "y", "z", "xy", "xz", "yz", "xyz"),
+}
+"""Words that the cells of a column may have, besides none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +107,16 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
     order, robots = _join_order(log, robot, path), log.robot_count
     known = further.get("known", np.full(robots, ""))[order]
     sd, yaw_deg = further.get(f"sd_{log.length_unit}"), further.get("yaw_deg")
+    axes = further.get("undetermined")
     disconnected = known == "disconnected"
     return Estimate(
         robot_id=log.robot_id,
         position=position[order],
         disconnected=disconnected,
         sd=None if sd is None else sd[order],
+        undetermined=None
+        if axes is None
+        else np.array([[*map(w.count, "xyz")] for w in axes[order]], np.bool_),
         yaw=None if yaw_deg is None else np.radians(yaw_deg[order]),
         observability=Observability(
             cues=(),
@@ -135,13 +145,15 @@ def _read(path: Path, length_unit: str) -> tuple[Ints, Reals, dict[str, NDArray[
     robot = table.integers("robot")
     position = np.column_stack([table.numbers(name) for name in required[1:]])
     further: dict[str, NDArray[Any]] = {
-        name: table.words(name) if name == "known" else table.numbers(name, empty=math.nan)
+        name: table.words(name) if name in _WORDS else table.numbers(name, empty=math.nan)
         for name in table.columns[4:]
     }
-    for row, word in enumerate(further.get("known", np.empty(0)).tolist()):
-        if word not in {"", "yes", "floppy", "disconnected"}:
-            problem = f"{word[:40]!r} should be yes, floppy or disconnected; correct it"
-            raise InputError(problem, path=path, line=table.line(row), key="known")
+    for name, words in _WORDS.items():
+        for row, word in enumerate(further.get(name, np.empty(0)).tolist()):
+            if word not in {"", *words}:
+                wanted = f"{', '.join(words[:-1])} or {words[-1]}"
+                problem = f"{word[:40]!r} should be {wanted}; correct it"
+                raise InputError(problem, path=path, line=table.line(row), key=name)
     seen: set[int] = set()
     for row, name in enumerate(robot.tolist()):
         if name in seen:
@@ -177,4 +189,4 @@ def read_length_unit(path: Path) -> str:
 
 def _header(length_unit: str) -> list[str]:
     lengths = [f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")]
-    return ["robot", *lengths, "known", "yaw_deg"]
+    return ["robot", *lengths, "known", "yaw_deg", "undetermined"]

@@ -36,6 +36,8 @@ _CALIBRATION = [
     ("precision of outliers", "outlier_precision"),
     ("recall of outliers", "outlier_recall"),
     ("converged estimates", "converged"),
+    ("robots located", "located"),
+    ("RMSE of robots located [R]", "rmse_located_R"),
 ]
 _ANCHOR = [
     ("first robot", "first_on_anchor"),
