@@ -109,6 +109,8 @@ def explain_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Finding
 def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
     """Describe in lines what the log leaves unknown, and the outliers."""
     yield from unknowns(log, path, filter(None, [estimate.observability]))
+    if estimate.located is not None and (left := np.flatnonzero(~estimate.located)).size:
+        yield f"not located by those before them (positions are guesses): {_robots(log, left)}"
     yield from _outliers(log, path, estimate)
 
 

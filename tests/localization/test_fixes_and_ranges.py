@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from tests.structures import with_fixes, with_ranges
-from tiswarm.localization.params import JointParams, LeastSquaresParams, VirtualForceParams
+from tiswarm.localization.params import (
+    HopByHopParams,
+    JointParams,
+    LeastSquaresParams,
+    VirtualForceParams,
+)
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
@@ -15,6 +20,7 @@ from tiswarm.sensing import SensingParams, observe
 METHODS = [
     JointParams(chains=2, steps=600, hold_steps=200, non_overlap=False),
     LeastSquaresParams(start=VirtualForceParams(iterations=40), non_overlap=False),
+    HopByHopParams(non_overlap=False),
 ]
 CONTACTS = ("contacts", "height", "ground", "walk_contacts")
 
@@ -76,7 +82,7 @@ def test_fixes_remove_floppy_modes(log, towers):
     assert after.floppy_modes == before.floppy_modes - 1
 
 
-@pytest.mark.parametrize("params", [JointParams(), METHODS[1]], ids=lambda p: p.method)
+@pytest.mark.parametrize("params", [JointParams(), *METHODS[1:]], ids=lambda p: p.method)
 def test_ranges_place_robots_among_some_that_are_known(log, towers, params):
     """With four known robots here and there, distances within 12 R determine the others."""
     known = with_fixes(log, towers[0], [4, 11, 18, 25], each=5, sd=0.02)

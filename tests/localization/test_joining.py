@@ -61,7 +61,7 @@ def test_a_robot_that_is_refused_leaves_no_trace(lines):
 
 def test_what_cannot_join_is_told(lines):
     """Methods that move robots again, and more robots than there is room for, are refused."""
-    with pytest.raises(InputError, match="least-squares places all robots at once"):
+    with pytest.raises(InputError, match="least-squares needs the log of all robots"):
         tiswarm.Localizer(lines[0], LeastSquaresParams())
     with pytest.raises(InputError, match="back_propagation moves robots"):
         tiswarm.Localizer(lines[0], VirtualForceParams(back_propagation=BackPropagation()))
@@ -71,7 +71,7 @@ def test_what_cannot_join_is_told(lines):
         full.join(lines[2])
 
 
-@pytest.mark.parametrize("method", ["virtual-force", "least-squares", "joint"])
+@pytest.mark.parametrize("method", ["virtual-force", "least-squares", "joint", "hop-by-hop"])
 def test_an_anchor_alone_is_where_it_is(lines, tmp_path, method):
     """The first line of a log that robots have yet to join is a log."""
     path = tmp_path / "sensing.jsonl"

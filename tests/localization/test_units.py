@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tiswarm.compute import backend
 from tiswarm.localization.params import (
     BackPropagation,
+    HopByHopParams,
     JointParams,
     LeastSquaresParams,
     VirtualForceParams,
@@ -27,6 +28,7 @@ METHODS = [
     dataclasses.replace(SHORT, back_propagation=BackPropagation(every=5, sweeps=12)),
     JointParams(chains=2, steps=300, hold_steps=100),
     LeastSquaresParams(start=SHORT, rounds=2),
+    HopByHopParams(),
 ]
 UP = np.array([0.0, 0.0, 3.0])
 

@@ -28,7 +28,10 @@ Truth = Annotated[Path | None, Option(help="Table of true positions of LOG.")]
 def localize(
     log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     method: Annotated[
-        str, Option(help="joint (most accurate), virtual-force (the paper's) or least-squares.")
+        str,
+        Option(
+            help="joint (most accurate), virtual-force (the paper's), least-squares or hop-by-hop."
+        ),
     ] = "joint",
     cues: Annotated[
         str | None, Option(metavar="CUE,...", help="Cues to use (default: the method's own).")

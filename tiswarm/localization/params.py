@@ -306,8 +306,25 @@ class JointParams(CueParams):
         return robots <= LARGE if self.refine is None else self.refine
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class HopByHopParams(CueParams):
+    """Order in which robots solve for their own positions, each once.
+
+    Weights follow from the noise that the log states. Non-overlap decides between mirror images.
+    """
+
+    method: Literal["hop-by-hop"] = "hop-by-hop"
+    """Name of the method."""
+
+    order: Literal["hops", "join"] = "hops"
+    """hops: a robot follows once its measurements of the world and of located robots, whether these
+    joined earlier or later, suffice. join: robots follow in join order and use those before them.
+    """
+
+
 LocalizationParams = Annotated[
-    VirtualForceParams | LeastSquaresParams | JointParams,  # | the settings of each further method
+    # | the settings of each further method
+    VirtualForceParams | LeastSquaresParams | JointParams | HopByHopParams,
     Field(discriminator="method"),
 ]
 """Settings of any method."""

@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 
 from tiswarm.aliases import Reals
-from tiswarm.localization import least_squares, virtual_force
+from tiswarm.localization import hop_by_hop, least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.measurements.observability import observability
@@ -19,6 +19,7 @@ METHODS: dict[str, ModuleType] = {
     "joint": joint,
     "virtual-force": virtual_force,
     "least-squares": least_squares,
+    "hop-by-hop": hop_by_hop,
 }
 """Modules with the functions `batch_key` and `localize_batch`.
 

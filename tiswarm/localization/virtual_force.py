@@ -159,7 +159,7 @@ class Localizer:
         chosen = VirtualForceParams() if params is None else params
         if not isinstance(chosen, VirtualForceParams):
             raise InputError(
-                f"{chosen.method} places all robots at once; localize the log once it is whole"
+                f"{chosen.method} needs the log of all robots; localize it once they have joined"
             )
         if chosen.back_propagation is not None:
             raise InputError(
