@@ -27,7 +27,7 @@ _SETTLED = 1.0 - 1e-9
 _DAMPING = 1e-9
 """Damping of a step relative to the information: it stops motions that no row measures."""
 
-_LEAST = 1e-15
+_LEAST = 1e-13
 """Part of the largest eigenvalue below which rounding hides others."""
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -116,6 +116,13 @@ class Trilateration:
         mean = np.trace(of_partner, axis1=1, axis2=2) / 3.0
         self.precision = 1.0 / (ties.variance + np.where(ties.is_sphere, mean, along))
         """Inverse variance; of the partner's, a sphere has the mean over directions, (E,)."""
+        spheres = np.maximum(self.sum(ties.is_sphere), 1.0)
+        self.origin = self.sum(ties.is_sphere[:, None] * self.middle) / spheres[:, None]
+        """Mean of the middles of spheres [R], shape (n, 3)."""
+        away = length(self.middle - self.origin[self.of]) + np.abs(ties.reach)
+        farthest = np.maximum.reduceat(away, self.first) + SPACING
+        self.bound = farthest[:, None, None] / INDEPENDENT
+        """How far from `origin` rows that do not contradict each other meet [R], (n, 1, 1)."""
 
     def sum(self, values: Reals | Bools) -> Reals:
         """Sum values of rows (E, ...) over those of each robot, shape (n, ...)."""
@@ -128,33 +135,31 @@ class Trilateration:
         rank: Ints = (square > INDEPENDENT**2).sum(axis=1)
         return rank
 
-    def _linear(self) -> tuple[Reals, Reals, Reals]:
-        """Write rows as linear equations of x = p - o and |x|^2 / D, with an origin o near spheres.
+    def _linear(self) -> tuple[Reals, Reals]:
+        """Write rows as linear equations of x = p - origin and |x|^2 / D.
 
         Returns:
-            Coefficients, shape (E, 4), right sides [R], shape (E,), and o [R], shape (n, 3).
+            Coefficients, shape (E, 4), and right sides [R], shape (E,).
         """
         ties, is_sphere = self.ties, self.ties.is_sphere
-        spheres = np.maximum(self.sum(is_sphere), 1.0)
-        origin = self.sum(is_sphere[:, None] * self.middle) / spheres[:, None]
-        middle = self.middle - origin[self.of]
+        middle = self.middle - self.origin[self.of]
         radius = np.maximum(ties.reach, SPACING)  # dividing by it makes residuals distances
         on_sphere = 0.5 * (ties.reach**2 - (middle**2).sum(axis=1)) / radius
         on_plane = ties.reach + (ties.normal * middle).sum(axis=1)
         row = np.empty((len(radius), 4))
         row[:, :3] = np.where(is_sphere[:, None], -middle / radius[:, None], ties.normal)
         row[:, 3] = np.where(is_sphere, 0.5 * SPACING / radius, 0.0)
-        return row, np.where(is_sphere, on_sphere, on_plane), origin
+        return row, np.where(is_sphere, on_sphere, on_plane)
 
     def crossings(self) -> Reals:
         """Intersect the line that the linear equations determine best with a paraboloid, |x|^2.
 
         Returns:
-            Two points of each robot, the upper one first [R], shape (n, 2, 3): they are equal where
-            planes alone determine one, or the line misses the paraboloid. Without meaning where the
-            rank is below `POINTS`.
+            Two points of each robot, the upper one first [R], shape (n, 2, 3). They are equal where
+            planes alone determine one, or where the line misses the paraboloid. Below the rank
+            `POINTS` they have no meaning.
         """
-        row, value, origin = self._linear()
+        row, value = self._linear()
         weighted = self.precision[:, None] * row
         square, axis = np.linalg.eigh(self.sum(weighted[:, :, None] * row[:, None]))
         moment = self.sum(weighted * value[:, None])
@@ -165,11 +170,13 @@ class Trilateration:
         a = (along[:, :3] ** 2).sum(axis=1)
         b = 2.0 * (foot[:, :3] * along[:, :3]).sum(axis=1) - SPACING * along[:, 3]
         c = (foot[:, :3] ** 2).sum(axis=1) - SPACING * foot[:, 3]
-        half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(b**2 - 4.0 * a * c, 0.0)), b))
-        near = np.divide(c, half, out=np.zeros_like(c), where=half != 0.0)
+        square = b**2 - 4.0 * a * c
+        half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
+        near = np.divide(c, half, out=np.zeros_like(c), where=square > 0.0)
         far = np.divide(half, a, out=near.copy(), where=a > _DAMPING)
-        step = np.column_stack([near, far])[:, :, None]
-        point = origin[:, None] + foot[:, None, :3] + step * along[:, None, :3]
+        step = np.column_stack([np.where(square > 0.0, near, far), far])[:, :, None]
+        offset = foot[:, None, :3] + step * along[:, None, :3]
+        point = self.origin[:, None] + self._bounded(offset)
         is_lower = point[:, 0, 2] < point[:, 1, 2]
         return np.where(is_lower[:, None, None], point[:, ::-1], point)
 
@@ -210,8 +217,13 @@ class Trilateration:
             damping = _DAMPING * np.trace(information, axis1=2, axis2=3) + _TINY
             damped = information + damping[..., None, None] * np.eye(3)
             slope = self.sum(pull[..., None] * normal)
-            point = point - np.linalg.solve(damped, slope[..., None])[..., 0]
+            point = point - self._bounded(np.linalg.solve(damped, slope[..., None])[..., 0])
         return best, least
+
+    def _bounded(self, vector: Reals) -> Reals:
+        """Shorten vectors (n, K, 3) beyond the bound, which rows in contradiction can lead to."""
+        bounded: Reals = vector / np.maximum(length(vector)[..., None] / self.bound, 1.0)
+        return bounded
 
     def covariance(self, point: Reals, prior: Reals) -> Reals:
         """Compute the covariance of centers (n, 3) with a prior of some information (n,) [R^-2].
@@ -221,7 +233,9 @@ class Trilateration:
         """
         normal = self.residual(point[:, None])[0][:, 0]
         information = self.sum(self.precision[:, None, None] * outer(normal))
-        return np.asarray(np.linalg.inv(information + prior[:, None, None] * np.eye(3)), np.float64)
+        least = np.maximum(prior, _LEAST * np.trace(information, axis1=1, axis2=2))
+        inverse = np.linalg.inv(information + least[:, None, None] * np.eye(3))
+        return np.asarray(inverse, np.float64)
 
     def open_axes(self, point: Reals, least: Reals) -> Bools:
         """Find coordinates along which rows alone give less than some information [R^-2].
