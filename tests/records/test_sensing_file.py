@@ -1,7 +1,9 @@
 """A log survives its file, and a file that is read and written again keeps its bytes."""
 
 import json
+import re
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import line_schema
+from tiswarm.records.sensing_format import NEW_LISTS, line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
@@ -37,6 +39,8 @@ noises = st.builds(
     missed_contacts=st.none() | fractions,
     wrong_docks=st.none() | fractions,
     false_contacts=st.none() | fractions,
+    direction_deg=st.none() | spreads,
+    connection_deg=st.none() | spreads,
 )
 
 
@@ -72,6 +76,8 @@ def stances_of(draw, robots, radius, *, ground):
         ),
         fixes=draw(fixes_of(len(owner), radius)),
         ranges=draw(ranges_of(owner, radius)),
+        directions=draw(linked(owner, st.permutations([0.6, -0.8, 0.0]), 7)),
+        connections=draw(linked(owner, orientation, 8)),
     )
 
 
@@ -98,6 +104,17 @@ def ranges_of(draw, owner, radius):
 
 
 @st.composite
+def linked(draw, owner, measured, width):
+    """Draw what some of these robots measure of a contact with an earlier one, by stance."""
+    rows = [
+        (stance, *draw(st.tuples(dock, st.integers(0, robot - 1), dock)), *draw(measured))
+        for stance, robot in enumerate(owner)
+        if robot > 0 and draw(st.booleans())
+    ]
+    return table(rows, np.float64, width)
+
+
+@st.composite
 def logs(draw):
     """Draw any log that a file can hold."""
     robots = draw(st.integers(1, 5))
@@ -108,12 +125,17 @@ def logs(draw):
     contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(sensed(i))]
     unknown = (np.nan,) * 3
     radius = draw(st.floats(1e-9, 1e9))
+    stances = draw(st.none() | stances_of(robots, radius, ground=ground_z is not None))
+    walked = np.zeros(robots, np.bool_) if stances is None else np.diff(stances.start) > 0
+    turns = [draw(orientation) for _ in range(robots)]
+    for i in np.flatnonzero(~walked)[1:].tolist():
+        turns[i] = draw(st.just(turns[i]) | st.just(np.full(4, np.nan)))
     return SensingLog(
         robot_id=np.array(draw(names), dtype=np.int64),
         dock_radius=radius,
         dock_offset_body=min(1.0, 100.0 * radius) * np.array([draw(place) for _ in range(3)]),
         anchor_position=np.array(draw(place)),
-        orientation_wxyz=np.array([draw(orientation) for _ in range(robots)]),
+        orientation_wxyz=np.array(turns),
         contacts=table(contacts, np.int32, 4),
         ground_z=ground_z,
         ground_docks=table(
@@ -125,7 +147,9 @@ def logs(draw):
         spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
         fixes=draw(fixes_of(robots, radius)),
         ranges=draw(ranges_of(range(robots), radius)),
-        stances=draw(st.none() | stances_of(robots, radius, ground=ground_z is not None)),
+        directions=draw(linked(range(robots), st.permutations([0.6, -0.8, 0.0]), 7)),
+        connections=draw(linked(range(robots), orientation, 8)),
+        stances=stances,
         noise=draw(st.none() | noises),
         length_unit=draw(st.text(letters, min_size=1, max_size=5)),
     )
@@ -163,6 +187,8 @@ STANCE = {
     "ground_docks": [1],
     "fixes": [[0.6, 0.0, 0.8, 2.5, 0.1]],
     "ranges": [[7, 4.5, 0.1]],
+    "directions": [[0, 7, 2, 0.0, 0.6, 0.8]],
+    "connections": [[0, 7, 2, 0.8, 0.0, 0.6, 0.0]],
 }
 ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
 JOINER = {
@@ -172,10 +198,16 @@ JOINER = {
     "ground_docks": [2],
     "fixes": [[0.0, 0.6, -0.8, 3.0, 0.5], [1.0, 0.0, 0.0, 9.0, 0.5]],
     "ranges": [[7, 9.0, 0.5]],
+    "directions": [[0, 7, 1, -1.0, 0.0, 0.0], [2, 7, 0, 0.0, 0.0, 1.0]],
+    "connections": [[2, 7, 0, 0.6, 0.8, 0.0, 0.0]],
     "flip_height": 5.31,
     "spawn_position": [9.0, 0.0, 1.0],
     "stances": [STANCE],
 }
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "files.md"
+EXAMPLES = re.findall(r"```json\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
 def written(path, *lines):
@@ -214,7 +246,7 @@ def test_the_format_is_the_published_one(tmp_path):
     header, anchor, joiner = map(json.loads, path.read_text().splitlines())
 
     assert list(header.items()) == list(HEADER.items())
-    assert anchor == {**ANCHOR, "ground_docks": [], "fixes": [], "ranges": [], "stances": []}
+    assert anchor == {**ANCHOR, **{key: [] for key in ["ground_docks", *NEW_LISTS, "stances"]}}
     assert joiner == {**JOINER, "contacts": [[0, 7, 1], [2, 7, 0]]}
     assert list(joiner) == list(JOINER)
     assert list(joiner["stances"][0]) == list(STANCE)
@@ -223,14 +255,36 @@ def test_the_format_is_the_published_one(tmp_path):
 def test_a_log_is_of_the_first_version_that_has_its_keys(tmp_path):
     """Programs that know version 1 alone read what they can."""
     path = tmp_path / "sensing.jsonl"
-    joiner = {**JOINER, "fixes": [], "ranges": []}
-    joiner["stances"] = [{**STANCE, "fixes": None, "ranges": None}]
+    joiner = {**JOINER, **{key: [] for key in NEW_LISTS}}
+    joiner["stances"] = [{**STANCE, **dict.fromkeys(NEW_LISTS)}]
 
     write_sensing_log(read_sensing_log(written(path, HEADER, ANCHOR, joiner)), path)
 
     header, *robots = path.read_text().splitlines()
     assert json.loads(header)["version"] == 1
-    assert not any(key in robot for robot in robots for key in ("fixes", "ranges"))
+    assert not any(key in robot for robot in robots for key in NEW_LISTS)
+
+
+@pytest.mark.parametrize(
+    ("header", "orientation"),
+    [
+        (
+            {**HEADER, "noise": {"tilt_deg": 1.0, "yaw_deg": 2.0, "direction_deg": 5.0}},
+            [1, 0, 0, 0],
+        ),
+        (HEADER, None),
+    ],
+)
+def test_new_noise_and_missing_compasses_make_version_2(tmp_path, header, orientation):
+    """What version 1 cannot say is never written as version 1."""
+    path = tmp_path / "sensing.jsonl"
+    robot = {"robot": 8, "orientation_wxyz": orientation, "contacts": []}
+
+    write_sensing_log(read_sensing_log(written(path, header, ANCHOR, robot)), path)
+
+    header, _, joiner = map(json.loads, path.read_text().splitlines())
+    assert header["version"] == 2
+    assert joiner["orientation_wxyz"] == orientation
 
 
 def test_names_become_numbers_in_join_order(tmp_path):
@@ -331,3 +385,13 @@ def test_a_damaged_file_is_read_or_refused(scratch, edits):
         assert str(error).startswith(f"{scratch}:")  # noqa: PT017 (either outcome is right)
     else:
         assert log.robot_count > 0
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_examples_of_the_page_are_logs(tmp_path, example):
+    """A reader who copies an example, after its header or ours, has a log."""
+    path = tmp_path / "log"
+    header = "" if '"format"' in example else f"{json.dumps(HEADER)}\n"
+    path.write_text(header + example)
+
+    assert read_sensing_log(path).robot_count == example.count('{"robot"')

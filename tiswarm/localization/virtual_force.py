@@ -211,6 +211,9 @@ class Localizer:
                 f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
             )
         line = parse_robot(_text(robot))
+        if line.orientation_wxyz is None:
+            problem = "null follows from the lines of later robots, too; localize the whole log"
+            raise InputError(problem, key="orientation_wxyz")
         stance = self._builder.add(line)
         n, alone = self._count, self._alone(line, stance)
         self._robots.dock_offset[n] = dock_offsets(alone.orientation_wxyz, self._dock_body)[0]

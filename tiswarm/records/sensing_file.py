@@ -9,7 +9,7 @@ import json
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import chain
@@ -27,6 +27,7 @@ from tiswarm.records.sensing_format import (
     FORMAT,
     MOST_CONTACTS,
     NEW_LISTS,
+    NEW_NOISE,
     ROBOT_NUMBERS,
     STANCE_LISTS,
     HeaderLine,
@@ -38,11 +39,10 @@ from tiswarm.records.sensing_format import (
 from tiswarm.records.sensing_log import SensingLog, Stances, canonical_contacts
 
 FAR_FROM_UNIT = 1e-3
-"""Deviation of a quaternion's length from 1 above which the quaternion is refused."""
+"""Deviation of a unit vector's or quaternion's length from 1 above which it is refused."""
 
 _CLOSE_TO_UNIT = 1e-9
-"""Deviation below which a quaternion is not scaled to 1, so that our own quaternions keep their
-bits."""
+"""Deviation below which neither is scaled to 1, so that our own ones keep their bits."""
 
 
 _SD = (1e-6, 1e6)
@@ -180,7 +180,7 @@ class SensingLogBuilder:
         if entry.ground_docks and self._header.ground_z is None:
             problem = "there is no ground; give ground_z in the header or leave ground_docks empty"
             raise InputError(problem, key=f"{prefix}ground_docks")
-        orientation = _unit(entry.orientation_wxyz, f"{prefix}orientation_wxyz")
+        orientation = self._orientation(entry, f"{prefix}orientation_wxyz")
         check: dict[str, Callable[[Any, str], Any]] = {
             "dock": self._check_dock,
             "robot": partial(self._robot_index, robot),
@@ -188,6 +188,8 @@ class SensingLogBuilder:
         }
         lists = {}
         for name, kinds in STANCE_LISTS.items():
+            if name in NEW_LISTS:
+                self._header.refuse_new(f"{prefix}{name}", getattr(entry, name))
             first: dict[tuple[float, ...], int] = {}
             for place, numbers in enumerate(getattr(entry, name) or []):
                 here = f"{prefix}{name}[{place}]"
@@ -195,13 +197,29 @@ class SensingLogBuilder:
                 item = tuple(check[kind](number, here) for kind, number in pairs)
                 if name == "fixes":
                     self._check_fix(item, here)
-                if name == "ranges":
+                elif name == "ranges":
                     self._check_range(item, here)
+                elif name in {"directions", "connections"}:
+                    what = "direction" if name == "directions" else "quaternion"
+                    item = (*item[:3], *_unit(item[3:], what, here))
                 if first.setdefault(item, place) != place:
                     problem = f"repeats {prefix}{name}[{first[item]}]; list it once"
                     raise InputError(problem, key=here)
             lists[name] = sorted(first)
         return SensedStance(orientation, lists)
+
+    def _orientation(self, entry: RobotLine | StanceEntry, key: str) -> list[float]:
+        """Check a stance's orientation; NaN for a robot without a compass."""
+        if entry.orientation_wxyz is not None:
+            return _unit(entry.orientation_wxyz, "quaternion", key)
+        if self._header.version == 1:
+            raise InputError("null needs version 2; give an orientation or that version", key=key)
+        if not self._index_of:
+            raise InputError("the anchor's orientation is null; give it", key=key)
+        if isinstance(entry, RobotLine) and entry.stances:
+            problem = "null leaves the stances without an end; give an orientation or no stances"
+            raise InputError(problem, key=key)
+        return [math.nan] * 4
 
     def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
         *direction, value, sd = fix
@@ -282,18 +300,18 @@ class _StanceColumns:
         return {"orientation_wxyz": np.array(self._orientation).reshape(-1, 4), **lists}
 
 
-def _unit(orientation_wxyz: list[float], key: str) -> list[float]:
-    length = math.hypot(*orientation_wxyz)
+def _unit(parts: Sequence[float], what: str, key: str) -> list[float]:
+    length = math.hypot(*parts)
     if not abs(length - 1.0) <= FAR_FROM_UNIT:  # as for lengths that are NaN
-        raise InputError(f"the quaternion has length {length:.6g}; scale it to 1", key=key)
+        raise InputError(f"the {what} has length {length:.6g}; scale it to 1", key=key)
     scale = 1.0 if abs(length - 1.0) <= _CLOSE_TO_UNIT else length
-    return [part / scale for part in orientation_wxyz]
+    return [part / scale for part in parts]
 
 
 def _header_entries(log: SensingLog) -> dict[str, object]:
     entries: dict[str, object] = {
         "format": FORMAT,
-        "version": 2 if any(_is_used(key, log) for key in NEW_LISTS) else 1,
+        "version": 2 if _needs_version_2(log) else 1,
         "dock_radius": log.dock_radius,
         "dock_offsets": log.dock_offset_body.tolist(),
         "anchor_position": log.anchor_position.tolist(),
@@ -318,7 +336,8 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
         arrays = {key: getattr(stances, key) for key in STANCE_LISTS if key not in unused}
         earlier = _lists(arrays, len(stances.pivot_dock), log.robot_id)
     for i, name in enumerate(log.robot_id.tolist()):
-        orientation = log.orientation_wxyz[i].tolist()
+        wxyz = log.orientation_wxyz[i]
+        orientation = None if np.isnan(wxyz).all() else wxyz.tolist()
         entries: dict[str, object] = {"robot": name, "orientation_wxyz": orientation, **next(final)}
         for key in ROBOT_NUMBERS:
             number = getattr(log, key)[i]
@@ -336,6 +355,12 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
         yield entries
 
 
+def _needs_version_2(log: SensingLog) -> bool:
+    states_new = any(getattr(log.noise, key, None) is not None for key in NEW_NOISE)
+    has_null = bool(np.isnan(log.orientation_wxyz).any())
+    return states_new or has_null or any(_is_used(key, log) for key in NEW_LISTS)
+
+
 def _is_used(key: str, log: SensingLog) -> bool:
     """Whether any stance has items in a list."""
     return any(len(getattr(part, key)) for part in (log, log.stances) if part is not None)
@@ -348,9 +373,12 @@ def _lists(
     start, items = {}, {}
     for key, rows in arrays.items():
         pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
-        columns = [names[number.astype(np.int64)] if kind == "robot" else number
-                   for kind, number in pairs]  # fmt: skip
-        if key == "ranges":  # a whole number among others
+        columns = [
+            number if kind == "number" else number.astype(np.int64) for kind, number in pairs
+        ]
+        columns = [names[number] if kind == "robot" else number
+                   for kind, number in zip(STANCE_LISTS[key], columns, strict=True)]  # fmt: skip
+        if "number" in STANCE_LISTS[key]:  # whole numbers may stand among them
             columns = [column.astype(object) for column in columns]
         items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
         start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))

@@ -55,10 +55,15 @@ _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 _Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
 _Contacts = Annotated[list[_Contact], Field(fail_fast=True)]
 _Docks = Annotated[list[int], Field(fail_fast=True)]
+_AS_LIST = Field(strict=False)  # JSON has no tuples; numbers in them stay strict
 _Fix = Annotated[list[float], Field(min_length=5, max_length=5)]
-_Range = Annotated[list[int | float], Field(min_length=3, max_length=3)]
-_Ranges = Annotated[list[_Range], Field(fail_fast=True)]
 _Fixes = Annotated[list[_Fix], Field(fail_fast=True)]
+_Range = Annotated[tuple[int, float, float], _AS_LIST]
+_Ranges = Annotated[list[_Range], Field(fail_fast=True)]
+_Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
+_Directions = Annotated[list[_Direction], Field(fail_fast=True)]
+_Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LIST]
+_Connections = Annotated[list[_Connection], Field(fail_fast=True)]
 
 
 class HeaderLine(BaseModel):
@@ -89,6 +94,12 @@ class HeaderLine(BaseModel):
     """Standard deviations and rates of errors; without them, those of an IMU are assumed."""
 
     @model_validator(mode="after")
+    def _refuse_new_noise(self) -> "HeaderLine":
+        for key in NEW_NOISE if self.noise else ():
+            self.refuse_new(f"noise.{key}", getattr(self.noise, key))
+        return self
+
+    @model_validator(mode="after")
     def _refuse_far_lengths(self) -> "HeaderLine":
         for dock, offset in enumerate(self.dock_offsets):
             self.refuse_far(f"dock_offsets[{dock}]", offset, 0.0, _LONGEST_ARM)
@@ -96,6 +107,12 @@ class HeaderLine(BaseModel):
         self.refuse_far("ground_z", self.ground_z, self.anchor_position[2])
         self.refuse_far("noise.spawn", self.noise.spawn if self.noise else None, 0.0)
         return self
+
+    def refuse_new(self, key: str, value: object) -> None:
+        """Raise InputError where a key of version 2 has a value in a file of version 1."""
+        if self.version == 1 and value is not None:
+            problem = "version 1 has no such key; give version 2 in the header"
+            raise InputError(problem, key=key)
 
     def refuse_far(
         self, key: str, lengths: ArrayLike | None, start: ArrayLike, limit: float = FARTHEST
@@ -122,6 +139,8 @@ class StanceEntry(BaseModel):
     ground_docks: _Docks | None = None
     fixes: _Fixes | None = None
     ranges: _Ranges | None = None
+    directions: _Directions | None = None
+    connections: _Connections | None = None
 
 
 class RobotLine(BaseModel):
@@ -132,8 +151,9 @@ class RobotLine(BaseModel):
     robot: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
     """Name, an integer that no other robot has."""
 
-    orientation_wxyz: _Quaternion
-    """Sensed orientation, a unit quaternion from body to world."""
+    orientation_wxyz: _Quaternion | None
+    """Sensed orientation, a unit quaternion from body to world; null, in version 2, for a robot
+    without a compass, whose orientation follows from connections."""
 
     contacts: _Contacts
     """Rows of [own dock, other robot, other dock]; the other robot is on an earlier line."""
@@ -148,6 +168,16 @@ class RobotLine(BaseModel):
     ranges: _Ranges | None = None
     """Measured distances of centers, rows of [other robot, distance, sd] [length unit]; the other
     robot is on an earlier line. Version 2."""
+
+    directions: _Directions | None = None
+    """Measured directions of contacts, rows of [own dock, other robot, other dock, x, y, z]: the
+    unit vector in the own body frame from the center of the own dock to that of the other, whose
+    robot is on an earlier line. Version 2."""
+
+    connections: _Connections | None = None
+    """Measured orientations of robots in contact, rows of [own dock, other robot, other dock, w, x,
+    y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
+    own body. Version 2."""
 
     flip_height: float | None = None
     """Height of the center that the flips imply [length unit]."""
@@ -164,13 +194,18 @@ STANCE_LISTS = {
     "ground_docks": ("dock",),
     "fixes": ("number",) * 5,
     "ranges": ("robot", "number", "number"),
+    "directions": ("dock", "robot", "dock", *("number",) * 3),
+    "connections": ("dock", "robot", "dock", *("number",) * 4),
 }
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance."""
 
-NEW_LISTS = ("fixes", "ranges")
+NEW_LISTS = ("fixes", "ranges", "directions", "connections")
 """Lists that version 1 does not have."""
+
+NEW_NOISE = ("direction_deg", "connection_deg")
+"""Keys of the noise that version 1 does not have."""
 
 ROBOT_NUMBERS: dict[str, float | list[float]] = {
     "flip_height": math.nan,

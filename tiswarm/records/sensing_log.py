@@ -55,6 +55,12 @@ class SensingNoise:
     false_contacts: Fraction | None = None
     """Sensed contacts that do not exist, per true contact [1]."""
 
+    direction_deg: Angle | None = None
+    """Standard deviation of a contact's direction about each axis perpendicular to it [deg]."""
+
+    connection_deg: Angle | None = None
+    """Standard deviation of the orientation of a robot in contact, about each axis [deg]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stances:
@@ -84,14 +90,20 @@ class Stances:
     ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
     """Ranges as in `SensingLog`, rows that start with the stance, shape (D, 4)."""
 
+    directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
+    """Directions as in `SensingLog`, rows that start with the stance, shape (U, 7)."""
+
+    connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
+    """Connections as in `SensingLog`, rows that start with the stance, shape (Q, 8)."""
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SensingLog:
     """Everything a swarm of N robots sensed.
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
-    position except the anchor's. Rows of `contacts`, `ground_docks`, `fixes` and `ranges`,
-    here and in `stances`, are sorted and unique, so two logs with equal content have equal arrays.
+    position except the anchor's. Rows of lists, here and in `stances`, are sorted and unique, so
+    two logs with equal content have equal arrays.
     """
 
     robot_id: Ints
@@ -107,7 +119,8 @@ class SensingLog:
     """Known center of robot 0, shape (3,)."""
 
     orientation_wxyz: Reals
-    """Sensed final orientation, body to world, unit quaternion, shape (N, 4)."""
+    """Sensed final orientation, body to world, unit quaternion, shape (N, 4). NaN for a robot
+    without a compass; the anchor has one."""
 
     contacts: NDArray[np.int32]
     """Docked pairs, rows of (robot i, dock of i, robot j, dock of j), i < j, shape (C, 4).
@@ -128,6 +141,14 @@ class SensingLog:
     ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
     """Measured distances from the final center to that of an earlier robot, rows of (robot, other
     robot, distance, standard deviation), shape (D, 4)."""
+
+    directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
+    """Measured directions of contacts at the final stance, rows of (robot, dock, earlier robot,
+    its dock, unit vector from dock to dock in the robot's body frame (3)), shape (U, 7)."""
+
+    connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
+    """Measured relative orientations at the final stance, rows of (robot, dock, earlier robot, its
+    dock, unit quaternion from the earlier robot's body to the robot's (4)), shape (Q, 8)."""
 
     flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""

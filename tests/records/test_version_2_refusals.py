@@ -1,0 +1,203 @@
+"""A malformed item of a list of version 2 is refused with file, line, key and a way out."""
+
+import json
+
+import pytest
+
+from tests.records.test_sensing_refusals import ANCHOR, HEADER, JOINER, STANCE
+from tiswarm.errors import InputError
+from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_format import NEW_LISTS
+
+NAN = float("nan")
+
+LINKS = [
+    # what directions and connections have in common: own dock, other robot and its dock
+    ([], 0, "", "are missing; add them"),
+    ([0, 10, 1], 0, "", "are missing; add them"),
+    ([3, 10, 1], ..., "", "there is no dock 3; the header has docks 0 to 2"),
+    ([-1, 10, 1], ..., "", "there is no dock -1; the header has docks 0 to 2"),
+    ([None, 10, 1], ..., "[0]", "null should be a valid integer"),
+    ([1.5, 10, 1], ..., "[0]", "1.5 should be a valid integer"),
+    (["0", 10, 1], ..., "[0]", '"0" should be a valid integer'),
+    ([True, 10, 1], ..., "[0]", "true should be a valid integer"),
+    ([0, 12, 1], ..., "", "robot 12 is not on an earlier line"),
+    ([0, 11, 1], ..., "", "the robot touches itself"),
+    ([0, 10.0, 1], ..., "[1]", "10.0 should be a valid integer"),
+    ([0, None, 1], ..., "[1]", "null should be a valid integer"),
+    ([0, 10, 3], ..., "", "there is no dock 3; the header has docks 0 to 2"),
+    ([0, 10, -2], ..., "", "there is no dock -2; the header has docks 0 to 2"),
+    ([0, 10, 0.5], ..., "[2]", "0.5 should be a valid integer"),
+    ([0, 10, []], ..., "[2]", "[] should be a valid integer"),
+]
+"""Start of the item, then ... for what is right or 0 for nothing; where, and the problem."""
+
+
+def _links(measured):
+    return [([*item, *(measured if rest is ... else [])], where, problem)
+            for item, rest, where, problem in LINKS]  # fmt: skip
+
+
+MALFORMED = {
+    "fixes": [
+        ([1, 0, 0, 2], "", "List should have at least 5 items"),
+        ([1, 0, 0, 2, 0.1, 0], "", "List should have at most 5 items"),
+        ([], "", "List should have at least 5 items"),
+        ([1, 1, 0, 2, 0.1], "", "the direction has length 1.41421; scale it to 1"),
+        ([0, 0, 0, 2, 0.1], "", "the direction has length 0; scale it to 1"),
+        ([1e200, 0, 0, 2, 0.1], "", "the direction has length 1e+200; scale it to 1"),
+        ([NAN, 0, 0, 2, 0.1], "[0]", "NaN should be a finite number"),
+        (["x", 0, 0, 2, 0.1], "[0]", '"x" should be a valid number'),
+        ([1, 0, 0, 1e99, 1], "", "1e+99 should be within 1e+10 R of"),
+        ([1, 0, 0, float("inf"), 1], "[3]", "Infinity should be a finite number"),
+        ([1, 0, 0, None, 1], "[3]", "null should be a valid number"),
+        ([1, 0, 0, 2, 0], "", "0.0 should be from 1e-06 to 1e+06"),
+        ([1, 0, 0, 2, -1], "", "-1.0 should be from 1e-06 to 1e+06"),
+        ([1, 0, 0, 2, 1e7], "", "10000000.0 should be from 1e-06 to 1e+06"),
+        ({"x": 1}, "", "should be a valid list"),
+    ],
+    "ranges": [
+        ([10, 2], "[2]", "is missing; add it"),
+        ([10, 2, 0.1, 0], "", "should have at most 3 items"),
+        ([12, 2, 0.1], "", "robot 12 is not on an earlier line"),
+        ([11, 2, 0.1], "", "the robot touches itself"),
+        ([10.0, 2, 0.1], "[0]", "10.0 should be a valid integer"),
+        ([None, 2, 0.1], "[0]", "null should be a valid integer"),
+        (["10", 2, 0.1], "[0]", '"10" should be a valid integer'),
+        ([10, 0, 0.1], "", "the distance 0 should be positive"),
+        ([10, -2, 0.1], "", "the distance -2 should be positive"),
+        ([10, 1e99, 0.1], "", "1e+99 should be within 1e+10 R of"),
+        ([10, NAN, 0.1], "[1]", "NaN should be a finite number"),
+        ([10, "2", 0.1], "[1]", '"2" should be a valid number'),
+        ([10, 2, 0], "", "should be from 1e-06 to 1e+06"),
+        ([10, 2, 1e7], "", "should be from 1e-06 to 1e+06"),
+        (10, "", "should be a valid tuple"),
+    ],
+    "directions": [
+        *_links([1, 0, 0]),
+        ([0, 10, 1, 1, 0], "[5]", "is missing; add it"),
+        ([0, 10, 1, 1, 0, 0, 0], "", "should have at most 6 items"),
+        ([0, 10, 1, 1, 1, 0], "", "the direction has length 1.41421; scale it to 1"),
+        ([0, 10, 1, 0, 0, 0], "", "the direction has length 0; scale it to 1"),
+        ([0, 10, 1, 0, 0, 0.99], "", "the direction has length 0.99; scale it to 1"),
+        ([0, 10, 1, 1e200, 0, 0], "", "the direction has length 1e+200; scale it to 1"),
+        ([0, 10, 1, NAN, 0, 0], "[3]", "NaN should be a finite number"),
+        ([0, 10, 1, 0, "up", 0], "[4]", '"up" should be a valid number'),
+        ([0, 10, 1, 0, 0, None], "[5]", "null should be a valid number"),
+        ([0, 10, 1, [1, 0, 0], 0, 0], "[3]", "should be a valid number"),
+    ],
+    "connections": [
+        *_links([1, 0, 0, 0]),
+        ([0, 10, 1, 1, 0, 0], "[6]", "is missing; add it"),
+        ([0, 10, 1, 1, 0, 0, 0, 0], "", "should have at most 7 items"),
+        ([0, 10, 1, 1, 1, 0, 0], "", "the quaternion has length 1.41421; scale it to 1"),
+        ([0, 10, 1, 0, 0, 0, 0], "", "the quaternion has length 0; scale it to 1"),
+        ([0, 10, 1, 0.9, 0, 0, 0], "", "the quaternion has length 0.9; scale it to 1"),
+        ([0, 10, 1, *[-1e308] * 4], "", "the quaternion has length inf; scale it to 1"),
+        ([0, 10, 1, NAN, 0, 0, 0], "[3]", "NaN should be a finite number"),
+        ([0, 10, 1, 1, 0, 0, "0"], "[6]", '"0" should be a valid number'),
+        ([0, 10, 1, None, 0, 0, 0], "[3]", "null should be a valid number"),
+    ],
+}
+"""Of each list: an item, where in it the mistake is, and the problem."""
+
+RIGHT = {
+    "fixes": [1, 0, 0, 2, 0.1],
+    "ranges": [10, 2, 0.1],
+    "directions": [0, 10, 1, 1, 0, 0],
+    "connections": [0, 10, 1, 1, 0, 0, 0],
+}
+
+CASES = [
+    (name, in_stance, *case)
+    for name, cases in MALFORMED.items()
+    for case in [*cases, ([*RIGHT[name]], None, f"repeats {name}[0]; list it once")]
+    for in_stance in (False, True)
+]
+
+
+def refusal_of(path, *lines):
+    """Return the message with which a file of these lines is refused, without its path."""
+    path.write_text("".join(f"{json.dumps(entries)}\n" for entries in lines))
+    with pytest.raises(InputError) as refusal:
+        read_sensing_log(path)
+    assert "\n" not in str(refusal.value)
+    return str(refusal.value).removeprefix(f"{path}:")
+
+
+@pytest.mark.parametrize(("name", "in_stance", "item", "where", "problem"), CASES)
+def test_a_malformed_item_is_refused_with_its_place(
+    tmp_path, name, in_stance, item, where, problem
+):
+    """The second item of a list is at fault, of the robot's line or of its second stance."""
+    items = {name: [RIGHT[name], item]}
+    joiner = (
+        {**JOINER, "stances": [STANCE, {**STANCE, **items}]} if in_stance else {**JOINER, **items}
+    )
+    prefix = "stances[1]." if in_stance else ""
+
+    refused = refusal_of(tmp_path / "log", {**HEADER, "version": 2}, ANCHOR, joiner)
+
+    assert refused.startswith(f"3: {prefix}{name}[1]{where or ''}")
+    assert problem.replace(f"{name}[0]", f"{prefix}{name}[0]") in refused
+
+
+def test_every_list_of_version_2_is_tried():
+    """The table has many mistakes of each, and an item without one."""
+    assert sorted(MALFORMED) == sorted(RIGHT) == sorted(NEW_LISTS)
+    assert len(CASES) >= 120
+
+
+@pytest.mark.parametrize("name", NEW_LISTS)
+@pytest.mark.parametrize("in_stance", [False, True])
+def test_version_1_has_none_of_the_lists(tmp_path, name, in_stance):
+    """A program that reads version 1 alone would refuse the key."""
+    items = {name: [RIGHT[name]]}
+    joiner = {**JOINER, "stances": [{**STANCE, **items}]} if in_stance else {**JOINER, **items}
+
+    refused = refusal_of(tmp_path / "log", HEADER, ANCHOR, joiner)
+
+    assert refused.startswith("3: stances[0]." if in_stance else "3: ")
+    assert refused.endswith(f"{name}: version 1 has no such key; give version 2 in the header")
+
+
+OTHERS = [
+    # version, changes of the header, of the anchor and of the joiner; place and problem
+    (1, {}, {}, {"orientation_wxyz": None}, "3: orientation_wxyz", "null needs version 2"),
+    (2, {}, {"orientation_wxyz": None}, {}, "2: orientation_wxyz", "orientation is null; give it"),
+    (
+        2,
+        {},
+        {},
+        {"orientation_wxyz": None, "stances": [STANCE]},
+        "3: orientation_wxyz",
+        "null leaves the stances without an end; give an orientation or no stances",
+    ),
+    (
+        2,
+        {},
+        {},
+        {"stances": [{**STANCE, "orientation_wxyz": None}]},
+        "3: stances[0].orientation_wxyz",
+        "null should be a valid list",
+    ),
+    (1, {"direction_deg": 1}, {}, {}, "1: noise.direction_deg", "version 1 has no such key"),
+    (1, {"connection_deg": 1}, {}, {}, "1: noise.connection_deg", "version 1 has no such key"),
+    (2, {"direction_deg": -1}, {}, {}, "1: noise.direction_deg", "-1 should be greater than"),
+    (2, {"direction_deg": 181}, {}, {}, "1: noise.direction_deg", "181 should be less than"),
+    (2, {"connection_deg": 1e-12}, {}, {}, "1: noise.connection_deg", "should be 0 or at least"),
+    (2, {"connection_deg": "1"}, {}, {}, "1: noise.connection_deg", '"1" should be a valid'),
+]
+
+
+@pytest.mark.parametrize(("version", "noise", "anchor", "joiner", "place", "problem"), OTHERS)
+def test_noise_and_missing_compasses_are_checked(
+    tmp_path, version, noise, anchor, joiner, place, problem
+):
+    """Noise has limits, and a null orientation has conditions."""
+    header = {**HEADER, "version": version, "noise": {"tilt_deg": 1.0, "yaw_deg": 2.0, **noise}}
+
+    refused = refusal_of(tmp_path / "log", header, {**ANCHOR, **anchor}, {**JOINER, **joiner})
+
+    assert refused.startswith(f"{place}: ")
+    assert problem in refused
