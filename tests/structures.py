@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from tiswarm.aliases import AnyInts
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.history import History
 
@@ -196,3 +197,64 @@ def with_ranges(log: SensingLog, history: History, *, reach: float, sd: float) -
 def with_heights(log: SensingLog, truth: NDArray[np.float64]) -> SensingLog:
     """Add the true height of each robot to a log."""
     return replace(log, flip_height=truth[:, 2].copy())
+
+
+def with_directions(
+    log: SensingLog, history: History, *, sd_deg: float, walks: bool = True
+) -> SensingLog:
+    """Add to a log the direction of each true contact, of earlier stances too, with errors."""
+    rng = np.random.default_rng(1)
+    robot, stance, own, other, its = history.table("contacts").T
+    at, frame = _poses(history, robot, stance)
+    body = history.robot.dock_offset_body
+    apart = history.position[other] + _turned(history, other).apply(body[its])
+    apart = frame.inv().apply(apart - at - frame.apply(body[own]))
+    unit = apart / np.linalg.norm(apart, axis=1, keepdims=True)
+    error = np.radians(sd_deg) * rng.normal(size=(len(unit), 3))
+    error -= (error * unit).sum(axis=1, keepdims=True) * unit
+    unit = Rotation.from_rotvec(error).apply(unit)
+    return _with_list(
+        log, history, "directions", np.column_stack([own, other, its, unit]), walks=walks
+    )
+
+
+def with_connections(log: SensingLog, history: History, *, sd_deg: float) -> SensingLog:
+    """Add to a log the relative orientation at each true final contact, with errors."""
+    rng = np.random.default_rng(2)
+    robot, stance, own, other, its = history.table("contacts").T
+    turn = _poses(history, robot, stance)[1].inv() * _turned(history, other)
+    error = Rotation.from_rotvec(np.radians(sd_deg) * rng.normal(size=(len(robot), 3)))
+    wxyz = (error * turn).as_quat(scalar_first=True)
+    rows = np.column_stack([own, other, its, wxyz])
+    return _with_list(log, history, "connections", rows, walks=False)
+
+
+def _with_list(
+    log: SensingLog, history: History, key: str, items: NDArray[np.float64], *, walks: bool
+) -> SensingLog:
+    """Add items of all true contacts to a list, those of earlier stances if the log has them."""
+    robot, stance = history.table("contacts").T[:2]
+    length = np.array([walk.stance_count for walk in history.walks])
+    at_rest = stance == length[robot] - 1
+    final = np.column_stack([robot, items])[at_rest]
+    stances = log.stances
+    if stances is not None and walks:
+        earlier = np.column_stack([stances.start[robot] + stance, items])[~at_rest]
+        stances = replace(stances, **{key: earlier})
+    return replace(log, stances=stances, **{key: final})
+
+
+def _poses(
+    history: History, robot: AnyInts, stance: AnyInts
+) -> tuple[NDArray[np.float64], Rotation]:
+    """Centers and orientations of robots at some of their stances."""
+    poses = [
+        (history.walks[i].center[k], history.walks[i].orientation_wxyz[k])
+        for i, k in zip(robot.tolist(), stance.tolist(), strict=True)
+    ]
+    center, wxyz = map(np.array, zip(*poses, strict=True))
+    return center, Rotation.from_quat(wxyz, scalar_first=True)
+
+
+def _turned(history: History, robot: AnyInts) -> Rotation:
+    return Rotation.from_quat(history.orientation_wxyz[robot], scalar_first=True)

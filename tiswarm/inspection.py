@@ -13,9 +13,9 @@ from tiswarm.measurements.advice import advise
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count, parts, reach
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.measurements.model import SPACING
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.odometry import CENTER
+from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log

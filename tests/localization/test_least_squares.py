@@ -8,9 +8,10 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.least_squares import Problem, improve
 from tiswarm.localization.params import CUES, LeastSquaresParams, VirtualForceParams
 from tiswarm.localization.registry import localize
-from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.rows import SPACING, Distances, Places
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = LeastSquaresParams(

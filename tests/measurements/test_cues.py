@@ -6,9 +6,9 @@ from tiswarm.localization.least_squares import improve
 from tiswarm.localization.params import JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements import cues
-from tiswarm.measurements.model import Places
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
+from tiswarm.measurements.rows import Places
 from tiswarm.sensing import SensingParams, observe
 
 

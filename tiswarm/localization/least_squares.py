@@ -17,7 +17,8 @@ from tiswarm.localization import virtual_force
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.contacts import close_docks, disconnected
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.model import SPACING, Distances, Measurements, turned
+from tiswarm.measurements.model import Measurements, turned
+from tiswarm.measurements.rows import SPACING, Distances
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -144,7 +145,10 @@ def improve(
     for _ in range(params.rounds if log.robot_count > 1 else 0):
         close = _close(measured, log, params, position, yaw)
         rows = Measurements.gather(
-            measured.odometry, [measured.distances, *close], [measured.places]
+            measured.odometry,
+            [measured.distances, *close],
+            [measured.places],
+            [measured.offsets],
         )
         problem = Problem(rows, anchor, yaw_sd)
         found = minimize(problem, problem.unknowns(position, yaw), params)

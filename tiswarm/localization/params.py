@@ -18,6 +18,7 @@ CUES = (
     "plane",
     "fixes",
     "ranges",
+    "directions",
 )
 """Cues that settings have a switch for."""
 
@@ -189,6 +190,8 @@ class CueParams:
     ] = True
 
     ranges: Annotated[bool, Field(description="Measured distances of centers count.")] = True
+
+    directions: Annotated[bool, Field(description="Measured directions of contacts count.")] = True
 
     @property
     def cues(self) -> tuple[str, ...]:

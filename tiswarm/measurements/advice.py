@@ -23,9 +23,10 @@ from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_arra
 from tiswarm.aliases import Ints, Reals
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
-from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
 from tiswarm.measurements.rigidity import floppy_motions, floppy_robots, weld
+from tiswarm.measurements.rows import SPACING, Distances, Places
 from tiswarm.records.sensing_log import SensingLog
 
 MOST_ROBOTS = 1000
@@ -167,7 +168,10 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
 
 def _joined(rows: Measurements, further: Measurements) -> Measurements:
     return Measurements.gather(
-        rows.odometry, [rows.distances, further.distances], [rows.places, further.places]
+        rows.odometry,
+        [rows.distances, further.distances],
+        [rows.places, further.places],
+        [rows.offsets, further.offsets],
     )
 
 
@@ -191,7 +195,8 @@ class _Posterior:
         self.free = slice(3, (4 if yaw_bias > 0.0 else 3) * self.robots)
         jacobian = rows.jacobian(center)
         measured = jacobian.T @ diags_array(1.0 / rows.variance()) @ jacobian
-        i, j = rows.robot[: len(rows.other)], rows.other
+        distances = len(rows.distances.length)
+        i, j = rows.robot[:distances], rows.other[:distances]
         ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
         weight[2 * len(i) :] *= -1.0

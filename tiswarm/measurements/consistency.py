@@ -16,7 +16,8 @@ import numpy as np
 
 from tiswarm.aliases import Bools, Reals
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 ALLOWED_SD = 4.0

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
-from tiswarm.measurements.model import SPACING, Distances, Measurements, Places
+from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.measurements.rows import SPACING, Distances, Offsets, Places
 from tiswarm.records.sensing_log import SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -32,8 +34,11 @@ class Precision(NamedTuple):
     spawn: float = 0.2
     """Deviation of each coordinate of a spawn position whose log states none."""
 
+    direction: float = np.radians(1.0)
+    """Deviation of a direction about each axis across whose log states none [rad]."""
 
-_Rows = Distances | Places
+
+_Rows = Distances | Offsets | Places
 _Producer = Callable[[SensingLog, Odometry, Precision], _Rows]
 
 
@@ -134,6 +139,21 @@ def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distan
     return Distances.of(stance, center, other, center, length=length, sd=sd)
 
 
+def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:
+    """Docks that touched were D apart in a measured direction, at the end or earlier."""
+    stance, rows = _of_all_stances("directions", log, odometry)
+    own, other, its = rows[:, :3].T.astype(np.int64)
+    stated = None if log.noise is None else log.noise.direction_deg
+    sd = precision.direction if stated is None else np.radians(stated)
+    unit = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
+    vector = SPACING * (unit[:, None] @ body_axes)[:, 0]
+    return Offsets.of(
+        stance, own, odometry.final[other], its, vector,
+        along_sd=precision.contact, across_sd=float(np.hypot(precision.contact, SPACING * sd)),
+    )  # fmt: skip
+
+
 def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints, Reals]:
     """Take rows of final and earlier stances: the stance of each, and its other columns."""
     final: Reals = getattr(log, key)
@@ -158,6 +178,7 @@ CUES: list[tuple[tuple[str, ...], _Producer]] = [
     (("plane",), _plane),
     (("fixes",), _fixes),
     (("ranges",), _ranges),
+    (("directions",), _directions),
 ]
 """Every producer, after the names of the cues that must be in use for it."""
 
@@ -189,21 +210,34 @@ def measure(
         if set(names) <= set(cues)
     ]
     distances = [row for row in rows if isinstance(row, Distances)]
+    offsets = [row for row in rows if isinstance(row, Offsets)]
     places = [row for row in rows if isinstance(row, Places)]
-    return _once_each(Measurements.gather(walks, distances, places), log)
+    return _once_each(Measurements.gather(walks, distances, places, offsets), log)
 
 
 def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
-    """Sort rows, and drop those that a dock which stays put repeats at its next stance."""
-    d, p, walks = rows.distances, rows.places, rows.odometry
+    """Sort rows, and drop those that a dock which stays put repeats at its next stance.
+
+    Where the direction of a contact was measured, its rows replace the distance.
+    """
+    d, o, p, walks = rows.distances, rows.offsets, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
     shape = (len(walks.owner) + 1, docks + 1, log.robot_count, docks + 1)  # CENTER is a dock, too
-    ends = (d.dock + 1, rows.other, d.other_dock + 1)
-    number = np.ravel_multi_index((d.stance, *ends), shape)
-    following = np.ravel_multi_index((d.stance + 1, *ends), shape)
-    is_repeated = np.isin(following, number) & (d.dock == walks.pivot[d.stance]) & rows.is_contact
-    _, kept = np.unique(np.where(is_repeated, -1, number), return_index=True)
+    robot, at, dock, other, other_dock = rows.sensed_contacts.T
+    stance = walks.first[robot] + at
+    ends = (dock + 1, other, other_dock + 1)
+    number = np.ravel_multi_index((stance, *ends), shape)
+    following = np.ravel_multi_index((stance + 1, *ends), shape)
+    stays = (dock == walks.pivot[stance]) & rows.is_contact
+    distance, offset = slice(0, len(d.stance)), slice(len(d.stance), None)
+    is_repeated = stays & np.isin(following, number)
+    is_repeated[offset] = (stays & np.isin(following, number[offset]))[offset]
+    with_direction = np.concatenate([number[offset], following[offset][stays[offset]]])
+    is_repeated[distance] |= np.isin(number[distance], with_direction)
+    _, kept = np.unique(np.where(is_repeated, -1, number)[distance], return_index=True)
     kept = kept[~is_repeated[kept]]
+    directed = np.argsort(number[offset], kind="stable")
+    directed = directed[~is_repeated[offset][directed]]
     touch = (docks + 1) * p.stance + p.dock + 1
     again = np.isin(touch + docks + 1, touch) & (p.dock == walks.pivot[p.stance])
     again &= p.dock != CENTER
@@ -213,4 +247,5 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
         walks,
         [Distances._make(column[kept] for column in d)],
         [Places._make(column[order] for column in p)],
+        [Offsets._make(column[directed] for column in o)],
     )

@@ -1,8 +1,9 @@
-"""The measurement model: everything that is sensed is a row of one of two tables.
+"""The measurement model: everything that is sensed is a row of one of three tables.
 
 | table | equation |
 |---|---|
 | `Distances` | |p_i + T_i a - p_j - T_j b| = length |
+| `Offsets` | T_i n . (p_i + T_i (a + v) - p_j - T_j b) = 0 |
 | `Places` | n . (p + T a) = value |
 
 p are the final centers, a and b arms from them to docks in the world frame, as sensed, and T turns
@@ -11,153 +12,75 @@ an arm about the vertical by the robot's yaw correction. Lengths in R.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csc_array
 
-from tiswarm.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.measurements.odometry import CENTER, Odometry
-
-SPACING = 2.0
-"""D: distance between the centers of two docks that touch [R]."""
+from tiswarm.measurements.rows import (
+    NO_DISTANCES,
+    NO_OFFSETS,
+    NO_PLACES,
+    Distances,
+    Offsets,
+    Places,
+    ends,
+    other_ends,
+)
 
 _AXES = 3
 
 
-class Distances(NamedTuple):
-    """C measured distances of docks or centers; dock a of robot i senses dock b of robot j."""
-
-    stance: Ints
-    """Stance of robot i at which its dock was there, shape (C,)."""
-
-    dock: Ints
-    """Dock a, or CENTER, shape (C,)."""
-
-    other_stance: Ints
-    """Stance of robot j, shape (C,)."""
-
-    other_dock: Ints
-    """Dock b, or CENTER, shape (C,)."""
-
-    length: Reals
-    """Measured distance [R], shape (C,)."""
-
-    own_variance: Reals
-    """Variance of the distance, without noise of orientations [R^2], shape (C,)."""
-
-    is_hinge: Bools
-    """Whether only shorter distances count, as for docks that must not overlap, shape (C,)."""
-
-    @classmethod
-    def of(
-        cls,
-        stance: AnyInts,
-        dock: AnyInts,
-        other_stance: AnyInts,
-        other_dock: AnyInts,
-        *,
-        length: float | Reals,
-        sd: float | Reals,
-        is_hinge: bool = False,
-    ) -> "Distances":
-        """Make rows with their length [R] and standard deviation [R], of one kind."""
-        rows = len(stance)
-        return cls(
-            stance=stance.astype(np.int64),
-            dock=dock.astype(np.int64),
-            other_stance=other_stance.astype(np.int64),
-            other_dock=other_dock.astype(np.int64),
-            length=np.broadcast_to(length, rows),
-            own_variance=np.broadcast_to(np.square(sd), rows),
-            is_hinge=np.full(rows, is_hinge),
-        )
-
-
-class Places(NamedTuple):
-    """K measured coordinates of docks or centers."""
-
-    stance: Ints
-    """Stance at which the point was there, shape (K,)."""
-
-    dock: Ints
-    """Dock, or CENTER, shape (K,)."""
-
-    direction: Reals
-    """n: unit vector along which the coordinate is measured, shape (K, 3)."""
-
-    value: Reals
-    """Measured coordinate [R], shape (K,)."""
-
-    own_variance: Reals
-    """Variance of the coordinate, without noise of orientations [R^2], shape (K,)."""
-
-    @classmethod
-    def of(
-        cls,
-        stance: AnyInts,
-        dock: AnyInts,
-        direction: Reals,
-        value: Reals,
-        *,
-        variance: float | Reals,
-    ) -> "Places":
-        """Make rows with their variance [R^2]; a value that is not finite makes none."""
-        is_known = np.isfinite(value)
-        every = cls(
-            stance.astype(np.int64),
-            dock.astype(np.int64),
-            np.broadcast_to(direction, (len(value), _AXES)),
-            value,
-            np.broadcast_to(variance, len(value)),
-        )
-        return cls._make(column[is_known] for column in every)
-
-
-_NO_DISTANCES = Distances.of(*[np.empty(0, np.int64)] * 4, length=SPACING, sd=0.0)
-_NO_PLACES = Places.of(
-    np.empty(0, np.int64), np.empty(0, np.int64), np.eye(_AXES)[2], np.empty(0), variance=0.0
-)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Measurements:
-    """Rows of N robots, those of `distances` before those of `places`: E = C + K in all."""
+    """Rows of N robots: those of `distances`, of `offsets`, and of `places`, E = C + O + K in all.
+
+    The first P = C + O are of pairs of robots.
+    """
 
     odometry: Odometry
     """Stances that rows are about."""
 
     distances: Distances
+    offsets: Offsets
     places: Places
 
     robot: Ints
     """Robot of each row, shape (E,)."""
 
     other: Ints
-    """The other robot of each distance, shape (C,)."""
+    """The other robot of each pair, shape (P,)."""
 
     arm: Reals
-    """T = 1: from the robot's final center to its dock [R], shape (E, 3)."""
+    """T = 1: from the robot's final center to its dock, or to the end of its vector [R], (E, 3)."""
 
     other_arm: Reals
-    """The same of the other robot, shape (C, 3)."""
+    """From the other robot's final center to its dock [R], shape (P, 3)."""
 
     @classmethod
     def gather(
-        cls, odometry: Odometry, distances: Sequence[Distances] = (), places: Sequence[Places] = ()
+        cls,
+        odometry: Odometry,
+        distances: Sequence[Distances] = (),
+        places: Sequence[Places] = (),
+        offsets: Sequence[Offsets] = (),
     ) -> "Measurements":
         """Concatenate tables, and look up the robots and arms that they are about."""
-        d = Distances(*map(np.concatenate, zip(_NO_DISTANCES, *distances, strict=True)))
-        p = Places(*map(np.concatenate, zip(_NO_PLACES, *places, strict=True)))
-        stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
+        d = Distances(*map(np.concatenate, zip(NO_DISTANCES, *distances, strict=True)))
+        o = Offsets(*map(np.concatenate, zip(NO_OFFSETS, *offsets, strict=True)))
+        p = Places(*map(np.concatenate, zip(NO_PLACES, *places, strict=True)))
+        stance, dock, beyond = ends(d, o, p)
+        other_stance, other_dock = other_ends(d, o)
         return cls(
             odometry=odometry,
             distances=d,
+            offsets=o,
             places=p,
             robot=odometry.owner[stance],
-            other=odometry.owner[d.other_stance],
-            arm=odometry.arms(stance, dock)[0],
-            other_arm=odometry.arms(d.other_stance, d.other_dock)[0],
+            other=odometry.owner[other_stance],
+            arm=odometry.arms(stance, dock)[0] + beyond,
+            other_arm=odometry.arms(other_stance, other_dock)[0],
         )
 
     @property
@@ -171,16 +94,21 @@ class Measurements:
 
     @property
     def is_contact(self) -> Bools:
-        """Which distances are those of docks that touch, shape (C,)."""
-        is_contact: Bools = self.distances.dock != CENTER
+        """Which rows of pairs are those of docks that touch, shape (P,)."""
+        is_contact: Bools = ends(self.distances, self.offsets)[1] != CENTER
         return is_contact
 
     @property
     def sensed_contacts(self) -> Ints:
-        """Robot, its stance, own dock or CENTER, other robot and the same of it, shape (C, 5)."""
-        d, robot = self.distances, self.robot[: len(self.other)]
-        stance = d.stance - self.odometry.first[robot]
-        return np.column_stack([robot, stance, d.dock, self.other, d.other_dock])
+        """Robot, its stance, own dock or CENTER, other robot and the same of it, of each pair.
+
+        Shape (P, 5); the rows of a vector are alike.
+        """
+        robot = self.robot[: len(self.other)]
+        stance, dock, _ = ends(self.distances, self.offsets)
+        other_dock = other_ends(self.distances, self.offsets)[1]
+        at = stance - self.odometry.first[robot]
+        return np.column_stack([robot, at, dock, self.other, other_dock])
 
     @property
     def sensed_places(self) -> Ints:
@@ -191,20 +119,29 @@ class Measurements:
     @property
     def own_variance(self) -> Reals:
         """Variance of each row, without noise of orientations [R^2], shape (E,)."""
-        return np.concatenate([self.distances.own_variance, self.places.own_variance])
+        tables = (self.distances, self.offsets, self.places)
+        return np.concatenate([table.own_variance for table in tables])
 
     def select(self, chosen: Bools) -> "Measurements":
         """Keep rows chosen by an array of shape (E,)."""
-        distance, place = np.split(chosen, [len(self.other)])
+        pair = chosen[: len(self.other)]
+        distance, offset, place = np.split(chosen, [len(self.distances.stance), len(pair)])
         return replace(
             self,
             distances=Distances._make(column[distance] for column in self.distances),
+            offsets=Offsets._make(column[offset] for column in self.offsets),
             places=Places._make(column[place] for column in self.places),
             robot=self.robot[chosen],
-            other=self.other[distance],
+            other=self.other[pair],
             arm=self.arm[chosen],
-            other_arm=self.other_arm[distance],
+            other_arm=self.other_arm[pair],
         )
+
+    def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
+        """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
+        own = ends(self.distances, self.offsets, self.places)
+        its = other_ends(self.distances, self.offsets)
+        return self.odometry.noisy_arms(*own), self.odometry.noisy_arms(*its)
 
     def variance(self) -> Reals:
         """Propagate the noise of orientations to the rows.
@@ -215,24 +152,26 @@ class Measurements:
         Returns:
             Variance of each row [R^2], shape (E,).
         """
-        d, p = self.distances, self.places
+        d, o, p = self.distances, self.offsets, self.places
         stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
         noise = self.odometry.arms(stance, dock)[1]
-        noise[: len(self.other)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
-        every = np.full((len(self.other), _AXES), _AXES**-0.5)
+        noise[: len(d.stance)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
+        every = np.full((len(d.stance), _AXES), _AXES**-0.5)
         direction = np.concatenate([every, p.direction])
-        variance: Reals = (direction**2 * noise).sum(axis=1) + self.own_variance
-        return variance
+        variance = (direction**2 * noise).sum(axis=1)
+        of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
+        of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)
+        return np.insert(variance, len(d.stance), of_offsets) + self.own_variance
 
     def vectors(self, position: Reals, yaw: Reals | None = None) -> Reals:
-        """Compute the vectors from the other dock of each distance to its dock.
+        """Compute the vectors from the other arm's end of each pair to that of its arm.
 
         Args:
             position: Final centers [R], shape (..., N, 3).
             yaw: Yaw corrections [rad], shape (..., N); 0 if None.
 
         Returns:
-            Vectors [R], shape (..., C, 3).
+            Vectors [R], shape (..., P, 3).
         """
         i, j = self.robot[: len(self.other)], self.other
         arm = turned(self.arm[: len(j)], None if yaw is None else yaw[..., i])
@@ -247,27 +186,35 @@ class Measurements:
         points: Reals = position[..., robot, :] + arm
         return points
 
+    def axes(self, yaw: Reals | None = None) -> Reals:
+        """Compute the unit vectors along which `offsets` measures, shape (..., O, 3)."""
+        robot = self.robot[len(self.distances.stance) : len(self.other)]
+        return turned(self.offsets.axis, None if yaw is None else yaw[..., robot])
+
     def residual(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute what each row's equation is missed by; arguments as in `vectors`.
 
         Returns:
             Residuals [R], shape (..., E).
         """
-        gap = np.linalg.norm(self.vectors(position, yaw), axis=-1) - self.distances.length
+        count = len(self.distances.stance)
+        apart = self.vectors(position, yaw)
+        gap = np.linalg.norm(apart[..., :count, :], axis=-1) - self.distances.length
         gap = np.where(self.distances.is_hinge, np.minimum(gap, 0.0), gap)
+        off = (apart[..., count:, :] * self.axes(yaw)).sum(axis=-1)
         away = (self.points(position, yaw) * self.places.direction).sum(axis=-1)
-        return np.concatenate([gap, away - self.places.value], axis=-1)
+        return np.concatenate([gap, off, away - self.places.value], axis=-1)
 
     def directions(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the derivative of each residual by its robot's center, shape (E, 3).
 
         It is a unit vector, or 0 where docks coincide or a hinge is open.
         """
-        apart = self.vectors(position, yaw)
+        apart = self.vectors(position, yaw)[: len(self.distances.stance)]
         length = np.linalg.norm(apart, axis=1)
         counts = (length > 0.0) & ~(self.distances.is_hinge & (length >= self.distances.length))
         slope = np.divide(counts, length, out=np.zeros_like(length), where=counts)
-        return np.concatenate([slope[:, None] * apart, self.places.direction])
+        return np.concatenate([slope[:, None] * apart, self.axes(yaw), self.places.direction])
 
     def jacobian(self, position: Reals, yaw: Reals | None = None) -> csc_array:
         """Compute the derivatives of the residuals; arguments as in `vectors`.
@@ -277,8 +224,11 @@ class Measurements:
         """
         direction = self.directions(position, yaw)
         count, i, j = len(self.other), self.robot, self.other
-        arm = turned(self.arm, None if yaw is None else yaw[i])
+        arm = turned(self.arm, None if yaw is None else yaw[i]).copy()
         its = turned(self.other_arm, None if yaw is None else yaw[j])
+        # A vector turns with its axes: the derivative is that of an arm to the other dock.
+        offset = slice(len(self.distances.stance), count)
+        arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
         of_turn = direction[:, 1] * arm[:, 0] - direction[:, 0] * arm[:, 1]
         toward = direction[:count]
         of_its_turn = toward[:, 1] * its[:, 0] - toward[:, 0] * its[:, 1]

@@ -73,9 +73,8 @@ def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
     """
     rows = measure(log, known.cues)
     modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=known.yaw_unknown)
-    ends = [rows.distances.other_dock[rows.other == 0]]
-    ends.append(rows.distances.dock[rows.robot[: len(rows.other)] == 0])
-    return modes, np.unique(np.concatenate(ends))
+    robot, _, dock, other, other_dock = rows.sensed_contacts.T
+    return modes, np.unique(np.concatenate([other_dock[other == 0], dock[robot == 0]]))
 
 
 def _anywhere(log: SensingLog) -> Reals:

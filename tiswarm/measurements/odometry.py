@@ -45,6 +45,8 @@ class Odometry:
             [noise.tilt_deg, noise.yaw_deg, noise.yaw_bias_deg or 0.0]
         )
         wxyz = np.concatenate([stances.orientation_wxyz, log.orientation_wxyz])[order]
+        self.orientation_wxyz = wxyz
+        """Sensed orientation at each stance, body to world, unit quaternion, shape (S, 4)."""
         self.arm = dock_offsets(wxyz, log.dock_offset_body) / log.dock_radius
         """Center to dock at each stance [R], shape (S, docks, 3)."""
         still = np.zeros((robots, 3))
@@ -80,7 +82,30 @@ class Odometry:
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
 
-    def noisy_arms(self, stance: Ints, dock: Ints) -> tuple[Ints, Ints, Reals]:
+    def variance_along(
+        self, axis: Reals, stance: Ints, dock: Ints, beyond: Reals | float = 0.0
+    ) -> Reals:
+        """Propagate the noise of orientations to components of such arms.
+
+        Args:
+            axis: Unit vector along each component, shape (n, 3).
+            stance: Stances, shape (n,).
+            dock: Dock of each, or CENTER, shape (n,).
+            beyond: Vectors that begin there and that the stance turns too [R], shape (n, 3).
+
+        Returns:
+            Variance of each component [R^2], shape (n,).
+        """
+        which, _, part = self.noisy_arms(stance, dock, beyond)
+        turn = np.cross(part, axis[which]) * [self.tilt, self.tilt, self.yaw]
+        noise = np.bincount(which, (turn**2).sum(axis=1), len(stance))
+        x, y, _ = (self.arms(stance, dock)[0] + beyond).T
+        variance: Reals = noise + self.bias**2 * (x * axis[:, 1] - y * axis[:, 0]) ** 2
+        return variance
+
+    def noisy_arms(
+        self, stance: Ints, dock: Ints, beyond: Reals | float = 0.0
+    ) -> tuple[Ints, Ints, Reals]:
         """Split such arms into parts, each turned by the orientation of one stance.
 
         An arm's error is the sum over its parts of w x part, with w the error of the orientation.
@@ -88,6 +113,7 @@ class Odometry:
         Args:
             stance: Stances, shape (n,).
             dock: Dock of each, or CENTER, shape (n,).
+            beyond: Vectors that begin there and that the stance turns too [R], shape (n, 3).
 
         Returns:
             Which arm each part is of, and the part's stance, both of shape (m,), and the part [R],
@@ -100,7 +126,7 @@ class Odometry:
         of_part = np.arange(len(which)) - (start - stance)[which]
         part = self.reached[of_part]
         offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
-        part[start] = offset - self.held[stance]
+        part[start] = offset + beyond - self.held[stance]
         return which, of_part, part
 
     def _turned(self, arm: Reals) -> Reals:

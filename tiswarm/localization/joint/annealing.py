@@ -33,7 +33,7 @@ from tiswarm.localization.joint.problem import Planes, Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.params import JointParams
-from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.rows import SPACING
 from tiswarm.progress import ignore
 from tiswarm.records.sensing_log import SensingLog
 

@@ -14,7 +14,7 @@ center.
 from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import vector_at
 from tiswarm.localization.virtual_force_kernels import with_torque
-from tiswarm.measurements.model import SPACING
+from tiswarm.measurements.rows import SPACING
 
 _MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
