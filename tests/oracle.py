@@ -206,8 +206,10 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
     force, torque = np.zeros_like(position), np.zeros(len(position))
     contacts = Counter(log.contacts[:, [0, 2]].ravel().tolist())
+    distance = ~known.is_offset
     for i, j, shift, lever, variance, is_final, measured in zip(
-        known.robot, known.other, known.shift, known.lever, known.variance, known.is_final,
+        known.robot[distance], known.other[distance], known.shift[distance], known.lever[distance],
+        known.variance[: distance.sum()], known.is_final[distance],
         known.rows.distances.length, strict=True,
     ):  # fmt: skip
         own, its = np.append(lever[:2], 0.0), np.append(lever[2:], 0.0)
@@ -233,6 +235,10 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
             force[j] -= across
             torque[i] += np.cross(turn[i] @ own, across - push)[2]
             torque[j] -= np.cross(turn[j] @ its, across - push)[2]
+    for robot in range(len(position)) if known.is_offset.any() else ():
+        slope = [_offset_slope(known, position, yaw, tolerance, width, robot, k) for k in range(4)]
+        force[robot] -= slope[:3]
+        torque[robot] -= slope[3]
     touching = {tuple(row) for row in log.contacts.tolist()}
     for i in range(len(position)):
         for j in range(i + 1, len(position)):
@@ -257,6 +263,30 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
         stiff = (tolerance / sd) ** 2
         hold[int(robot)] += normal * gap * stiff / (1.0 + stiff + (gap / width / sd) ** 2)
     return force + hold, torque
+
+
+def _offset_slope(known, position, yaw, tolerance, width, robot, coordinate, h=1e-30):
+    """Slope of the energy of all offsets by a coordinate or the yaw of a robot, a complex step."""
+    position, yaw = position.astype(complex), yaw.astype(complex)
+    if coordinate < 3:
+        position[robot, coordinate] += 1j * h
+    else:
+        yaw[robot] += 1j * h
+    cos, sin, energy = np.cos(yaw), np.sin(yaw), 0.0
+    rows = known.rows
+    count, total = len(rows.distances.stance), len(rows.other)
+    turn = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            for c, s in zip(cos, sin, strict=True)]  # fmt: skip
+    for row in range(count, total, 3):
+        i, j = rows.robot[row], rows.other[row]
+        seen = turn[i].T @ (position[j] + turn[j] @ rows.other_arm[row] - position[i])
+        off = rows.offsets.axis[row - count : row - count + 3] @ (rows.arm[row] - seen)
+        along, *across = known.variance[row : row + 3]
+        within = tolerance**2 + np.array([along, np.mean(across), np.mean(across)])
+        square = (off**2 / within).sum()
+        loss = width**2 * np.log(1.0 + square / width**2) if np.isfinite(width) else square
+        energy = energy + 0.5 * tolerance**2 * loss
+    return np.imag(energy) / h
 
 
 def _slope_inside(length, size, h=1e-30):

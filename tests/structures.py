@@ -200,9 +200,14 @@ def with_heights(log: SensingLog, truth: NDArray[np.float64]) -> SensingLog:
 
 
 def with_directions(
-    log: SensingLog, history: History, *, sd_deg: float, walks: bool = True
+    log: SensingLog,
+    history: History,
+    *,
+    sd_deg: float,
+    walks: bool = True,
+    robots: Iterable[int] | None = None,
 ) -> SensingLog:
-    """Add to a log the direction of each true contact, of earlier stances too, with errors."""
+    """Add to a log the directions that some robots measure of all true contacts, with errors."""
     rng = np.random.default_rng(1)
     robot, stance, own, other, its = history.table("contacts").T
     at, frame = _poses(history, robot, stance)
@@ -213,9 +218,8 @@ def with_directions(
     error = np.radians(sd_deg) * rng.normal(size=(len(unit), 3))
     error -= (error * unit).sum(axis=1, keepdims=True) * unit
     unit = Rotation.from_rotvec(error).apply(unit)
-    return _with_list(
-        log, history, "directions", np.column_stack([own, other, its, unit]), walks=walks
-    )
+    rows = np.column_stack([own, other, its, unit])
+    return _with_list(log, history, "directions", rows, walks=walks, robots=robots)
 
 
 def with_connections(log: SensingLog, history: History, *, sd_deg: float) -> SensingLog:
@@ -230,16 +234,22 @@ def with_connections(log: SensingLog, history: History, *, sd_deg: float) -> Sen
 
 
 def _with_list(
-    log: SensingLog, history: History, key: str, items: NDArray[np.float64], *, walks: bool
+    log: SensingLog,
+    history: History,
+    key: str,
+    items: NDArray[np.float64],
+    *,
+    walks: bool,
+    robots: Iterable[int] | None = None,
 ) -> SensingLog:
     """Add items of all true contacts to a list, those of earlier stances if the log has them."""
     robot, stance = history.table("contacts").T[:2]
-    length = np.array([walk.stance_count for walk in history.walks])
-    at_rest = stance == length[robot] - 1
-    final = np.column_stack([robot, items])[at_rest]
+    at_rest = stance == np.array([walk.stance_count for walk in history.walks])[robot] - 1
+    chosen = np.isin(robot, range(log.robot_count) if robots is None else [*robots])
+    final = np.column_stack([robot, items])[at_rest & chosen]
     stances = log.stances
     if stances is not None and walks:
-        earlier = np.column_stack([stances.start[robot] + stance, items])[~at_rest]
+        earlier = np.column_stack([stances.start[robot] + stance, items])[~at_rest & chosen]
         stances = replace(stances, **{key: earlier})
     return replace(log, stances=stances, **{key: final})
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests import oracle
 from tests.localization.test_problem import true_yaw
-from tests.structures import with_fixes, with_ranges
+from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
@@ -45,14 +45,17 @@ def _rmse(position, history):
 @pytest.mark.parametrize("steps", [4, 40])
 @pytest.mark.parametrize("robust", [True, False])
 @pytest.mark.parametrize("noise", [NOISY, BIASED])
-def test_forces_match_the_energies_written_out_slowly(towers, noise, robust, steps):
+@pytest.mark.parametrize("directed", [False, True])
+def test_forces_match_the_energies_written_out_slowly(towers, directed, noise, robust, steps):
     """Contacts, overlaps and known places pull and turn as sums over all of them say.
 
     Docks grow in the first tenth of the steps. Every third robot has four fixes, and robots
-    measure how far others are.
+    measure how far others are. Every other robot measures the directions of its contacts.
     """
     log = with_fixes(observe(towers[0], noise), towers[0], range(3, 30, 3), each=4, sd=0.2)
     log = with_ranges(log, towers[0], reach=5.0, sd=0.1)
+    if directed:
+        log = with_directions(log, towers[0], sd_deg=5.0, robots=range(0, 30, 2))
     params = dataclasses.replace(SHORT, robust=robust, start_sigma=0.3, end_sigma=0.3)
     known = pose_problem(log, params)
     annealer = annealing.Annealer([log], [params], [known])

@@ -197,13 +197,14 @@ class Measurements:
         Returns:
             Residuals [R], shape (..., E).
         """
-        count = len(self.distances.stance)
-        apart = self.vectors(position, yaw)
-        gap = np.linalg.norm(apart[..., :count, :], axis=-1) - self.distances.length
-        gap = np.where(self.distances.is_hinge, np.minimum(gap, 0.0), gap)
-        off = (apart[..., count:, :] * self.axes(yaw)).sum(axis=-1)
+        d, apart = self.distances, self.vectors(position, yaw)
+        missed = np.linalg.norm(apart, axis=-1)
+        distance, offset = np.split(missed, [len(d.stance)], axis=-1)
+        distance -= d.length
+        distance[...] = np.where(d.is_hinge, np.minimum(distance, 0.0), distance)
+        offset[...] = (apart[..., len(d.stance) :, :] * self.axes(yaw)).sum(axis=-1)
         away = (self.points(position, yaw) * self.places.direction).sum(axis=-1)
-        return np.concatenate([gap, off, away - self.places.value], axis=-1)
+        return np.concatenate([missed, away - self.places.value], axis=-1)
 
     def directions(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the derivative of each residual by its robot's center, shape (E, 3).

@@ -344,13 +344,19 @@ def _contact_arrays(
     robot = number[np.concatenate([e.robot + a for e, a in zip(problems, start[:-1], strict=True)])]
     other = number[np.concatenate([e.other + a for e, a in zip(problems, start[:-1], strict=True)])]
     is_final = np.concatenate([e.is_final for e in problems]).astype(np.int64)
+    is_offset = np.concatenate([e.is_offset for e in problems])
     extension = np.concatenate(
         [p.extension_prior * e.is_final / e.fewest for e, p in zip(problems, params, strict=True)]
     )
-    shift = np.concatenate([e.shift for e in problems])
+    extension[is_offset] = 0.0  # their direction is measured
+    vector = np.concatenate([e.vector for e in problems])
+    shift = np.concatenate([e.shift for e in problems]) - vector
     lever = np.concatenate([e.lever for e in problems])
-    length = np.concatenate([e.rows.distances.length for e in problems])
-    variance = np.concatenate([e.variance for e in problems])
+    lever[:, :2] -= vector[:, :2]
+    length = np.concatenate([e.length for e in problems])
+    variance = np.concatenate([e.variance[e.link] for e in problems])
+    total = np.concatenate([e.by_link(e.variance) for e in problems])
+    across = np.where(is_offset, 0.5 * (total - variance), 0.0)
     both = np.concatenate([robot, other])
     order = np.argsort(both, kind="stable")
     return Contacts(
@@ -362,6 +368,10 @@ def _contact_arrays(
         lever=_upload(memory, np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order]),
         length=_upload(memory, np.tile(length, 2)[order], 1.0),
         variance=_upload(memory, np.tile(variance, 2)[order], 1.0),
+        across=_upload(memory, np.tile(across, 2)[order]),
+        vector=_upload(memory, np.concatenate([vector, -vector])[order]),
+        measures=_upload(memory, np.repeat([1, 0], len(robot))[order]),
+        has_offsets=bool(is_offset.any()),
     )
 
 

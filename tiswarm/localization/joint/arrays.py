@@ -49,7 +49,10 @@ class Robots(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Contacts and ranges in CSR form; every one stands at both its robots, K entries in all."""
+    """Contacts and ranges in CSR form; every one stands at both its robots, K entries in all.
+
+    An offset is a contact whose direction is measured.
+    """
 
     start: Ints1
     """First entry of each robot, shape (N + 1,)."""
@@ -73,7 +76,19 @@ class Contacts(NamedTuple):
     """Measured distance [R], shape (K,)."""
 
     variance: Reals1
-    """Variance of the measured distance [R^2], shape (K,)."""
+    """Variance of the measured distance, or along an offset [R^2], shape (K,)."""
+
+    across: Reals1
+    """Variance across an offset, 0 of other entries [R^2], shape (K,)."""
+
+    vector: Reals2
+    """Measured vector from the robot's dock to the partner's, as sensed [R], shape (K, 3)."""
+
+    measures: Ints1
+    """Whether the robot measured the vector, not its partner, shape (K,)."""
+
+    has_offsets: bool
+    """Whether any entry is an offset."""
 
 
 class Priors(NamedTuple):

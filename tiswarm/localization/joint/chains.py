@@ -85,9 +85,10 @@ class Verdict:
 
 def failed(problem: Problem, annealed: Annealed) -> Bools:
     """Find chains that no noise of the measurements explains, shape (chains,)."""
-    missed = squares(problem, annealed)[:, : len(problem.other)]
+    missed = squares(problem, annealed)[:, : len(problem.variance)]
     # A wrong contact bounds no distance; most chains tear it.
     torn = (missed > ConvergenceTest.outlier_sd**2).mean(axis=0) >= ConvergenceTest.most_chains
+    torn = problem.any_of_link(torn)[problem.link]
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
@@ -117,7 +118,7 @@ def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: in
         has_failed: Chains that cannot be right, shape (chains,).
         restarted: How many chains were annealed again.
     """
-    test, contacts = ConvergenceTest, len(problem.other)
+    test, contacts = ConvergenceTest, len(problem.variance)
     missed = squares(problem, annealed)
     sums = np.minimum(missed[:, :contacts], test.capped_sd**2).sum(axis=1)
     candidates = np.where(has_failed.all() | ~has_failed, sums, np.inf)
@@ -126,6 +127,7 @@ def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: in
     rank = np.argsort(np.argsort(candidates, kind="stable"))
     jury = converged | ((rank < test.jury) & np.isfinite(candidates))
     outlier = (missed[jury] > test.outlier_sd**2).all(axis=0)
+    outlier[:contacts] = problem.any_of_link(outlier[:contacts])
     used = missed[best, ~outlier]
     count = max(len(used), 1)
     spread = np.sqrt(2.0 * count)

@@ -50,6 +50,50 @@ def _turned(x, y, heading: Ref, r):
 
 
 @ti.func
+def _pull_of_offset(
+    r, partner, slot, apart, arm, turning: Static, square, robust, contacts: Ref, swarm: Ref
+):
+    """Compute the force of an offset on copy r of a robot, its torque, stiffness and inertia.
+
+    The residual is a vector e, with variances v_k along the measured vector and across it. With
+    w_k = sigma^2 + v_k and c^2 = 1 / `robust`, the energy is Cauchy's loss of the sum of squares,
+    sigma^2 c^2 / 2 log(1 + sum_k e_k^2 / (c^2 w_k)). The measured vector, and with it the axes,
+    turn with the robot that measured it: the force on that robot acts at the partner's dock.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the offset.
+        apart: From the partner's dock to the robot's [R].
+        arm: From the center of the robot to its dock, horizontal part [R].
+        turning: Whether any robot turns.
+        square: Temperature sigma^2 [R^2].
+        robust: One over the squared width of the robust loss [1].
+        contacts: Contacts.
+        swarm: State of the copies.
+    """
+    vector = vector_at(contacts.vector, slot)
+    lever = arm
+    if ti.static(turning):
+        owner = partner
+        if contacts.measures[slot] == 1:
+            owner, lever = r, arm - apart
+        level = _turned(vector[0], vector[1], swarm.heading, owner)
+        vector[0], vector[1] = level[0], level[1]
+    residual = apart + vector
+    along = residual.dot(vector) / vector.norm_sqr() * vector
+    across = residual - along
+    stiff = square / (square + contacts.variance[slot])
+    stiff_across = square / (square + contacts.across[slot])
+    torn = stiff * along.norm_sqr() + stiff_across * across.norm_sqr()
+    whole = 1.0 / (1.0 + robust * torn / square)
+    force = -whole * (stiff * along + stiff_across * across)
+    stiffest = whole * ti.max(stiff, stiff_across)
+    inertia = stiffest * (lever[0] * lever[0] + lever[1] * lever[1])
+    return with_torque(force, lever), stiffest, inertia
+
+
+@ti.func
 def _pull_of_contacts(
     r,
     i,
@@ -104,6 +148,15 @@ def _pull_of_contacts(
         inside = _push_inside(length * length, 0.5 / ti.max(measured * measured, _TINY))
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
         overlap = contacts.is_final[slot] * _push_inside(length * length, slope)
+        if ti.static(contacts.has_offsets):
+            if contacts.across[slot] > 0.0:
+                held, stiff, lag = _pull_of_offset(
+                    r, partner, slot, apart, arm, turning, square, robots.robust[i], contacts,
+                    swarm,
+                )  # fmt: skip
+                force += held
+                inertia += lag
+                pull = 0.0
         force -= with_torque((stiff * pull + overlap) * apart, arm)
         if contacts.is_final[slot] == 1:
             trust = (square + contacts.variance[slot]) * length * inverse

@@ -17,8 +17,8 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     """Place each robot where its contacts with robots already placed meet, give or take one R.
 
     Robots follow each other along the chains of contacts, from the first robot of each part on.
-    Nothing senses in which direction a dock lies from the one it touches. The guess takes robots to
-    stand across from each other there; otherwise thousands of them would begin in a heap. A robot
+    Unless the direction is measured in which a dock lies from the one it touches, the guess takes
+    robots to stand across from each other; otherwise thousands would begin in a heap. A robot
     with ranges to robots already placed moves to where these meet best.
 
     Returns:
@@ -31,8 +31,8 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     toward = np.concatenate([across, -across])
     partner = np.concatenate([problem.other, problem.robot])
     rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
-    is_range = np.tile(~problem.rows.is_contact, 2)
-    length = np.tile(problem.rows.distances.length, 2)
+    is_range = np.tile(~problem.rows.is_contact[problem.link], 2)
+    length = np.tile(problem.length, 2)
     place, is_measured = problem.sensed_place()
     guess[:, 0] = log.anchor_position / log.dock_radius
     is_placed = robot == 0
@@ -66,13 +66,14 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     Returns:
         How many robots moved.
     """
-    gap = np.abs(problem.residual(position, yaw))
+    gap = np.sqrt(problem.by_link(problem.residual(position, yaw) ** 2))
     count = np.bincount(problem.robot, minlength=position.shape[1])
     across = _across(problem)
     is_measured = problem.sensed_place()[1]
     rows = _rows(problem.robot, len(count))
     moved = 0
-    far = np.maximum(AnnealSchedule.lost, AnnealSchedule.lost_sd * np.sqrt(problem.variance))
+    sd = np.sqrt(problem.by_link(problem.variance))
+    far = np.maximum(AnnealSchedule.lost, AnnealSchedule.lost_sd * sd)
     for here, missed in zip(position, gap > far, strict=True):
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
@@ -121,8 +122,12 @@ def _rows(robot: Ints, robots: int) -> list[NDArray[np.intp]]:
 
 
 def _across(problem: Problem) -> Reals:
-    """From the center of the other robot back to that of one across from it [R], shape (C, 3)."""
+    """From the center of the other robot back to that of one across from it [R], shape (C, 3).
+
+    Of an offset it is measured.
+    """
     shift = problem.shift
     length = np.maximum(np.linalg.norm(shift, axis=1), SPACING)
-    across: Reals = shift * (1.0 + SPACING * problem.is_final / length)[:, None]
+    is_guess = problem.is_final & ~problem.is_offset
+    across: Reals = shift * (1.0 + SPACING * is_guess / length)[:, None]
     return across

@@ -212,6 +212,10 @@ def take_steps(
     lever: Reals2,
     contact_length: Reals1,
     variance: Reals1,
+    across: Reals1,
+    vector: Reals2,
+    measures: Ints1,
+    has_offsets: Static,
     # Priors
     plane_start: Ints1,
     point: Reals2,
@@ -285,7 +289,7 @@ def take_steps(
     contacts = ti.static(
         Contacts(
             contact_start, partner, is_final, extension, contact_shift, lever, contact_length,
-            variance,
+            variance, across, vector, measures, has_offsets,
         )
     )  # fmt: skip
     priors = ti.static(Priors(plane_start, point, direction, precision, crowd, walk, yaw_precision))

@@ -20,7 +20,10 @@ from tiswarm.records.sensing_log import SensingLog
 def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     """Name what logs must share to be annealed together."""
     chains, steps = params.chains_for(log.robot_count), params.steps_for(log.robot_count)
-    return (len(log.dock_offset_body), params.seed, chains, steps, params.hold_steps)
+    parts = [part for part in (log, log.stances) if part is not None]
+    is_directed = "directions" in params.cues and any(len(part.directions) for part in parts)
+    docks = len(log.dock_offset_body)
+    return (docks, is_directed, params.seed, chains, steps, params.hold_steps)
 
 
 def localize_batch(
@@ -34,7 +37,7 @@ def localize_batch(
         One estimate a log: the mean over the end of all chains that converged, refined where that
         is of use. `sd` follows from the variance within and between chains, or from the refined
         problem. The residual is the root mean square over the contacts of the distance of their
-        docks less D.
+        docks less D, or of the components of measured offsets.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=on_progress)
@@ -52,7 +55,7 @@ def _estimate(
     sd = deviation(problem, annealed.mean, annealed.within, converged, annealed.sigma)
     if params.refines(log.robot_count) and is_of_use(problem) and convergence.converged:
         inlier = ~verdict.outlier | (not params.robust)
-        curved = _curved(problem, annealed)[inlier[: len(problem.other)]]
+        curved = _curved(problem, annealed)[inlier[: len(problem.variance)]]
         position, yaw, sd = refine(problem, position, yaw, sd, problem.rows.select(inlier), curved)
     # Chains agree where they place disconnected parts, but nothing measures it.
     sd = np.sqrt(sd**2 + square[converged].mean(axis=0))
@@ -71,7 +74,9 @@ def _estimate(
         sd=sd * unit,
         yaw=yaw if problem.yaw_precision else None,
         convergence=convergence,
-        outlier_contacts=outliers.sensed_contacts if convergence.converged else None,
+        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0)
+        if convergence.converged
+        else None,
         outlier_places=places if convergence.converged else None,
         solutions=distinct(mean * unit, _rms(last) * unit, _rms(last / width), log.spacing),
         iteration=annealed.iteration,
@@ -98,18 +103,20 @@ def _restarted(
 
 
 def _curved(problem: Problem, annealed: Annealed) -> Reals:
-    """Compute the variance of contacts about their linear form, since chains move, shape (C,).
+    """Compute the variance of links about their linear form, since chains move, shape (P,).
 
-    A distance d grows by s^2 / 2d if the one dock is off by s across from the other.
+    A distance d grows by s^2 / 2d if the one dock is off by s across from the other. Offsets are
+    linear.
     """
-    i, j = problem.robot, problem.other
+    rows, length = problem.rows, problem.rows.distances.length
+    i, j = rows.robot[: len(length)], rows.other[: len(length)]
     between = (annealed.mean[:, i] - annealed.mean[:, j]).var(axis=0).sum(axis=1)
     within = (annealed.within[:, i] + annealed.within[:, j]).mean(axis=0)
-    variance: Reals = ((between + within) / (2.0 * problem.rows.distances.length)) ** 2
-    return variance
+    variance: Reals = ((between + within) / (2.0 * length)) ** 2
+    return np.pad(variance, (0, len(rows.offsets.stance)))
 
 
 def _rms(gap: Reals) -> Reals:
-    """Root mean square over the contacts of gaps (K, C), 0 where there are none, shape (K,)."""
+    """Root mean square of gaps (K, P), 0 where there are none, shape (K,)."""
     rms: Reals = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
     return rms

@@ -60,19 +60,19 @@ class Planes(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Measurements of one structure of N robots, C of them distances; none is of the anchor."""
+    """Measurements of one structure of N robots with C links; no coordinate is of the anchor.
+
+    A link is a distance, which has one row, or an offset, which has three.
+    """
 
     rows: Measurements
-    """Measurements that count, E in all."""
+    """Measurements that count, E in all, P of them of links."""
 
     inconsistent: Measurements
     """Coordinates that most others of the same robot contradict; they do not count."""
 
     variance: Reals
-    """Variance of each distance, mean over all directions [R^2], shape (C,)."""
-
-    is_final: Bools
-    """Whether the contact is of the final stance, shape (C,)."""
+    """Variance of each row of a link; of a distance the mean over all directions [R^2], (P,)."""
 
     place: Reals
     """Measured centers [R], with their walks, see `walk`, shape (N, 3)."""
@@ -101,31 +101,74 @@ class Problem:
     """Precision of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
     @property
+    def link(self) -> Ints:
+        """First row of each link, shape (C,)."""
+        distances, rows = len(self.rows.distances.stance), len(self.rows.other)
+        return np.concatenate([np.arange(distances), np.arange(distances, rows, 3)])
+
+    @property
+    def is_offset(self) -> Bools:
+        """Which links are offsets, shape (C,)."""
+        is_offset: Bools = self.link >= len(self.rows.distances.stance)
+        return is_offset
+
+    @property
     def robot(self) -> Ints:
-        """Robot that sensed each contact, shape (C,)."""
-        return self.rows.robot[: len(self.rows.other)]
+        """Robot that sensed each link, shape (C,)."""
+        return self.rows.robot[self.link]
 
     @property
     def other(self) -> Ints:
-        """Robot that it touched, which joined earlier, shape (C,)."""
-        return self.rows.other
+        """Robot that it sensed, which joined earlier, shape (C,)."""
+        return self.rows.other[self.link]
 
     @property
     def pair(self) -> Ints:
-        """Robots of each contact, shape (C, 2)."""
+        """Robots of each link, shape (C, 2)."""
         return np.column_stack([self.robot, self.other])
 
     @property
+    def is_final(self) -> Bools:
+        """Which links are contacts of the final stance, shape (C,)."""
+        rows = self.rows
+        stance = np.concatenate([rows.distances.stance, rows.offsets.stance])
+        is_final: Bools = rows.is_contact & (
+            stance == rows.odometry.final[rows.odometry.owner[stance]]
+        )
+        return is_final[self.link]
+
+    @property
+    def vector(self) -> Reals:
+        """Measured vector from the robot's dock to the other's, 0 of a distance [R], (C, 3)."""
+        distances = len(self.rows.distances.stance)
+        return np.concatenate([np.zeros((distances, 3)), self.rows.offsets.vector[::3]])
+
+    @property
+    def length(self) -> Reals:
+        """Measured distance, 0 of an offset [R], shape (C,)."""
+        return np.concatenate([self.rows.distances.length, np.zeros(self.is_offset.sum())])
+
+    @property
     def shift(self) -> Reals:
-        """Arm of the robot's dock less that of the other's [R], shape (C, 3)."""
-        shift: Reals = self.rows.arm[: len(self.other)] - self.rows.other_arm
+        """Arm of the robot's dock, and its vector, less the arm of the other's [R], (C, 3)."""
+        shift: Reals = self.rows.arm[self.link] - self.rows.other_arm[self.link]
         return shift
 
     @property
     def lever(self) -> Reals:
-        """Horizontal arms, the robot's x and y and the other's [R], shape (C, 4)."""
-        own = self.rows.arm[: len(self.other)]
-        return np.column_stack([own[:, :2], self.rows.other_arm[:, :2]])
+        """Horizontal arms, the robot's x and y with its vector, and the other's [R], (C, 4)."""
+        own, its = self.rows.arm[self.link], self.rows.other_arm[self.link]
+        return np.column_stack([own[:, :2], its[:, :2]])
+
+    def by_link(self, square: Reals) -> Reals:
+        """Sum squares, shape (..., P), over the rows of each link, shape (..., C)."""
+        total: Reals = np.add.reduceat(square, self.link, axis=-1) if square.size else square
+        return total
+
+    def any_of_link(self, flag: Bools) -> Bools:
+        """Extend flags of rows, shape (P,), to all rows of their links."""
+        flagged = self.by_link(flag.astype(np.float64)) > 0.0
+        return np.repeat(flagged, np.diff(self.link, append=len(flag)))
 
     def planes(self) -> Planes:
         """Gather measured coordinates along the axes, and fixes."""
@@ -178,7 +221,7 @@ class Problem:
     @property
     def underdetermination(self) -> float:
         """Share of unknown coordinates that measurements are too few for (Maxwell count)."""
-        count = len(self.other) + np.count_nonzero(self.precision[1:]) + len(self.fixes.robot)
+        count = len(self.rows.other) + np.count_nonzero(self.precision[1:]) + len(self.fixes.robot)
         return max(0.0, 1.0 - count / max(self.place[1:].size, 1))
 
     @property
@@ -189,16 +232,17 @@ class Problem:
         return fewest
 
     def residual(self, position: Reals, yaw: Reals) -> Reals:
-        """Compute the residuals of the distances.
+        """Compute the residuals of the links.
 
         Args:
             position: Final centers [R], shape (..., N, 3).
             yaw: Yaw corrections [rad], shape (..., N).
 
         Returns:
-            Distances less what was measured, D for docks that touch [R], shape (..., C).
+            Distances less what was measured, D for docks that touch, and the components of offsets
+            [R], shape (..., P).
         """
-        return self.rows.residual(position, yaw)[..., : len(self.other)]
+        return self.rows.residual(position, yaw)[..., : len(self.rows.other)]
 
     def reach(self, sigma: float = 0.0, inlier: Bools | None = None) -> Reals:
         """Bound the distance of each robot from the first one of its part.
@@ -207,8 +251,8 @@ class Problem:
         length D.
 
         Args:
-            sigma: Standard deviation by which contacts may be missed, beside their noise [R].
-            inlier: Contacts that count, shape (C,); all if None.
+            sigma: Standard deviation by which links may be missed, beside their noise [R].
+            inlier: Links that count, shape (C,); all if None.
 
         Returns:
             Distances [R], shape (N,); infinite where no inliers lead.
@@ -218,9 +262,8 @@ class Problem:
             own, its = np.split(self.lever, 2, axis=1)
             level = np.linalg.norm(own, axis=1) + np.linalg.norm(its, axis=1)
             fixed = np.hypot(level, self.shift[:, 2])
-        longest = (
-            fixed + self.rows.distances.length + ALLOWED_SD * np.sqrt(self.variance + sigma**2)
-        )
+        variance = self.by_link(self.variance)
+        longest = fixed + self.length + ALLOWED_SD * np.sqrt(variance + sigma**2)
         counts = slice(None) if inlier is None else inlier
         return reach(self.pair[counts], longest[counts], self.part)
 
@@ -256,7 +299,8 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     weight[mine] = 1.0 / variance[contacts:]
     fixed = measure(log, {*params.cues} & {"fixes"}, odometry=odometry)
     fixed = fixed.select(fixed.robot > 0)
-    rows = Measurements.gather(odometry, [rows.distances], [rows.places, fixed.places])
+    every_place = [rows.places, fixed.places]
+    rows = Measurements.gather(odometry, [rows.distances], every_place, [rows.offsets])
     part, untied = parts(rows), disconnected(rows)
     measured = np.zeros((part.max() + 1, 3), np.bool_)
     np.logical_or.at(measured, part, weight > 0.0)
@@ -266,7 +310,6 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
         rows=rows,
         inconsistent=inconsistent,
         variance=variance[:contacts],
-        is_final=rows.is_contact & (rows.distances.stance == odometry.final[rows.robot[:contacts]]),
         place=place - arm + np.pad(walk, ((0, 0), (0, 1))),
         precision=weight,
         unobserved=untied[:, None] & ~measured[part],

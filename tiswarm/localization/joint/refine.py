@@ -19,7 +19,7 @@ from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import RefineSettings
-from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.model import Measurements, turned
 
 _UNKNOWNS = 7
 """Unknowns of a robot: its shift, the turn of its final stance, and its yaw."""
@@ -53,12 +53,17 @@ class _State(NamedTuple):
 
 
 def is_of_use(problem: Problem) -> bool:
-    """Whether errors of measurements are correlated, as those of noisy walks are, and small."""
-    walks = problem.rows.odometry
-    is_noisy = max(walks.tilt, walks.yaw) > 0.0 and walks.bias == 0.0
-    is_earlier = problem.rows.distances.stance != walks.final[problem.robot]
+    """Whether chains leave something to gain, and are near enough to the truth.
+
+    Errors are correlated where walks are noisy. Components of an offset differ much in precision,
+    and the temperature hides it.
+    """
+    walks, distances = problem.rows.odometry, problem.rows.distances
+    is_noisy = max(walks.tilt, walks.yaw) > 0.0
+    is_earlier = distances.stance != walks.final[walks.owner[distances.stance]]
     is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
-    return is_noisy and not is_biased and bool(is_earlier.any())
+    gains = (is_noisy and bool(is_earlier.any())) or bool(problem.is_offset.any())
+    return gains and not is_biased and walks.bias == 0.0
 
 
 def refine(
@@ -76,8 +81,8 @@ def refine(
         position: Where they ended [R], shape (N, 3).
         yaw: Yaw corrections there [rad], shape (N,).
         sd: Standard deviation of these positions [R], shape (N,).
-        rows: Measurements that count, C of them distances.
-        curved: Variance of contacts because distances are no linear functions [R^2], shape (C,).
+        rows: Measurements that count, P of them of links.
+        curved: Variance of links because distances are no linear functions [R^2], shape (P,).
     """
     least_squares = _LeastSquares(rows, curved, problem.yaw_precision)
     prior = np.maximum(RefineSettings.prior_sd * np.sqrt(len(sd)) * sd, RefineSettings.least_prior)
@@ -95,16 +100,13 @@ def refine(
 
 
 class _LeastSquares:
-    """Residuals of E measurements, C of them distances, with arms split by stances."""
+    """Residuals of E measurements, P of them of links, with arms split by stances."""
 
     def __init__(self, rows: Measurements, curved: Reals, yaw_precision: float) -> None:
         self.rows, self.walks, self.yaw_precision = rows, rows.odometry, yaw_precision
         self.own_variance = rows.own_variance
         self.own_variance[: len(curved)] += curved
-        d, p = self.rows.distances, self.rows.places
-        stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
-        own = self.walks.noisy_arms(stance, dock)
-        its = self.walks.noisy_arms(d.other_stance, d.other_dock)
+        own, its = self.rows.noisy_arms()
         self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
         self.row, self.stance = (np.concatenate([own[k], its[k]]) for k in (0, 1))
         self.arm = np.concatenate([own[2], its[2]])
@@ -120,8 +122,11 @@ class _LeastSquares:
         yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
         arm = Rotation.from_rotvec(yaw).apply(self.arm)
         arm = Rotation.from_rotvec(-state.turn[self.stance] * sd).apply(arm)
+        offsets = self.rows.offsets
+        axis = turned(offsets.axis, state.yaw[self.walks.owner[offsets.stance]])
         rows = replace(
             self.rows,
+            offsets=offsets._replace(axis=axis),
             arm=self._summed(arm, self.is_own, len(self.rows)),
             other_arm=self._summed(arm, ~self.is_own, len(self.rows.other)),
         )
