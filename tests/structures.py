@@ -208,7 +208,7 @@ def with_directions(
     robots: Iterable[int] | None = None,
 ) -> SensingLog:
     """Add to a log the directions that some robots measure of all true contacts, with errors."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng([1, history.seed])
     robot, stance, own, other, its = history.table("contacts").T
     at, frame = _poses(history, robot, stance)
     body = history.robot.dock_offset_body
@@ -224,7 +224,7 @@ def with_directions(
 
 def with_connections(log: SensingLog, history: History, *, sd_deg: float) -> SensingLog:
     """Add to a log the relative orientation at each true final contact, with errors."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng([2, history.seed])
     robot, stance, own, other, its = history.table("contacts").T
     turn = _poses(history, robot, stance)[1].inv() * _turned(history, other)
     error = Rotation.from_rotvec(np.radians(sd_deg) * rng.normal(size=(len(robot), 3)))

@@ -13,6 +13,7 @@ from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import measure
+from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
@@ -101,7 +102,8 @@ def by_robot(
     table[["x_R", "y_R", "z_R"]] = true
     table[["qw", "qx", "qy", "qz"]] = truth.orientation_wxyz
     table[["x_est_R", "y_est_R", "z_est_R"]] = estimated
-    table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = log.orientation_wxyz
+    sensed = with_orientations(log).orientation_wxyz
+    table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = sensed
     yaw_aligned = metrics.yaw_aligned(estimated, true)
     rigidly_aligned = metrics.rigidly_aligned(estimated, true)
     apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])

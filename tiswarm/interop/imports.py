@@ -15,7 +15,7 @@ from tiswarm.errors import InputError
 from tiswarm.interop.dock_gaps import FARTHEST_SHOWN, guess_dock_offset, histogram, surface_gaps
 from tiswarm.interop.poses import Poses, read_contacts, read_poses
 from tiswarm.measurements.contacts import dock_pairs
-from tiswarm.measurements.odometry import ASSUMED
+from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions

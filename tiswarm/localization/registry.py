@@ -11,6 +11,7 @@ from tiswarm.localization import hop_by_hop, least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.measurements.observability import observability
+from tiswarm.measurements.orientations import with_orientations
 from tiswarm.progress import Advance, by_share, ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -59,6 +60,7 @@ def localize_many(
     Returns:
         One estimate a log; the same as if each had been localized alone.
     """
+    logs = [with_orientations(log) for log in logs]
     batches: dict[Hashable, list[int]] = {}
     for n, (log, p) in enumerate(zip(logs, params, strict=True)):
         batches.setdefault((p.method, METHODS[p.method].batch_key(log, p)), []).append(n)

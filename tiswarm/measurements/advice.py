@@ -24,7 +24,8 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import ASSUMED, CENTER, Odometry
+from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.measurements.rigidity import floppy_motions, floppy_robots, weld
 from tiswarm.measurements.rows import SPACING, Distances, Places
 from tiswarm.records.sensing_log import SensingLog

@@ -4,6 +4,7 @@ To add a cue, write such a function and add a line to `CUES`; every method that 
 then, unless its settings have a switch for it that is off. Lengths in R.
 """
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,6 +15,7 @@ from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.measurements.orientations import LINK_SD, with_orientations
 from tiswarm.measurements.rows import SPACING, Distances, Offsets, Places
 from tiswarm.records.sensing_log import SensingLog
 
@@ -33,9 +35,6 @@ class Precision(NamedTuple):
 
     spawn: float = 0.2
     """Deviation of each coordinate of a spawn position whose log states none."""
-
-    direction: float = np.radians(1.0)
-    """Deviation of a direction about each axis across whose log states none [rad]."""
 
 
 _Rows = Distances | Offsets | Places
@@ -144,13 +143,13 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
     stance, rows = _of_all_stances("directions", log, odometry)
     own, other, its = rows[:, :3].T.astype(np.int64)
     stated = None if log.noise is None else log.noise.direction_deg
-    sd = precision.direction if stated is None else np.radians(stated)
+    sd = LINK_SD if stated is None else math.radians(stated)
     unit = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
     body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
     vector = SPACING * (unit[:, None] @ body_axes)[:, 0]
     return Offsets.of(
         stance, own, odometry.final[other], its, vector,
-        along_sd=precision.contact, across_sd=float(np.hypot(precision.contact, SPACING * sd)),
+        along_sd=precision.contact, across_sd=math.hypot(precision.contact, SPACING * sd),
     )  # fmt: skip
 
 
@@ -203,6 +202,7 @@ def measure(
         odometry: Walks of the robots; those of the log if None.
         precision: Precision of the sensors; the usual one if None.
     """
+    log = with_orientations(log)
     walks = odometry or Odometry(log)
     rows = [
         produce(log, walks, precision or Precision())

@@ -8,10 +8,8 @@ import numpy as np
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
+from tiswarm.measurements.orientations import ASSUMED, with_orientations
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
-
-ASSUMED = SensingNoise(tilt_deg=1.0, yaw_deg=2.0)
-"""Noise of a log that states none."""
 
 CENTER = -1
 """In place of a dock: the robot's center."""
@@ -24,9 +22,11 @@ class Odometry:
         """Sum every robot's flips backward from its final stance.
 
         Args:
-            log: What was sensed; one that lists no stances has N, the final ones.
+            log: What was sensed; one that lists no stances has N, the final ones. Robots without a
+                compass are turned as their connections say.
             noise: Noise of the orientations; that of the log, or `ASSUMED`, if None.
         """
+        log = with_orientations(log)
         stances = log.stances or _no_stances(log.robot_count)
         noise = noise or log.noise or ASSUMED
         robots = log.robot_count
@@ -44,6 +44,13 @@ class Odometry:
         self.tilt, self.yaw, self.bias = np.radians(
             [noise.tilt_deg, noise.yaw_deg, noise.yaw_bias_deg or 0.0]
         )
+        self.turn_sd = np.tile([self.tilt, self.yaw], (len(order), 1))
+        """Standard deviation of the orientation of each stance about a horizontal axis and about
+        the vertical [rad], shape (S, 2). Errors of stances count as independent. Orientations that
+        were chained by connections share errors; only `joint`'s refinement accounts for that."""
+        if log.orientation_sd is not None:
+            is_chained = ~np.isnan(log.orientation_sd[:, 0])
+            self.turn_sd[self.final[is_chained]] = log.orientation_sd[is_chained]
         wxyz = np.concatenate([stances.orientation_wxyz, log.orientation_wxyz])[order]
         self.orientation_wxyz = wxyz
         """Sensed orientation at each stance, body to world, unit quaternion, shape (S, 4)."""
@@ -61,7 +68,8 @@ class Odometry:
         self.reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
         """From the dock held by to the one that the stance was reached on [R], shape (S, 3)."""
         self.reached[self.first] = 0.0
-        summed = np.cumsum(self._turned(self.reached)[::-1], axis=0)[::-1]
+        every = np.arange(len(order))
+        summed = np.cumsum(self._turned(every, self.reached)[::-1], axis=0)[::-1]
         later = np.concatenate([summed[1:], np.zeros((1, 3))])
         self.walked = later - later[self.final][self.owner]
         """Variance of what lies between a stance and the final center [R^2], shape (S, 3)."""
@@ -78,7 +86,7 @@ class Odometry:
         """
         offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
         at: Reals = self.shift[stance] + offset
-        variance = self.walked[stance] + self._turned(offset - self.held[stance])
+        variance = self.walked[stance] + self._turned(stance, offset - self.held[stance])
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
 
@@ -96,8 +104,8 @@ class Odometry:
         Returns:
             Variance of each component [R^2], shape (n,).
         """
-        which, _, part = self.noisy_arms(stance, dock, beyond)
-        turn = np.cross(part, axis[which]) * [self.tilt, self.tilt, self.yaw]
+        which, of_part, part = self.noisy_arms(stance, dock, beyond)
+        turn = np.cross(part, axis[which]) * self.turn_sd[of_part][:, [0, 0, 1]]
         noise = np.bincount(which, (turn**2).sum(axis=1), len(stance))
         x, y, _ = (self.arms(stance, dock)[0] + beyond).T
         variance: Reals = noise + self.bias**2 * (x * axis[:, 1] - y * axis[:, 0]) ** 2
@@ -129,10 +137,10 @@ class Odometry:
         part[start] = offset + beyond - self.held[stance]
         return which, of_part, part
 
-    def _turned(self, arm: Reals) -> Reals:
-        """Variance of each coordinate of arms whose orientation is noisy, shape (n, 3)."""
+    def _turned(self, stance: Ints, arm: Reals) -> Reals:
+        """Variance of each coordinate of arms that noisy stances turn, shape (n, 3)."""
         x, y, z = arm.T**2
-        tilt, yaw = self.tilt**2, self.yaw**2
+        tilt, yaw = self.turn_sd[stance].T ** 2
         return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
 
 

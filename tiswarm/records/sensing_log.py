@@ -122,6 +122,11 @@ class SensingLog:
     """Sensed final orientation, body to world, unit quaternion, shape (N, 4). NaN for a robot
     without a compass; the anchor has one."""
 
+    orientation_sd: Reals | None = None
+    """Standard deviations about a horizontal axis and about the vertical [rad], shape (N, 2), of
+    final orientations that were chained by connections; NaN where they were sensed, None where all
+    were. No file has them."""
+
     contacts: NDArray[np.int32]
     """Docked pairs, rows of (robot i, dock of i, robot j, dock of j), i < j, shape (C, 4).
 

@@ -9,6 +9,7 @@ import numpy as np
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
+from tiswarm.measurements.orientations import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import MAX_LOG_BYTES, at_line, numbered_lines, run_file
@@ -134,16 +135,17 @@ def view_log(
         log: The sensing log.
         estimate: Estimate of its robots.
         true: True centers [log unit], shape (N, 3), or None where unknown; robots are drawn there
-            with the orientation that they sensed.
+            with the orientation that they sensed, or that connections imply.
         name: Name of the estimate.
     """
+    turned = with_orientations(log).orientation_wxyz
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
     place, center = estimate.position / unit, unknown if true is None else true / unit
     return SwarmView(
         name=name,
         robot=log.robot_id,
-        pose=np.column_stack([center, log.orientation_wxyz]),
-        estimated_pose=np.column_stack([place, log.orientation_wxyz]),
+        pose=np.column_stack([center, turned]),
+        estimated_pose=np.column_stack([place, turned]),
         error=np.linalg.norm(place - center, axis=1),
         force=unknown[:, 0],
         sd=unknown[:, 0] if estimate.sd is None else estimate.sd / unit,

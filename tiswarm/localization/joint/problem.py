@@ -17,7 +17,13 @@ from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import disconnected, parts, reach
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import ASSUMED, Odometry
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.orientations import (
+    ASSUMED,
+    Connections,
+    connections_of,
+    with_orientations,
+)
 from tiswarm.records.sensing_log import SensingLog
 
 _PERPENDICULAR = 1e-6
@@ -93,6 +99,9 @@ class Problem:
 
     fixes: Planes
     """Coordinates that were fixed, in any direction; all of a robot count."""
+
+    connections: Connections | None
+    """What the orientations were chained by; None where they were sensed."""
 
     untied: Bools
     """Robots of parts that nothing ties to the world, shape (N,)."""
@@ -275,6 +284,7 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
         log: What was sensed.
         params: Cues, and the precision that the log does not state.
     """
+    log = with_orientations(log)
     noise = log.noise or ASSUMED
     bias = np.radians(noise.yaw_bias_deg or 0.0)
     is_solved = params.solve_yaw and bias > 0.0
@@ -316,6 +326,7 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
         walk=walk,
         part=part,
         fixes=_fixed_planes(fixed, is_solved=is_solved),
+        connections=None if log.orientation_sd is None else connections_of(log),
         untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )

@@ -4,14 +4,15 @@ The annealer takes errors of measurements to be independent. They are not: noise
 is in everything a robot sensed there and before. Here residuals are functions of positions p, yaw
 biases b and turns w, by which each sensed orientation is wrong. Gauss-Newton on all of them is
 generalized least squares: turns of final stances, which are in what other robots sensed too, are
-unknowns beside p and b; all others make the covariance of what one robot sensed. Lengths in R.
+unknowns beside p and b; all others make the covariance of what one robot sensed. Where orientations
+were chained, their turns have no prior of their own: connections are rows, too. Lengths in R.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import block_array, csc_array, diags_array, hstack
+from scipy.sparse import block_array, csc_array, diags_array, hstack, vstack
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +21,10 @@ from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import RefineSettings
 from tiswarm.measurements.model import Measurements, turned
+from tiswarm.measurements.orientations import Connections
+
+_UNKNOWN = 1e-6
+"""Precision of a turn that connections alone constrain, in its own standard deviations."""
 
 _UNKNOWNS = 7
 """Unknowns of a robot: its shift, the turn of its final stance, and its yaw."""
@@ -84,7 +89,7 @@ def refine(
         rows: Measurements that count, P of them of links.
         curved: Variance of links because distances are no linear functions [R^2], shape (P,).
     """
-    least_squares = _LeastSquares(rows, curved, problem.yaw_precision)
+    least_squares = _LeastSquares(rows, curved, problem.yaw_precision, problem.connections)
     prior = np.maximum(RefineSettings.prior_sd * np.sqrt(len(sd)) * sd, RefineSettings.least_prior)
     begin = state = _State(position, yaw, np.zeros((len(problem.rows.odometry.owner), 3)))
     for _ in range(RefineSettings.rounds):
@@ -102,8 +107,15 @@ def refine(
 class _LeastSquares:
     """Residuals of E measurements, P of them of links, with arms split by stances."""
 
-    def __init__(self, rows: Measurements, curved: Reals, yaw_precision: float) -> None:
+    def __init__(
+        self,
+        rows: Measurements,
+        curved: Reals,
+        yaw_precision: float,
+        links: Connections | None = None,
+    ) -> None:
         self.rows, self.walks, self.yaw_precision = rows, rows.odometry, yaw_precision
+        self.links = links
         self.own_variance = rows.own_variance
         self.own_variance[: len(curved)] += curved
         own, its = self.rows.noisy_arms()
@@ -118,7 +130,7 @@ class _LeastSquares:
     def linearized(self, state: _State, prior: Reals) -> "_Linear":
         """Linearize at a state, with a prior of that width [R] around the start, shape (N,)."""
         robots = len(state.yaw)
-        sd = np.array([self.walks.tilt, self.walks.tilt, self.walks.yaw])
+        sd = self.walks.turn_sd[:, [0, 0, 1]][self.stance]
         yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
         arm = Rotation.from_rotvec(yaw).apply(self.arm)
         arm = Rotation.from_rotvec(-state.turn[self.stance] * sd).apply(arm)
@@ -136,12 +148,24 @@ class _LeastSquares:
         turns = _by_group(-across * sd, self.row, self.stance, (size, len(state.turn)))
         yaws = _by_group(across[:, 2:], self.row, self.owner, (size, robots))
         shifts = rows.jacobian(state.position)[:, : 3 * robots]
-        weight = [np.repeat(prior**-2, 3), np.ones(3 * robots), np.full(robots, self.yaw_precision)]
+        of_turns = np.ones(3 * robots)
+        residual, own_variance = rows.residual(state.position), self.own_variance
+        jacobian = hstack([shifts, turns[:, self.final], yaws])
+        noise = turns[:, self.earlier]
+        if self.links is not None:
+            of_turns[np.repeat(self.links.is_chained, 3)] = _UNKNOWN
+            left, by_turn = self._links_of(state, self.links)
+            residual = np.concatenate([residual, left])
+            own_variance = np.concatenate([own_variance, np.full(len(left), self.links.sd**2)])
+            none = csc_array((len(left), 3 * robots)), csc_array((len(left), robots))
+            jacobian = vstack([jacobian, hstack([none[0], by_turn, none[1]])])
+            noise = csc_array(vstack([noise, csc_array((len(left), noise.shape[1]))]))
+        weight = [np.repeat(prior**-2, 3), of_turns, np.full(robots, self.yaw_precision)]
         return _Linear(
-            residual=rows.residual(state.position),
-            jacobian=csc_array(hstack([shifts, turns[:, self.final], yaws])),
-            noise=turns[:, self.earlier],
-            own_variance=self.own_variance,
+            residual=residual,
+            jacobian=csc_array(jacobian),
+            noise=noise,
+            own_variance=own_variance,
             precision=np.concatenate(weight),
         )
 
@@ -163,6 +187,27 @@ class _LeastSquares:
             yaw=state.yaw + yaw,
             turn=turn.reshape(-1, 3),
         )
+
+    def _links_of(self, state: _State, links: Connections) -> tuple[Reals, csc_array]:
+        """Compute residuals of connections [rad], and their derivatives by turns of final stances.
+
+        Args:
+            state: Where to linearize.
+            links: Connections, Q of them.
+
+        Returns:
+            Residuals, shape (3 Q,), and derivatives, shape (3 Q, 3 N).
+        """
+        sd = self.walks.turn_sd[self.walks.final][:, [0, 0, 1]]
+        turned = state.turn[self.walks.final] * sd
+        left = links.residual - turned[links.robot] + turned[links.other]
+        axis, count = np.arange(3), 3 * len(links.robot)
+        row = np.tile(np.arange(count), 2)
+        ends = np.concatenate([links.robot, links.other])
+        sign = np.repeat([-1.0, 1.0], count)
+        column = (3 * ends[:, None] + axis).ravel()
+        by_turn = csc_array((sign * sd[ends].ravel(), (row, column)), shape=(count, sd.size))
+        return left.ravel(), by_turn
 
     def _summed(self, arm: Reals, chosen: Bools, size: int) -> Reals:
         """Sum the parts of each arm, shape (size, 3)."""
