@@ -10,10 +10,18 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from tests.structures import Rule, structure, with_fixes, with_heights, with_ranges
+from tests.structures import (
+    Rule,
+    structure,
+    with_directions,
+    with_fixes,
+    with_heights,
+    with_ranges,
+)
+from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.params import HopByHopParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
 EVERY_AXIS = np.eye(3)
@@ -97,6 +105,45 @@ def test_two_sweep_planes_and_a_height_cross(params):
     crossing = np.linalg.solve(planes, [*log.fixes[:, 4], 5.2])
     np.testing.assert_allclose(found.position[1], crossing, atol=1e-9)
     assert found.located.all()
+
+
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.order)
+def test_directions_are_averaged_as_the_equations_say(towers, params):
+    """A robot with directions alone is at the weighted mean of the points that they lead to."""
+    log = with_directions(observe(towers[0], SensingParams()), towers[0], sd_deg=5.0, walks=False)
+    log = dataclasses.replace(log, noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0, direction_deg=5.0))
+    log = with_fixes(log, towers[0], range(1, 29), each=8, sd=SHARP)
+    alone = dict.fromkeys(("contacts", "height", "ground", "walk_contacts", "odometry"), False)
+
+    found = localize(log, dataclasses.replace(params, **alone))
+
+    rows = [row for row in log.directions if row[0] == 29]
+    offsets = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    turn = Rotation.from_quat(log.orientation_wxyz[29], scalar_first=True)
+    precision, moment = np.zeros((3, 3)), np.zeros(3)
+    for _, own, other, its, *body in rows:
+        u = turn.apply(body)
+        across = np.eye(3) - np.outer(u, u)
+        weight = np.outer(u, u) / 0.006**2 + across / (0.006**2 + (2.0 * np.radians(5.0)) ** 2)
+        point = found.position[int(other)] + offsets[int(other), int(its)]
+        precision += weight
+        moment += weight @ (point - 2.0 * u - offsets[29, int(own)])
+    assert len(rows) > 1
+    expected = np.linalg.solve(precision, moment)
+    np.testing.assert_allclose(found.position[29], expected, atol=1e-6)
+    assert found.located[29]
+
+
+def test_a_chain_of_directions_locates_a_tower(towers):
+    """The rivals' own way: connections of one degree, robot after robot."""
+    for history in towers:
+        log = with_directions(observe(history, SensingParams()), history, sd_deg=1.0, walks=False)
+
+        found = localize(log, HopByHopParams(walk_contacts=False, height=False))
+
+        error = np.linalg.norm(found.position - history.position, axis=1)
+        assert found.located.mean() > 0.8
+        assert (error[found.located] ** 2).mean() ** 0.5 < 0.5
 
 
 @settings(deadline=None, max_examples=25)

@@ -29,7 +29,8 @@ from tiswarm.localization.params import HopByHopParams
 from tiswarm.localization.trilateration import POINTS, Ties, Trilateration, length, outer, unit
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.rows import SPACING
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog

@@ -1,7 +1,8 @@
 """Trilateration: where robots are by rows to others whose centers are known.
 
-A distance puts a robot on a sphere, a coordinate on a plane. Their intersection follows in closed
-form, and then from Gauss-Newton steps weighted by variance. Lengths in R.
+A distance puts a robot on a sphere, a coordinate on a plane, a measured vector on three planes.
+Their intersection follows in closed form, and then from Gauss-Newton steps weighted by variance.
+Lengths in R.
 """
 
 from typing import NamedTuple
@@ -9,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.measurements.model import SPACING, Measurements
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.rows import SPACING
 
 POINTS = 3
 """Independent linear equations from which on spheres and planes intersect in one or two points."""
@@ -65,7 +67,7 @@ class Ties(NamedTuple):
 
     @classmethod
     def of(cls, rows: Measurements) -> "Ties":
-        """List each distance twice, so that each of its robots can be located from the other.
+        """List each row of a pair twice, so that each of its robots can be located from the other.
 
         Each robot has a row of infinite variance, too, so that no sum over its rows is empty.
         """
@@ -74,14 +76,18 @@ class Ties(NamedTuple):
         shift, variance = rows.other_arm - rows.arm[:count], rows.variance()
         owner = np.concatenate([i, j, robot, np.arange(robots)])
         nothing = np.zeros((robots, 3))
+        normal = np.concatenate([np.zeros((len(d.length), 3)), rows.offsets.axis])
+        reach = np.concatenate([d.length, np.zeros(len(rows.offsets.axis))])
+        sphere = np.arange(count) < len(d.length)
+        no_sphere = np.zeros(len(robot) + robots, np.bool_)
         ties = cls(
             robot=owner,
             partner=np.concatenate([j, i, np.full(len(robot) + robots, robots)]),
             shift=np.concatenate([shift, -shift, -rows.arm[count:], nothing]),
-            normal=np.concatenate([np.zeros((2 * count, 3)), rows.places.direction, nothing]),
-            reach=np.concatenate([d.length, d.length, rows.places.value, nothing[:, 0]]),
+            normal=np.concatenate([normal, normal, rows.places.direction, nothing]),
+            reach=np.concatenate([reach, reach, rows.places.value, nothing[:, 0]]),
             variance=np.concatenate([variance[:count], variance, np.full(robots, np.inf)]),
-            is_sphere=np.arange(len(owner)) < 2 * count,
+            is_sphere=np.concatenate([sphere, sphere, no_sphere]),
         )
         return ties.select(np.argsort(owner, kind="stable"))
 
