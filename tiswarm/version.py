@@ -7,7 +7,7 @@ __version__ = "0.1.0"
 
 _COMPUTING = (
     "compute", "engine", "evaluation", "localization", "measurements", "params.py", "records",
-    "robot.py", "sensing.py", "world",
+    "robot.py", "sensing", "world",
 )  # fmt: skip
 """Modules and rooms of the package that decide what a case stores."""
 

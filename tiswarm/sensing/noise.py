@@ -1,0 +1,66 @@
+"""Noise of the robots' own senses."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tiswarm.aliases import Ints, Reals
+from tiswarm.compute.math import normal, uniform
+from tiswarm.sensing.params import SensingParams
+from tiswarm.world.history import History
+
+
+def sensed_orientation(history: History, length: Ints, params: SensingParams) -> Reals:
+    """Return the orientation sensed at each stance of each robot, shape (all stances, 4)."""
+    true = np.concatenate([walk.orientation_wxyz for walk in history.walks])
+    if params.tilt_noise_deg == params.yaw_noise_deg == params.yaw_bias_deg == 0.0:
+        return true
+    robot = np.repeat(np.arange(len(length)), length)
+    stance = np.concatenate([np.arange(count) for count in length])
+    draw = 3 * stance[:, None] + np.arange(3)
+    sd = np.radians([params.tilt_noise_deg, params.tilt_noise_deg, params.yaw_noise_deg])
+    sd[0] *= not history.is_planar
+    turn = sd * normal(history.seed, "orientation", robot[:, None], draw)
+    bias = np.zeros_like(turn)
+    bias[:, 2] = np.radians(params.yaw_bias_deg) * normal(history.seed, "yaw bias", robot, 0)
+    turned = Rotation.from_rotvec(bias) * Rotation.from_rotvec(turn)
+    sensed = turned * Rotation.from_quat(true, scalar_first=True)
+    return sensed.as_quat(canonical=True, scalar_first=True)
+
+
+def sensed_contacts(history: History, params: SensingParams) -> NDArray[np.int32]:
+    """Return the contacts sensed at all stances, sorted and unique, shape (K, 5).
+
+    A row is (robot, stance, own dock, other robot, other dock).
+    """
+    true = history.table("contacts")
+    if params.missed_contacts == params.wrong_docks == params.false_contacts == 0.0:
+        return true
+    robot = true[:, 0]
+    place = np.concatenate([np.arange(len(walk.contacts)) for walk in history.walks])
+
+    def draw(stream: str, which: int) -> Reals:
+        return uniform(history.seed, stream, robot, 4 * place + which)
+
+    docks = len(history.robot.dock_offset_body)
+    false = true.copy()
+    false[:, 2] = draw("false contact", 1) * docks
+    false[:, 3] = draw("false contact", 2) * robot
+    false[:, 4] = draw("false contact", 3) * docks
+    false = false[draw("false contact", 0) < params.false_contacts]
+    is_wrong = draw("wrong dock", 0) < params.wrong_docks
+    turned = 1 + (draw("wrong dock", 1) * (docks - 1)).astype(np.int32)
+    sensed = true.copy()
+    sensed[is_wrong, 4] = (sensed[:, 4] + turned)[is_wrong] % docks
+    sensed = sensed[draw("missed contact", 0) >= params.missed_contacts]
+    rows: NDArray[np.int32] = np.unique(np.concatenate([sensed, false]), axis=0)
+    return rows
+
+
+def spawn_position(history: History, params: SensingParams) -> Reals:
+    """Return each robot's sensed spawn position [R], shape (N, 3); NaN without `spawn_noise`."""
+    true = np.array([walk.center[0] for walk in history.walks])
+    if params.spawn_noise is None:
+        return np.full_like(true, np.nan)
+    robot = np.arange(history.robot_count)[:, None]
+    return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
