@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Bools, Reals
 
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""
@@ -53,6 +53,17 @@ class Terrain:
         depth: Reals = np.max(depths, axis=0)
         return depth
 
+    def hides(self, start: Reals, end: Reals) -> Bools:
+        """Whether the ground is between two points, for n pairs of shape (n, 3), shape (n,)."""
+        if self.is_plane:
+            return np.minimum(start[:, 2], end[:, 2]) < self.ground_z
+        hidden = np.zeros(len(start), np.bool_)
+        for edge, out in ((self.left_edge, 1.0), (self.right_edge, -1.0)):
+            if abs(edge) < NO_EDGE:
+                a, b = ((p[:, [0, 2]] - [edge, self._spine_z]) * [out, 1.0] for p in (start, end))
+                hidden |= _distance_to_half_line(a, b) < EDGE_RADIUS
+        return hidden
+
     @property
     def _spine_z(self) -> float:
         return self.ground_z - EDGE_RADIUS
@@ -69,3 +80,16 @@ class Terrain:
         out = point - spine
         nearest: Reals = spine + EDGE_RADIUS * out / np.linalg.norm(out, axis=1, keepdims=True)
         return nearest
+
+
+def _distance_to_half_line(a: Reals, b: Reals) -> Reals:
+    """Distance from segments in a plane, ends of shape (n, 2), to the half-line x <= 0, z = 0."""
+    way = b - a
+    share = np.clip(-(a * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
+    to_tip = np.linalg.norm(a + share[:, None] * way, axis=1)
+    to_ends = [np.where(p[:, 0] <= 0.0, np.abs(p[:, 1]), np.inf) for p in (a, b)]
+    # Where the segment goes from one side to the other: x at the crossing times the change of z.
+    crosses = (a[:, 1] < 0.0) != (b[:, 1] < 0.0)
+    is_behind = (a[:, 0] * way[:, 1] - a[:, 1] * way[:, 0]) * np.sign(way[:, 1]) <= 0.0
+    distance: Reals = np.minimum.reduce([to_tip, *to_ends])
+    return np.where(crosses & is_behind, 0.0, distance)

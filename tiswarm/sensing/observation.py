@@ -1,26 +1,30 @@
 """Turns the true history of a structure into the noisy log that localizers read."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
+from tiswarm.sensing.beacons import sense_fixes
 from tiswarm.sensing.noise import sensed_contacts, sensed_orientation, spawn_position
 from tiswarm.sensing.params import SensingParams
+from tiswarm.sensing.ranging import sense_ranges
+from tiswarm.sensing.sight import find_lookouts
 from tiswarm.world.history import History
 
-_PLANE_SD = 0.01
-"""Standard deviation of the plane that a planar robot is in [R]."""
+_Lists = dict[str, NDArray[Any]]
+"""Rows of (robot, stance, ...) by the name of their list in the log."""
 
 
 def observe(history: History, params: SensingParams) -> SensingLog:
     """Sense the whole walk of every robot in a structure.
 
     A random draw depends on the seed of the history, the robot, and the stance or contact only.
-    The only positions of the log are the anchor's and, with `spawn_noise`, the spawns'.
+    The only positions of the log are the anchor's and, if set, measured ones: spawns and fixes.
 
     >>> from tiswarm.robot import RobotGeometry
     >>> from tiswarm.world.growth import grow
@@ -35,29 +39,33 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = sensed_orientation(history, length, params)
-    contacts = sensed_contacts(history, params)
-    at_rest = contacts[:, 1] == length[contacts[:, 0]] - 1
+    lookouts = find_lookouts(history, params)
+    lists: _Lists = {
+        "contacts": sensed_contacts(history, params),
+        "ground_docks": history.table("ground_docks"),
+        "fixes": np.unique(sense_fixes(history, lookouts, params), axis=0),
+        "ranges": np.unique(sense_ranges(history, lookouts, params), axis=0),
+    }
+    for name in ("contacts", "ground_docks"):
+        lists[name] = lists[name] if params.senses(name) else lists[name][:0]
+    final: dict[str, Any] = {
+        name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
+    }
+    final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
+    height = _flip_height(history, sensed, end)
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],
         orientation_wxyz=sensed[end - 1],
-        contacts=np.ascontiguousarray(contacts[at_rest][:, [3, 4, 0, 2]]),
-        ground_z=history.ground_z,
-        ground_docks=history.ground_docks,
-        fixes=_planes(history),
-        flip_height=_flip_height(history, sensed, end),
+        ground_z=history.ground_z if params.senses("ground_docks") else None,
+        flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
         spawn_position=spawn_position(history, params),
-        stances=_stances(history, sensed, length, contacts[~at_rest]),
+        stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
         noise=params.noise,
+        **final,
     )
-
-
-def _planes(history: History) -> Reals:
-    """Return y = 0 as a fix of each planar robot, rows as in `SensingLog.fixes`."""
-    robot = np.arange(history.robot_count if history.is_planar else 0)
-    return np.column_stack([robot, np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD], (len(robot), 1))])
 
 
 def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
@@ -78,20 +86,24 @@ def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
     return height
 
 
-def _stances(history: History, sensed: Reals, length: Ints, contacts: NDArray[np.int32]) -> Stances:
-    """Gather every stance except each robot's last; `contacts` are those of these stances."""
+def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> Stances:
+    """Gather every stance except each robot's last."""
     start = np.concatenate([[0], np.cumsum(length - 1)])
-    ground = history.table("ground_docks")
     return Stances(
         start=start,
         orientation_wxyz=np.delete(sensed, np.cumsum(length) - 1, axis=0),
         pivot_dock=np.concatenate([walk.pivot_dock for walk in history.walks]),
-        contacts=_numbered(contacts, start),
-        ground_docks=_numbered(ground[ground[:, 1] < length[ground[:, 0]] - 1], start),
+        **{name: _numbered(rows[~_is_last(rows, length)], start) for name, rows in lists.items()},
     )
 
 
-def _numbered(rows: NDArray[np.int32], start: Ints) -> NDArray[np.int32]:
+def _is_last(rows: NDArray[Any], length: Ints) -> Bools:
+    """Whether rows of (robot, stance, ...) are of the robot's last stance."""
+    is_last: Bools = rows[:, 1] == length[rows[:, 0].astype(np.int64)] - 1
+    return is_last
+
+
+def _numbered(rows: NDArray[Any], start: Ints) -> NDArray[Any]:
     """Replace (robot, stance) at the start of each row by the stance's index in the log."""
-    stance = (start[rows[:, 0]] + rows[:, 1]).astype(np.int32)
-    return np.column_stack([stance, rows[:, 2:]])
+    robot, stance = rows[:, :2].astype(np.int32).T
+    return np.column_stack([(start[robot] + stance).astype(np.int32), rows[:, 2:]])

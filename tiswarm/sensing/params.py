@@ -1,22 +1,50 @@
 """Settings of what robots sense, and with which noise."""
 
-from dataclasses import asdict
-from typing import Annotated
+from dataclasses import fields
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
+from pydantic_core import ArgsKwargs
 
 from tiswarm.params import STRICT
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
+from tiswarm.sensing.suites import SUITES, SuiteName
+
+_Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
+# A setting of a suite passes through Python, where strict checks accept no list for a tuple.
+_Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
+_Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # noqa: FBT003
+_Length = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class SensingParams:
-    """Noise of the robots' senses; none by default, as in the paper.
+    """What robots sense, and the noise of their senses; none by default, as in the paper.
 
-    Each contact of each stance has its own random draw. Gravity gives planar robots their whole
+    A suite sets defaults of all other settings; those listed are of `fireant-v3`. Each contact of
+    each stance has its own random draw. Gravity gives planar robots their whole
     orientation: it has the noise of tilt about the normal of the plane, and no noise of yaw.
     """
+
+    suite: SuiteName = "fireant-v3"
+    """Sensors of a system in the paper's Table I."""
+
+    touch: bool = False
+    """Add FireAntV3's own senses to those of the suite: contacts, docks on the ground, heights,
+    stances."""
+
+    contacts: bool = True
+    """Sense contacts."""
+
+    ground_docks: bool = True
+    """Sense docks on flat ground, whose height is known."""
+
+    heights: bool = True
+    """Infer heights from flips."""
+
+    stances: bool = True
+    """Record the stances before the final one, and what robots sensed there."""
 
     tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
@@ -43,7 +71,57 @@ class SensingParams:
     """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
     contact [1]."""
 
+    beacons: _Points = ()
+    """Places of beacons, tags or projectors [R]. Robots in line of sight of one get fixes."""
+
+    beacon_kind: Literal["plan", "sweep"] = "plan"
+    """Fixes that beacons give: x and y, the same from one or several (plan), or two slanted planes
+    through each beacon and the robot, as of a lighthouse (sweep)."""
+
+    fix_noise: _Length = 0.5
+    """Standard deviation of each fix, with a new draw at each stance [R]."""
+
+    fix_bias: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    """Standard deviation of a further error of planes, with one draw for each of a beacon's two
+    [R]."""
+
+    seed_robots: Annotated[int, Field(ge=0)] = 0
+    """Robots, the first to join, whose final positions are known by three fixes."""
+
+    range_reach: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    """Largest distance of centers at which robots in line of sight measure it [R]; if null, they
+    measure none."""
+
+    range_noise: _Length = 0.06
+    """Standard deviation of a range [R]."""
+
+    sight_at: Literal["end", "stances"] = "end"
+    """Time of fixes and ranges: once, when the structure is complete and all robots block sight
+    (end), or at each stance, where only robots that joined earlier do (stances)."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings without effect."""
+        if self.fix_bias and self.beacon_kind == "plan":
+            raise ValueError(
+                "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
+            )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_suite(cls, data: Any) -> Any:  # noqa: ANN401 - not checked yet
+        """Put a suite's settings beneath those that are given."""
+        given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
+        name = given.get("suite") if isinstance(given, dict) else None
+        suite = SUITES.get(name) if isinstance(name, str) else None
+        return {**suite.settings, **given} if suite else data
+
+    def senses(self, name: Literal["contacts", "ground_docks", "heights", "stances"]) -> bool:
+        """Whether robots have one of FireAntV3's own senses."""
+        return self.touch or bool(getattr(self, name))
+
     @property
     def noise(self) -> SensingNoise:
         """Noise as the header of a log states it."""
-        return SensingNoise(**{key.replace("_noise", ""): sd for key, sd in asdict(self).items()})
+        names = {field.name.replace("_noise", ""): field.name for field in fields(self)}
+        stated = {field.name for field in fields(SensingNoise)} & set(names)
+        return SensingNoise(**{key: getattr(self, names[key]) for key in stated})

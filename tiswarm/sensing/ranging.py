@@ -1,0 +1,34 @@
+"""Ranges: measured distances between robots in line of sight of each other."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiswarm.aliases import Reals
+from tiswarm.compute.math import normal
+from tiswarm.sensing.params import SensingParams
+from tiswarm.sensing.sight import Lookouts, Views, in_sight
+from tiswarm.world.history import History
+
+
+def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) -> Reals:
+    """Measure the distance of centers to that of earlier robots within reach and in sight.
+
+    Returns:
+        Rows of (robot, stance, other robot, distance, standard deviation), shape (D, 5). An error
+        that makes a distance negative leaves no row.
+    """
+    if params.range_reach is None:
+        return np.empty((0, 5))
+    here, there = cKDTree(lookouts.center), cKDTree(history.position)
+    pairs = here.sparse_distance_matrix(there, params.range_reach, output_type="ndarray")
+    place, other = pairs["i"], pairs["j"]
+    is_earlier = other < lookouts.robot[place]
+    place, other = place[is_earlier], other[is_earlier]
+    robot, stance, center, joined = (column[place] for column in lookouts)
+    views = Views(center, history.position[other], joined, robot, other)
+    seen = in_sight(history, views)
+    length = np.linalg.norm(views.end - center, axis=1)
+    length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
+    sd = np.full(len(robot), params.range_noise)
+    rows: Reals = np.column_stack([robot, stance, other, length, sd])[seen & (length > 0.0)]
+    return rows
