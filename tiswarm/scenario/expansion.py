@@ -22,6 +22,7 @@ from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
+    SAME_KEYS,
     Mistake,
     Plain,
     Setting,
@@ -307,18 +308,21 @@ def _apply(base: Plain, changes: Sequence[_Change], label: str) -> Scenario | li
 
 
 def _reset_section(data: Plain, change: _Change) -> str:
-    """Empty a section that is to have other settings; return which are lost, or nothing."""
+    """Empty a section that is to have other settings; return which are lost, or nothing.
+
+    A section keeps settings that differ from their default where the others have the same keys.
+    """
     section, key = change.path
     settings = data[section]
     old = settings.get(key) if isinstance(settings, dict) else None
     if not isinstance(old, str) or old == change.value:
         return ""
-    data[section] = {}
-    if settings == _defaults(section, old):
-        return ""
     default = _defaults(section, old) or {}
-    names = ", ".join(name for name, value in settings.items() if value != default.get(name))
-    problem = f"would drop {names}, set for {old}; sweep {section} as a whole"
+    changed = {name: value for name, value in settings.items() if value != default.get(name)}
+    data[section] = changed if section in SAME_KEYS else {}
+    if section in SAME_KEYS or not changed:
+        return ""
+    problem = f"would drop {', '.join(changed)}, set for {old}; sweep {section} as a whole"
     if section not in CONDITION_SECTIONS:
         return problem
     return f"{problem}, or give {section} as a whole in the condition"

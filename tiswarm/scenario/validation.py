@@ -22,8 +22,11 @@ from tiswarm.scenario.yaml_source import parse_yaml
 Plain = dict[str, Any]
 """A scenario, or a part of it, as plain data."""
 
-DISCRIMINATORS = {"structure": "kind", "localization": "method"}
-"""By section, the key that selects which settings the section has."""
+DISCRIMINATORS = {"structure": "kind", "localization": "method", "sensing": "suite"}
+"""By section, the key that selects which settings the section has, or their defaults."""
+
+SAME_KEYS = ("sensing",)
+"""Those of them whose settings have the same keys, whichever is selected."""
 
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
@@ -41,7 +44,7 @@ _REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
 }
 """Keys of earlier versions: their default, which run folders hold, and what to run instead."""
 
-_UNIONS = {*DISCRIMINATORS, "seeds"}
+_UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
 
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+))?")

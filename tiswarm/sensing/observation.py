@@ -10,6 +10,7 @@ from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
 from tiswarm.sensing.beacons import sense_fixes
+from tiswarm.sensing.connections import sense_connections, sense_directions
 from tiswarm.sensing.noise import sensed_contacts, sensed_orientation, spawn_position
 from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.ranging import sense_ranges
@@ -45,6 +46,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         "ground_docks": history.table("ground_docks"),
         "fixes": np.unique(sense_fixes(history, lookouts, params), axis=0),
         "ranges": np.unique(sense_ranges(history, lookouts, params), axis=0),
+        "directions": sense_directions(history, params),
+        "connections": sense_connections(history, params),
     }
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
@@ -52,13 +55,16 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
     final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
+    orientation = sensed[end - 1]
+    if not params.senses("compass"):
+        orientation[1:] = np.nan  # the anchor's is known, as its position is
     height = _flip_height(history, sensed, end)
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
         dock_offset_body=history.robot.dock_offset_body,
         anchor_position=history.walks[0].center[-1],
-        orientation_wxyz=sensed[end - 1],
+        orientation_wxyz=orientation,
         ground_z=history.ground_z if params.senses("ground_docks") else None,
         flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
         spawn_position=spawn_position(history, params),

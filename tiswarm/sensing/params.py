@@ -15,6 +15,7 @@ _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
 _Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # noqa: FBT003
+_Sense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
 _Length = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
@@ -32,7 +33,7 @@ class SensingParams:
 
     touch: bool = False
     """Add FireAntV3's own senses to those of the suite: contacts, docks on the ground, heights,
-    stances."""
+    stances, orientations."""
 
     contacts: bool = True
     """Sense contacts."""
@@ -45,6 +46,9 @@ class SensingParams:
 
     stances: bool = True
     """Record the stances before the final one, and what robots sensed there."""
+
+    compass: bool = True
+    """Sense orientations; without, they follow from those of robots in contact."""
 
     tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
@@ -95,12 +99,22 @@ class SensingParams:
     range_noise: _Length = 0.06
     """Standard deviation of a range [R]."""
 
+    direction_noise_deg: Angle | None = None
+    """Standard deviation of the direction of a contact about each axis perpendicular to it [deg];
+    if null, directions are not sensed. They are those of true contacts."""
+
+    connection_noise_deg: Angle | None = None
+    """Standard deviation of the orientation of a robot in contact about each axis [deg]; if null,
+    it is not sensed. It is that of true contacts."""
+
     sight_at: Literal["end", "stances"] = "end"
     """Time of fixes and ranges: once, when the structure is complete and all robots block sight
     (end), or at each stance, where only robots that joined earlier do (stances)."""
 
     def __post_init__(self) -> None:
-        """Refuse settings without effect."""
+        """Refuse settings without effect, and stances that no compass leads through."""
+        if self.stances and not (self.compass or self.touch):
+            raise ValueError("stances need a compass; set stances to false")
         if self.fix_bias and self.beacon_kind == "plan":
             raise ValueError(
                 "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
@@ -115,7 +129,7 @@ class SensingParams:
         suite = SUITES.get(name) if isinstance(name, str) else None
         return {**suite.settings, **given} if suite else data
 
-    def senses(self, name: Literal["contacts", "ground_docks", "heights", "stances"]) -> bool:
+    def senses(self, name: _Sense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
         return self.touch or bool(getattr(self, name))
 
