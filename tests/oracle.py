@@ -304,3 +304,12 @@ def flip_paths(walk, step, body, k):
     for end in (angle, angle - 2.0 * np.pi):
         spin = Rotation.from_rotvec(np.linspace(0.0, end, 60)[:, None] * turn / angle)
         yield pivot + np.array([spin.apply(before @ (b - body[k])) for b in body]).swapaxes(0, 1)
+
+
+def is_hidden(start, end, spheres, radius):
+    """Whether the segment between two points meets any sphere: roots of quadratics in [0, 1]."""
+    way, out = end - start, start - spheres
+    a, b, c = way @ way, out @ way, (out**2).sum(axis=1) - radius**2
+    inside = b * b - a * c
+    root = -b - np.sqrt(np.maximum(inside, 0.0))
+    return bool(((c < 0.0) | ((inside > 0.0) & (root > 0.0) & (root < a))).any())

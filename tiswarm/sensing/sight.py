@@ -9,7 +9,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
 
-_EDGE = 3.0
+_EDGE = 2.5
 """Edge of a cell [dock radii]."""
 
 _ROUNDING = 1e-3
@@ -95,7 +95,7 @@ def in_sight(history: History, views: Views) -> Bools:
     limits = SightLimits(
         radius=radius,
         edge=_EDGE * radius,
-        stride=2.0 * (_EDGE - 1.0 - _ROUNDING) * radius,
+        stride=2.0 * (np.sqrt(_EDGE**2 - 1.0) - _ROUNDING) * radius,
         docks=turned.shape[1],
     )
     reach = (1.0 + _ROUNDING) * radius

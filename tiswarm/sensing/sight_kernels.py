@@ -20,8 +20,8 @@ class SightLimits:
     stride: F64
     """Longest way between two places of a segment at which cells are looked up [R].
 
-    Cells around a place hold all docks within an edge of it, so that docks within a radius of the
-    segment are found as long as half a stride and a radius are at most an edge."""
+    Cells around a place hold all docks within an edge of it. A dock that the segment meets lies
+    within a radius of a point of it, which is at most half a stride along from such a place."""
 
     docks: I32
     """Docks of a robot."""
