@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiswarm.errors import InputError
-from tiswarm.evaluation.tables import by_join, score, score_files, totals
+from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN
@@ -37,6 +37,24 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     assert "coverage_50" not in silent
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
+
+
+def test_ranges_are_not_judged_as_contacts(towers):
+    """A range among the outliers, whose dock is the center, counts as no contact."""
+    log = observe(towers[0], SensingParams(range_reach=8.0, false_contacts=0.05))
+    robot, other = log.ranges[0, :2].astype(int)
+    wrong = {tuple(row) for row in log.contacts.tolist()}
+    wrong -= {tuple(row) for row in towers[0].contacts.tolist()}
+    i, a, j, b = min(wrong)
+    last = [len(walk.pivot_dock) for walk in towers[0].walks]
+    outliers = np.array([[j, last[j], b, i, a], [robot, last[robot], -1, other, -1]])
+    estimate = localize(log, VirtualForceParams(iterations=1))
+    judged = dataclasses.replace(estimate, outlier_contacts=outliers)
+
+    scores = outlier_scores(towers[0], log, judged, cues=["contacts", "ranges"])
+
+    assert (scores["outliers"], scores["outlier_precision"]) == (1, 1.0)
+    assert scores["wrong_contacts"] == len(wrong)
 
 
 def _connected(history, count):

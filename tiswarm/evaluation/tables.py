@@ -13,6 +13,7 @@ from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import measure
+from tiswarm.measurements.odometry import CENTER
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
@@ -72,14 +73,16 @@ def outlier_scores(
     """
     if estimate.outlier_contacts is None:
         return {}
-    sensed = measure(log, cues).sensed_contacts
+    rows = measure(log, cues)
+    sensed = rows.sensed_contacts[rows.is_contact]
     true = history.table("contacts")
     size = tuple(np.concatenate([true, sensed]).max(axis=0, initial=0) + 1)
 
     def key(rows: AnyInts) -> Ints:  # each row as one number
         return np.asarray(np.ravel_multi_index(tuple(rows.astype(np.int64).T), size))
 
-    outliers = key(estimate.outlier_contacts)
+    is_contact = estimate.outlier_contacts[:, 2] != CENTER  # ranges are judged, too
+    outliers = key(estimate.outlier_contacts[is_contact])
     wrong = np.setdiff1d(key(sensed), key(true))
     hits = np.isin(outliers, wrong).sum()
     return {
