@@ -12,6 +12,7 @@ from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams
+from tiswarm.sensing.suites import SUITES
 from tiswarm.world.params import ClimbParams, TowerParams
 
 slugs = st.from_regex(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,20}[A-Za-z0-9_-])?", fullmatch=True)
@@ -51,7 +52,7 @@ scenarios = st.builds(
         goal_height=positive,
         climb=st.builds(ClimbParams, max_flips=st.integers(1, 10**25)),
     ),
-    sensing=st.builds(SensingParams, tilt_noise_deg=angles),
+    sensing=st.builds(SensingParams, suite=st.sampled_from(sorted(SUITES)), tilt_noise_deg=angles),
     localization=st.builds(VirtualForceParams, initial_offset=positive, z_correction=st.booleans()),
     conditions=st.dictionaries(slugs.map(str.lower), conditions, min_size=1, max_size=3),
     sweep=sweeps,
