@@ -83,6 +83,14 @@ def test_the_header_states_the_noise_in_use(towers):
     assert (heading.yaw_deg, heading.direction_deg) == (1.44, None)
 
 
+def test_without_a_compass_only_the_anchor_knows_its_orientation(towers):
+    """Its orientation is known as its position is, without the noise of a compass."""
+    log = observe(towers[0], SensingParams(suite="m-blocks", yaw_noise_deg=9.0))
+
+    np.testing.assert_array_equal(log.orientation_wxyz[0], towers[0].orientation_wxyz[0])
+    assert np.isnan(log.orientation_wxyz[1:]).all()
+
+
 def test_every_number_has_a_source():
     """Each suite has a price and figures of a stated kind."""
     kinds = get_args(Figure.__annotations__["kind"])

@@ -57,7 +57,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
     orientation = sensed[end - 1]
     if not params.senses("compass"):
-        orientation[1:] = np.nan  # the anchor's is known, as its position is
+        orientation[0] = history.orientation_wxyz[0]  # known, as the anchor's position is
+        orientation[1:] = np.nan
     height = _flip_height(history, sensed, end)
     return SensingLog(
         robot_id=np.arange(history.robot_count),

@@ -48,7 +48,8 @@ class SensingParams:
     """Record the stances before the final one, and what robots sensed there."""
 
     compass: bool = True
-    """Sense orientations; without, they follow from those of robots in contact."""
+    """Sense orientations; without, they follow from those of robots in contact, and that of the
+    anchor is known."""
 
     tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
