@@ -35,8 +35,8 @@ def _meeting(arm, axis, obstacle, spacing=2.0):
 @given(arm=vectors, axis=unit_vectors, obstacle=vectors)
 def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle):
     """The closed form agrees with turning the dock step by step, both ways."""
-    if abs(np.linalg.norm(arm - obstacle) - 2.0) < 0.05:
-        return  # touching at the start is another test's matter
+    if np.linalg.norm(arm - obstacle) < 2.05:
+        return  # docks never overlap; touching at the start is another test's matter
 
     forward, backward = _meeting(arm, axis, obstacle)
 
@@ -66,6 +66,21 @@ def test_a_dock_that_rests_on_another_cannot_turn_into_it(axis, towards):
 
     assert (forward if towards else backward) == pytest.approx(0.0, abs=1e-6)
     assert (backward if towards else forward) > 0.05
+
+
+@pytest.mark.parametrize("half_side", np.linspace(1.05, 1.35, 31))
+def test_a_dock_that_may_not_turn_either_way_stays(half_side):
+    """Two docks rest on one beyond the axis, all in a plane: any turn brings the second nearer."""
+    corner = np.deg2rad(45.0)
+    arm = 2.0 * half_side * np.array([np.sin(corner), np.cos(corner), 0.0])
+    beyond = corner - np.arccos(half_side / 2.0)
+    obstacle = 2.0 * np.array([np.sin(beyond), np.cos(beyond), 0.0])
+
+    angles = _meeting(arm, np.array([0.0, 1.0, 0.0]), obstacle)
+
+    assert beyond < 0.0
+    assert np.linalg.norm(arm - obstacle) == pytest.approx(2.0, abs=1e-12)
+    np.testing.assert_allclose(angles, 0.0, atol=1e-6)
 
 
 def test_walks_keep_their_pivot_where_it_is(towers):

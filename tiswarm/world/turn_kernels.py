@@ -36,11 +36,14 @@ def crossing_angles(a, b, level, full_turn):
     """Find where a cos t + b sin t first rises through `level`, turning forward and backward.
 
     Returns a full turn where it never does. Rising means entering: the obstacle lies above the
-    level.
+    level. A dock above the level all the way round touches at its lowest point, where it starts,
+    and cannot turn.
     """
     angles = ti.Vector([full_turn, full_turn])
     swing = ti.sqrt(a * a + b * b)
-    if swing > ti.abs(level) and swing > _SETTLED_RISE:
+    if swing <= -level and swing > _SETTLED_RISE:
+        angles = ti.Vector([0.0, 0.0])
+    elif swing > level and swing > _SETTLED_RISE:
         peak = ti.atan2(b, a)
         half_width = ti.acos(level / swing)
         angles[0] = _ahead(peak - half_width, full_turn)
