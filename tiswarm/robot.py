@@ -6,18 +6,45 @@ design files, or 2 / sqrt(3) R if a robot's own docks are taken to touch.
 """
 
 import math
-from typing import Annotated, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass
+from scipy.spatial.distance import pdist
 
 from tiswarm.aliases import Reals
 from tiswarm.params import STRICT
 
-DOCK_COUNT = 3
 FIREANT_RHO = 1.506
 TANGENT_RHO = 2.0 / math.sqrt(3.0)
+
+_SPACING = 2.0
+_MAX_OVERLAP = 1e-9
+"""Overlap of docks that rounding may leave [R]."""
+_NEAREST, _FARTHEST = 0.1, 10.0
+"""Distances of a dock from the center [R]."""
+
+Shape = Literal["line", "triangle", "square", "tetrahedron", "octahedron", "cube"]
+
+
+def _layer(count: int, height: float = 0.0, turn: float = 0.0) -> Reals:
+    """Docks at one height of a unit sphere, evenly around the z axis, shape (count, 3)."""
+    angle = turn + np.arange(count) * (2.0 * np.pi / count)
+    width = math.sqrt(1.0 - height**2)
+    return np.column_stack([width * np.cos(angle), width * np.sin(angle), np.full(count, height)])
+
+
+_HALF = math.sqrt(1.0 / 3.0)
+SHAPES: dict[Shape, Reals] = {
+    "line": _layer(2),
+    "triangle": _layer(3),
+    "square": _layer(4),
+    "tetrahedron": np.concatenate([_layer(3, -1.0 / 3.0), _layer(1, 1.0)]),
+    "octahedron": np.concatenate([_layer(3, -_HALF), _layer(3, _HALF, np.pi / 3.0)]),
+    "cube": np.concatenate([_layer(4, -_HALF), _layer(4, _HALF)]),
+}
+"""Directions from the center to the docks of each shape, lying on a side, shape (docks, 3)."""
 
 
 class Robot(Protocol):
@@ -32,12 +59,57 @@ class Robot(Protocol):
         """Center to dock in the body frame, shape (docks, 3)."""
 
 
+_Offset = tuple[float, float, float]
+
+
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RobotGeometry:
-    """Three docks in the x-y plane of the body, at 0, 120 and 240 degrees."""
+    """Two to eight docks around a center: at the corners of a shape, or anywhere.
 
-    rho: Annotated[float, Field(ge=TANGENT_RHO - 1e-12, le=10.0)] = FIREANT_RHO
+    A robot starts with the z axis of its body upward, its lowest docks on the ground.
+    """
+
+    shape: Shape = "triangle"
+    """Shape with a dock at each corner."""
+
+    rho: Annotated[float, Field(ge=1.0, le=_FARTHEST, validate_default=True)] = FIREANT_RHO
     """Distance from the robot's center to each dock center [R]."""
+
+    docks: Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=8)] | None = None
+    """Vectors [x, y, z] from the center to each dock in the body frame [R]; they take the place
+    of `shape` and `rho`."""
+
+    @field_validator("rho")
+    @classmethod
+    def _keep_corners_apart(cls, rho: float, info: ValidationInfo) -> float:
+        if shape := info.data.get("shape"):
+            least = (_SPACING - _MAX_OVERLAP) / pdist(SHAPES[shape]).min()
+            if rho < least:
+                raise ValueError(f"at {rho:g} docks of a {shape} overlap; use {least:.4f} or more")
+        return rho
+
+    @field_validator("docks")
+    @classmethod
+    def _check_docks(
+        cls, docks: tuple[_Offset, ...] | None, info: ValidationInfo
+    ) -> tuple[_Offset, ...] | None:
+        if docks is None:
+            return docks
+        if info.data != {"shape": "triangle", "rho": FIREANT_RHO}:
+            raise ValueError("docks take the place of shape and rho; remove these")
+        distance = np.linalg.norm(docks, axis=1)
+        for k in np.flatnonzero((distance < _NEAREST) | (distance > _FARTHEST)):
+            raise ValueError(
+                f"dock {k} is {distance[k]:.4g} R from the center; "
+                f"place it {_NEAREST:g} to {_FARTHEST:g} R away"
+            )
+        apart = np.linalg.norm(np.subtract(docks, np.expand_dims(docks, 1)), axis=2)
+        for i, j in np.argwhere(np.triu(apart < _SPACING - _MAX_OVERLAP, 1)):
+            raise ValueError(
+                f"docks {i} and {j} are {apart[i, j]:.4g} R apart and overlap; "
+                f"place them {_SPACING:g} R apart or more"
+            )
+        return docks
 
     @property
     def dock_radius(self) -> float:
@@ -47,17 +119,34 @@ class RobotGeometry:
     @property
     def spacing(self) -> float:
         """D: distance between the centers of two docks that touch [R]."""
-        return 2.0 * self.dock_radius
+        return _SPACING
 
     @property
     def dock_offset_body(self) -> Reals:
-        """Center to dock in the body frame [R], shape (3, 3)."""
-        return docks_in_plane(self.rho)
+        """Center to dock in the body frame [R], shape (docks, 3)."""
+        return self.rho * SHAPES[self.shape] if self.docks is None else np.array(self.docks)
+
+    @property
+    def dock_count(self) -> int:
+        """Number of docks."""
+        return len(self.dock_offset_body)
+
+    @property
+    def dock_distance(self) -> float:
+        """Distance from the center to a dock, the mean one where docks differ [R]."""
+        if self.docks is None:
+            return self.rho
+        return float(np.linalg.norm(self.docks, axis=1).mean())
+
+    @property
+    def extent(self) -> float:
+        """Distance from the center to the farthest dock [R]."""
+        return float(np.linalg.norm(self.dock_offset_body, axis=1).max())
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class PlanarRobot(RobotGeometry):
-    """A robot that moves in a vertical plane, as FireAnt2D does, with three docks in that plane.
+    """A flat robot that moves in a vertical plane, as FireAnt2D does, with its docks in that plane.
 
     The docks are in the x-z plane of the body. A turn about y describes every pose in the plane
     y = 0, and keeps y at exactly 0.
@@ -65,11 +154,10 @@ class PlanarRobot(RobotGeometry):
 
     @property
     def dock_offset_body(self) -> Reals:
-        """Center to dock in the body frame [R], shape (3, 3)."""
-        return docks_in_plane(self.rho)[:, [0, 2, 1]]
+        """Center to dock in the body frame [R], shape (docks, 3)."""
+        return super().dock_offset_body[:, [0, 2, 1]]
 
 
 def docks_in_plane(distance: float) -> Reals:
     """Center to dock of three docks in the x-y plane so far from the center, shape (3, 3)."""
-    angle = np.arange(DOCK_COUNT) * (2.0 * np.pi / DOCK_COUNT)
-    return distance * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DOCK_COUNT)])
+    return distance * SHAPES["triangle"]

@@ -212,7 +212,7 @@ def _calling(history: History, count: int, params: GrowthParams) -> set[tuple[in
         return set()
     structure = frames.grown(history, count)
     call = recruit(frames.solve(structure).sensed, params)
-    docks = np.flatnonzero(relay(call, structure.contacts) > 0)
+    docks = np.flatnonzero(relay(call, structure.contacts, docks=3) > 0)
     return {divmod(int(dock), 3) for dock in docks}
 
 

@@ -61,72 +61,77 @@ def test_who_bears_more_calls_no_less(sensed, more, base, threshold):
     assert (calm > 0) == (sensed >= threshold)
 
 
-def _slow_relay(call, contacts):
+def _slow_relay(call, contacts, docks):
     """The rule dock by dock, again and again until nothing changes any more."""
     robots = len(call)
-    out = {(i, k): 0 for i in range(robots) for k in range(3)}
+    out = {(i, k): 0 for i in range(robots) for k in range(docks)}
     while True:
         incoming = dict.fromkeys(out, 0)
         for one, other in contacts:
-            p, q = divmod(int(one), 3), divmod(int(other), 3)
+            p, q = divmod(int(one), docks), divmod(int(other), docks)
             incoming[p] = max(incoming[p], out[q])
             incoming[q] = max(incoming[q], out[p])
         spread = {
             (i, k): max(
                 int(call[i]),
                 incoming[i, k] - 1,
-                max(incoming[i, other] for other in range(3) if other != k) - 2,
+                max(incoming[i, other] for other in range(docks) if other != k) - 2,
             )
             for i, k in out
         }
         if spread == out:
-            return [out[i, k] for i in range(robots) for k in range(3)]
+            return [out[i, k] for i in range(robots) for k in range(docks)]
         out = spread
 
 
 @st.composite
 def _structures(draw):
-    """What up to eight robots call, and which of their docks touch."""
-    robots = draw(st.integers(1, 8))
+    """What up to eight robots call, which of their docks touch, and the docks of each."""
+    robots, docks = draw(st.integers(1, 8)), draw(st.integers(2, 8))
     call = draw(st.lists(st.integers(0, 9), min_size=robots, max_size=robots))
-    dock = st.integers(0, 3 * robots - 1)
-    pair = st.tuples(dock, dock).filter(lambda ends: ends[0] // 3 < ends[1] // 3)
+    dock = st.integers(0, docks * robots - 1)
+    pair = st.tuples(dock, dock).filter(lambda ends: ends[0] // docks < ends[1] // docks)
     contacts = draw(st.lists(pair, max_size=12, unique=True)) if robots > 1 else []
-    return np.array(call, np.int32), np.array(contacts, np.int64).reshape(-1, 2)
+    return np.array(call, np.int32), np.array(contacts, np.int64).reshape(-1, 2), docks
 
 
 @settings(deadline=None)
 @given(structure=_structures())
 def test_calls_spread_as_the_rule_says(structure):
     """Every zone's call, over any graph of contacts, is that of a slow loop from zero."""
-    call, contacts = structure
+    call, contacts, docks = structure
 
-    np.testing.assert_array_equal(relay(call, contacts), _slow_relay(call, contacts))
+    out = relay(call, contacts, docks=docks)
+
+    np.testing.assert_array_equal(out, _slow_relay(call, contacts, docks))
 
 
 @settings(deadline=None)
 @given(structure=_structures(), seed=st.integers(0, 99))
 def test_neither_the_order_nor_the_direction_of_contacts_matters(structure, seed):
     """Contacts shuffled and turned round carry the same calls."""
-    call, contacts = structure
+    call, contacts, docks = structure
     rng = np.random.default_rng(seed)
     shuffled = rng.permuted(rng.permutation(contacts), axis=1)
 
-    np.testing.assert_array_equal(relay(call, shuffled), relay(call, contacts))
+    out = relay(call, shuffled, docks=docks)
+
+    np.testing.assert_array_equal(out, relay(call, contacts, docks=docks))
 
 
 @settings(deadline=None)
 @given(structure=_structures(), seed=st.integers(0, 99))
 def test_robots_have_no_rank(structure, seed):
     """Numbered otherwise, the same robots pass on the same."""
-    call, contacts = structure
+    call, contacts, docks = structure
     rank = np.random.default_rng(seed).permutation(len(call))
-    renumbered = 3 * rank[contacts // 3] + contacts % 3
+    renumbered = docks * rank[contacts // docks] + contacts % docks
     order = np.argsort(rank)
 
-    out = relay(call[order], renumbered).reshape(-1, 3)
+    out = relay(call[order], renumbered, docks=docks).reshape(-1, docks)
 
-    np.testing.assert_array_equal(out[rank], relay(call, contacts).reshape(-1, 3))
+    expected = relay(call, contacts, docks=docks).reshape(-1, docks)
+    np.testing.assert_array_equal(out[rank], expected)
 
 
 def test_a_call_fades_by_one_in_its_zone_and_by_two_across():
@@ -134,7 +139,7 @@ def test_a_call_fades_by_one_in_its_zone_and_by_two_across():
     call = np.array([9, 0, 0, 0], np.int32)
     row = np.array([[1, 3], [4, 6], [7, 9]])
 
-    out = relay(call, row)
+    out = relay(call, row, docks=3)
 
     expected = [[9, 9, 9], [8, 7, 7], [6, 5, 5], [4, 3, 3]]
     np.testing.assert_array_equal(out.reshape(-1, 3), expected)
@@ -144,11 +149,11 @@ def test_a_call_ends_with_its_cause():
     """Values are found from zero each time, so none feeds on itself around a ring."""
     ring = np.array([[1, 3], [4, 6], [0, 7]])
 
-    np.testing.assert_array_equal(relay(np.zeros(3, np.int32), ring), np.zeros(9))
+    np.testing.assert_array_equal(relay(np.zeros(3, np.int32), ring, docks=3), np.zeros(9))
 
 
 def test_only_touching_robots_pass_calls_on():
     """Without contacts a call stays where it is."""
-    out = relay(np.array([3, 0], np.int32), np.empty((0, 2), np.int64))
+    out = relay(np.array([3, 0], np.int32), np.empty((0, 2), np.int64), docks=3)
 
     np.testing.assert_array_equal(out, [3, 3, 3, 0, 0, 0])

@@ -48,7 +48,7 @@ def score(
         "disconnected": int(estimate.disconnected.sum()),
         "sse_R2": metrics.sse(estimated, true),
         "rmse_R": rmse,
-        "rmse_rho": rmse / robot.rho,
+        "rmse_rho": rmse / robot.dock_distance,
         "rmse_yaw_aligned_R": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,

@@ -32,7 +32,6 @@ from tiswarm.compute.math_kernels import (  # fmt: skip
     vector_at,
     vector_in,
 )
-from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.turn_kernels import contact_angles
 
 _WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
@@ -41,6 +40,8 @@ FLAT, EDGE = 1, 2
 """Ground that a dock stands on; 0 for none."""
 MAX_TOUCHING = 12
 """No more unit spheres than this can touch one (the kissing number)."""
+_ALONG = 1e-6
+"""Squared sine of the angle below which a dock counts as on the z axis of the body."""
 
 
 @kernel_struct
@@ -63,16 +64,16 @@ class ClimbLimits:
 
 
 class StructureArrays(NamedTuple):
-    """S structures with room for N robots each; dock 3 i + k is dock k of robot i."""
+    """S structures with room for N robots of n docks each; n i + k is dock k of robot i."""
 
     cells: CellList
     """The joined docks by place."""
 
     dock: Reals3
-    """Dock centers [R]; rows of robots that have not joined are meaningless, (S, 3 N, 3)."""
+    """Dock centers [R]; rows of robots that have not joined are meaningless, (S, n N, 3)."""
 
     relay: Ints2
-    """Call that each dock passes on; a robot that touches a positive one is recruited, (S, 3 N)."""
+    """Call that each dock passes on; a robot that touches a positive one is recruited, (S, n N)."""
 
     robot_count: Ints1
     """Robots that have joined, shape (S,)."""
@@ -94,10 +95,10 @@ class Climbers(NamedTuple):
     """Steps in a row without a new best with which each gives up; 0 to stay where it starts."""
 
     settles: Ints1
-    """Whether each turns, where it stays, until all its docks touch."""
+    """Whether each turns, where it stays, until a third dock touches."""
 
     dock_offset_body: Reals2
-    """Center to dock in the body frame [R], shape (3, 3)."""
+    """Center to dock in the body frame [R], shape (n, 3)."""
 
     near: Reals3
     """Scratch: vectors from the pivot to docks in reach, shape (slots, near, 3)."""
@@ -116,10 +117,10 @@ class WalkArrays(NamedTuple):
     """Dock that stays put as the robot leaves a stance, shape (slots, stances)."""
 
     touching: Ints4
-    """Docks of the structure that each dock touches, or -1, (slots, stances, 3, MAX_TOUCHING)."""
+    """Docks of the structure that each dock touches, or -1, (slots, stances, n, MAX_TOUCHING)."""
 
     on_ground: Ints3
-    """0, FLAT or EDGE, shape (slots, stances, 3)."""
+    """0, FLAT or EDGE, shape (slots, stances, n)."""
 
     last: Ints1
     """Last stance of each walk, shape (slots,)."""
@@ -215,10 +216,21 @@ def _revisits(limits: Ref, walks: Ref, mover, stance, point):
 
 
 @ti.func
+def _across(arm):
+    """Find the unit vector across `arm` nearest to the body's z axis, or x for an arm along z."""
+    size = arm.norm_sqr()
+    across = ti.Vector([0.0, 0.0, 1.0]) - arm[2] / size * arm
+    if across.norm_sqr() < _ALONG:
+        across = ti.Vector([1.0, 0.0, 0.0]) - arm[0] / size * arm
+    return across.normalized()
+
+
+@ti.func
 def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover, stance, k):
     """Of all flips about dock `k`, find the one that ends nearest to the goal."""
     s = climbers.structure[mover]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
+    docks = body.shape[0]
     here = vector_in(walks.center, mover, stance)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
@@ -232,13 +244,15 @@ def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover
     normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
     if limits.is_planar:
         normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
+    elif body_in[2] != 0.0:
+        normal = rotate(q, _across(body_in))
     side = normal.cross(to_center.normalized())
     for twist in range(limits.twists):
         turn = 0.5 * limits.full_turn * twist / limits.twists
         axis = ti.cos(turn) * normal + ti.sin(turn) * side
         first = ti.Vector([limits.full_turn, limits.full_turn])
-        for step in range(1, DOCK_COUNT):
-            arm = rotate(q, vector_at(body, (k + step) % DOCK_COUNT) - body_in)
+        for step in range(1, docks):
+            arm = rotate(q, vector_at(body, (k + step) % docks) - body_in)
             first = ti.min(first, contact_angles(limits, arm, axis, pivot, near, mover, count))
         for way in ti.static(range(2)):
             angle = first[way]
@@ -265,28 +279,37 @@ def _move_to(walks: Ref, mover, stance, here, q):
 
 @ti.func
 def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
-    """Let a robot that touches with two docks turn about these until the third touches too.
+    """Let a robot that touches with two docks turn about these until a third touches too.
 
     It turns the way that takes the smaller angle. The stance it comes to is written behind the
     last of the walk, with the pivot that leads to it.
     """
     s, best = climbers.structure[m], walks.best[m]
     body, near = ti.static(climbers.dock_offset_body, climbers.near)
-    free, free_count = -1, 0
-    for k in range(DOCK_COUNT):
-        if not _is_attached(walks, m, best, k):
+    docks = body.shape[0]
+    free, attached = -1, 0
+    for k in range(docks):
+        if _is_attached(walks, m, best, k):
+            attached += 1
+        else:
             free = k
-            free_count += 1
-    if free_count == 1:
-        one = (free + 1) % DOCK_COUNT
+    if free >= 0 and attached == 2:  # noqa: PLR2004 - an axis
+        one, other = -1, -1
+        for step in range(1, docks):
+            k = (free + step) % docks
+            if _is_attached(walks, m, best, k):
+                one, other = ti.select(one < 0, k, one), k
         q = quaternion_at(walks.orientation, m, best)
         body_in = vector_at(body, one)
-        across = rotate(q, vector_at(body, (free + 2) % DOCK_COUNT) - body_in)
-        arm = rotate(q, vector_at(body, free) - body_in)
+        across = rotate(q, vector_at(body, other) - body_in)
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
         count = ti.min(_gather_near(limits, structures, s, pivot, near, m), near.shape[1])
-        met = contact_angles(limits, arm, axis, pivot, near, m, count)
+        met = ti.Vector([limits.full_turn, limits.full_turn])
+        for k in range(docks):
+            if k != one and k != other:
+                arm = rotate(q, vector_at(body, k) - body_in)
+                met = ti.min(met, contact_angles(limits, arm, axis, pivot, near, m, count))
         angle = ti.min(met[0], met[1])
         if angle <= limits.max_flip:
             flip = axis_rotation(axis, ti.select(met[0] <= met[1], angle, -angle))
@@ -296,7 +319,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
             walks.stay[m] = stay
             walks.pivot_dock[m, stay] = one
             _move_to(walks, m, stay, end, turned)
-            for k in range(DOCK_COUNT):
+            for k in range(docks):
                 point = end + rotate(turned, vector_at(body, k))
                 _sense_contacts(limits, structures, s, walks, m, stay, k, point)
 
@@ -351,14 +374,14 @@ def climb(
                 q = quaternion_at(orientation, m, stance)
                 flip = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
                 called = 0
-                for k in range(DOCK_COUNT):
+                for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 if called:
                     state[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < patience[m]:
-                    for k in range(DOCK_COUNT):
+                    for k in range(dock_offset_body.shape[0]):
                         if _is_attached(walks, m, stance, k):
                             other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
                             if other.overflow:

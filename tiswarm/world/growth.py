@@ -7,10 +7,10 @@ calls for help reach those who climb together a round late. A seed grows the sam
 any company and on any number of threads.
 
 Robots under great load call others to their aid, through their neighbors. A robot that senses s
-sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of its three zones passes on
-the greatest of that, the call that comes in at the same zone less 1, and the one that comes in at
-another zone less 2; so a call fades with distance (Swissler and Rubenstein, ReactiveBuild, DARS
-2021).
+sends recruit = min(floor(B^(s/F - 1)), J), and nothing below F. Each of its zones, one for each
+dock, passes on the greatest of that, the call that comes in at the same zone less 1, and the one
+that comes in at another zone less 2; so a call fades with distance (Swissler and Rubenstein,
+ReactiveBuild, DARS 2021).
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.progress import Advance, ignore
-from tiswarm.robot import DOCK_COUNT, RobotGeometry
+from tiswarm.robot import RobotGeometry
 from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frame, StructureFailure
@@ -76,7 +76,7 @@ class _GrowthBatch:
         self.robots = robots
         robot = params.robot(robot)
         self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
-        count, docks = len(seeds), DOCK_COUNT * robots
+        count, docks = len(seeds), robot.dock_count * robots
         self.arrays = StructureArrays(
             cells=CellList.allocate(count, docks),
             dock=np.zeros((count, docks, 3)),
@@ -147,9 +147,10 @@ class GrowingStructure:
         self.number, self.seed, self.params, self.robot = number, seed, params, robot
         self.terrain = params.terrain
         self.frame = Frame(params.mechanics, robot.dock_offset_body)
+        self.docks = robot.dock_count
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
-        self.clearance = robot.rho + robot.spacing
+        self.clearance = robot.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
         self.low_docks: Reals = np.empty((0, 3))
@@ -168,7 +169,7 @@ class GrowingStructure:
         return len(self.walks) < self.params.founders * self.params.sides
 
     def spawn(self, docks: Reals) -> Spawn | None:
-        """Put the next robot on the ground, turned at random: flat, or upright in a plane.
+        """Put the next robot on the ground, turned at random: on its lowest docks, or one in a plane.
 
         Draws depend on the seed and the number of robots spawned before alone.
 
@@ -203,23 +204,24 @@ class GrowingStructure:
         return None
 
     def _pose(self, x: float, y: float, half: float) -> tuple[Reals, Reals]:
-        """Turn a robot by twice `half` [rad]: flat at x and y, or upright on one dock there."""
-        place = np.array([x, y, self.level])
+        """Turn a robot by twice `half` [rad]: centered at x and y, or upright on one dock there."""
+        place, body = np.array([x, y, self.level]), self.robot.dock_offset_body
         if not self.params.plane:
+            place[2] -= body[:, 2].min()
             return place, np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
         orientation = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
-        arm = dock_offsets(orientation[None], self.robot.dock_offset_body)[0]
+        arm = dock_offsets(orientation[None], body)[0]
         return place - arm[arm[:, 2].argmin()], orientation
 
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
-        new = docks[self.surveyed : DOCK_COUNT * len(self.walks)]
-        skipped = DOCK_COUNT * (self.surveyed == 0 and self.params.spawn_behind == "placed")
+        new = docks[self.surveyed : self.docks * len(self.walks)]
+        skipped = self.docks * (self.surveyed == 0 and self.params.spawn_behind == "placed")
         self.surveyed += len(new)
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
-        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.rho
+        is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
         self.low_docks = np.concatenate([self.low_docks, new[is_low]])
 
     def turn_away(self) -> None:
@@ -238,11 +240,11 @@ class GrowingStructure:
         self.walks.append(walk)
         turn = Rotation.from_quat(walk.orientation_wxyz[-1], scalar_first=True).as_matrix()
         own, other, dock = walk.at_rest(walk.contacts).T
-        contacts = np.column_stack([DOCK_COUNT * other + dock, DOCK_COUNT * j + own])
+        contacts = np.column_stack([self.docks * other + dock, self.docks * j + own])
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
         standing = walk.at_rest(feet)[:, 0]
         docks = walk.center[-1] + self.robot.dock_offset_body @ turn.T
-        footing = np.column_stack([DOCK_COUNT * j + standing, self.terrain.foot(docks[standing])])
+        footing = np.column_stack([self.docks * j + standing, self.terrain.foot(docks[standing])])
         self.frame.join(walk.center[-1], turn, contacts, footing)
         self.unsolved += 1
         self.loads.append(LoadSummary())
@@ -258,7 +260,7 @@ class GrowingStructure:
         """Solve the mechanics if it is due, and spread every call for help anew.
 
         Returns:
-            Call that each dock passes on, shape (3 n,); nothing if the structure fails.
+            Call that each dock passes on, shape (docks,); nothing if the structure fails.
         """
         if self.unsolved >= self.params.solve_every or (is_last and self.unsolved):
             try:
@@ -277,7 +279,7 @@ class GrowingStructure:
             )
         call = np.zeros(len(self.walks), np.int32)
         call[: len(self.sensed)] = recruit(self.sensed, self.params)
-        return relay(call, self.frame.joints)
+        return relay(call, self.frame.joints, docks=self.docks)
 
     def history(self) -> History:
         """Return the history of the structure."""
@@ -303,26 +305,27 @@ def recruit(sensed: Reals, params: RecruitParams) -> NDArray[np.int32]:
     return np.where(ratio < 1.0, 0, np.minimum(call, params.recruit_limit)).astype(np.int32)
 
 
-def relay(call: NDArray[np.int32], contacts: AnyInts) -> NDArray[np.int32]:
+def relay(call: NDArray[np.int32], contacts: AnyInts, *, docks: int) -> NDArray[np.int32]:
     """Spread all calls from zero, and return what each dock passes on.
 
     Args:
         call: Each robot's own call, shape (N,).
-        contacts: Docks that touch, rows of (dock, dock) as 3 i + k, shape (C, 2).
+        contacts: Docks that touch, rows of (dock, dock) as docks i + k, shape (C, 2).
+        docks: Docks of a robot.
 
     Returns:
-        Shape (3 N,).
+        Shape (docks N,).
     """
     one = np.concatenate([contacts[:, 0], contacts[:, 1]])
     other = np.concatenate([contacts[:, 1], contacts[:, 0]])
-    own = np.repeat(call, DOCK_COUNT)
+    own = np.repeat(call, docks)
     out = own
     while True:
         incoming = np.zeros_like(out)
         np.maximum.at(incoming, one, out[other])
-        zones = incoming.reshape(-1, DOCK_COUNT)
-        others = np.maximum(np.roll(zones, 1, axis=1), np.roll(zones, -1, axis=1)).ravel()
-        spread = np.maximum(own, np.maximum(incoming - 1, others - 2))
+        # The greatest of all zones may stand for the others': in its own zone the -1 prevails.
+        greatest = np.repeat(incoming.reshape(-1, docks).max(axis=1), docks)
+        spread = np.maximum(own, np.maximum(incoming - 1, greatest - 2))
         if np.array_equal(spread, out):
             return out
         out = spread

@@ -3,7 +3,6 @@
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
 from tiswarm.compute.lang import GRAIN, Ints1, Ints2, Ints3, Ints4, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import quaternion_at, rotate, vector_at, vector_in
-from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.flip_kernels import ClimbLimits, StructureArrays, WalkArrays
 
 
@@ -17,7 +16,7 @@ def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: R
     for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
         here = vector_in(walks.center, mover, stance)
         q = quaternion_at(walks.orientation, mover, stance)
-        for k in range(DOCK_COUNT):
+        for k in range(body.shape[0]):
             point = here + rotate(q, vector_at(body, k))
             cube = cube_of(point, limits.inverse_edge)
             for which in range(27):
@@ -53,7 +52,7 @@ def join_undisturbed(
         first_mover: First entry of `movers` of each structure, shape (S + 1,).
         movers: Slots of the movers, structure by structure, shape (M,).
         wants: Whether each slot's walk ends where it can stay, shape (slots,).
-        dock_offset_body: Center to dock in the body frame [R], shape (3, 3).
+        dock_offset_body: Center to dock in the body frame [R], shape (docks, 3).
         disturbed: Written: first disturbed stance of each slot, or -1.
         joined: Written: number under which each slot's robot joined, or -1.
     """
@@ -64,20 +63,21 @@ def join_undisturbed(
     body = ti.static(dock_offset_body)
     for s, idle in ti.ndrange(robot_count.shape[0], GRAIN):
         if idle == 0:
-            newest = DOCK_COUNT * robot_count[s]
+            docks = body.shape[0]
+            newest = docks * robot_count[s]
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
                 joined[m] = -1
                 passed = -1
-                if DOCK_COUNT * robot_count[s] > newest:
+                if docks * robot_count[s] > newest:
                     passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
-                if wants[m] and passed < 0 and DOCK_COUNT * robot_count[s] < dock.shape[1]:
+                if wants[m] and passed < 0 and docks * robot_count[s] < dock.shape[1]:
                     joined[m] = robot_count[s]
                     here = vector_in(center, m, stay[m])
                     q = quaternion_at(orientation, m, stay[m])
-                    for k in range(DOCK_COUNT):
+                    for k in range(docks):
                         point = here + rotate(q, vector_at(body, k))
-                        item = DOCK_COUNT * joined[m] + k
+                        item = docks * joined[m] + k
                         for c in ti.static(range(3)):
                             dock[s, item, c] = point[c]
                         link(structures.cells, s, item, cube_of(point, limits.inverse_edge))
@@ -86,5 +86,5 @@ def join_undisturbed(
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
                 disturbed[m] = -1
-                if joined[m] < 0 and DOCK_COUNT * robot_count[s] > newest:
+                if joined[m] < 0 and docks * robot_count[s] > newest:
                     disturbed[m] = _first_disturbed(limits, structures, s, walks, m, body, newest)

@@ -150,7 +150,7 @@ class GrowthParams(RecruitParams):
 
     def robot(self, shape: RobotGeometry) -> RobotGeometry:
         """Return the robot of this shape that builds the structure, upright in a plane."""
-        return PlanarRobot(rho=shape.rho) if self.plane else shape
+        return PlanarRobot(**vars(shape)) if self.plane else shape
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tiswarm.compute.math import dock_offsets
-from tiswarm.robot import DOCK_COUNT
 from tiswarm.world.history import History
 
 _MAX_OVERLAP = 1e-9
@@ -34,18 +33,19 @@ def _faults(history: History, contact_gap: float) -> Iterator[str]:
     turned = dock_offsets(history.orientation_wxyz, robot.dock_offset_body)
     docks = history.position[:, None, :] + turned
     dock = docks.reshape(-1, 3)
+    count = robot.dock_count
 
     pairs = cKDTree(dock).query_pairs(robot.spacing - _MAX_OVERLAP, output_type="ndarray")
-    pairs = pairs[pairs[:, 0] // DOCK_COUNT != pairs[:, 1] // DOCK_COUNT]
+    pairs = pairs[pairs[:, 0] // count != pairs[:, 1] // count]
     if len(pairs):
         depth = robot.spacing - np.linalg.norm(dock[pairs[:, 0]] - dock[pairs[:, 1]], axis=1)
         worst = int(np.argmax(depth))
-        i, j = pairs[worst] // DOCK_COUNT
+        i, j = pairs[worst] // count
         yield f"robots {i} and {j} overlap by {depth[worst]:.3g} R"
 
     depth = history.terrain.depth(dock, robot.dock_radius)
     if not depth.max() <= _MAX_OVERLAP:
-        yield f"robot {np.argmax(depth) // DOCK_COUNT} is {depth.max():.3g} R deep in the ground"
+        yield f"robot {np.argmax(depth) // count} is {depth.max():.3g} R deep in the ground"
 
     i, a, j, b = contacts.T
     distance = np.linalg.norm(docks[i, a] - docks[j, b], axis=1)

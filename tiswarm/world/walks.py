@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from tiswarm.aliases import Reals
 from tiswarm.errors import TiswarmError
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import DOCK_COUNT, PlanarRobot, RobotGeometry
+from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world import flip_kernels
 from tiswarm.world.flip_kernels import (
     EDGE,
@@ -32,7 +33,7 @@ _Slots = NDArray[np.int32]
 def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> ClimbLimits:
     """Gather the numbers that do not change during a climb."""
     # No flip meets a dock whose center is farther than this from the pivot.
-    reach = math.sqrt(3.0) * robot.rho + robot.spacing
+    reach = float(pdist(robot.dock_offset_body).max()) + robot.spacing
     is_planar = isinstance(robot, PlanarRobot)
     return ClimbLimits(
         spacing=robot.spacing,
@@ -67,7 +68,7 @@ class Spawn(NamedTuple):
     """Steps in a row without a new best with which it gives up; 0 to stay where it starts."""
 
     settles: bool
-    """Whether it turns, where it stays, until all its docks touch."""
+    """Whether it turns, where it stays, until a third dock touches."""
 
 
 class Walks:
@@ -80,10 +81,11 @@ class Walks:
 
         `structure_of` is the structure that each slot's robots climb, ascending, shape (slots,).
         """
-        slots, stances = len(structure_of), climb.max_flips + 2
+        slots, stances, docks = len(structure_of), climb.max_flips + 2, robot.dock_count
         # Docks do not overlap, so no more fit around a pivot than their volumes allow.
         near = math.ceil((limits.reach + robot.dock_radius) ** 3)
         self.limits = limits
+        self.docks = docks
         self.climbers = Climbers(
             structure=structure_of,
             first_stance=np.zeros(slots, np.int32),
@@ -98,8 +100,8 @@ class Walks:
             center=np.empty((slots, stances, 3)),
             orientation=np.empty((slots, stances, 4)),
             pivot_dock=np.empty((slots, stances), np.int32),
-            touching=np.empty((slots, stances, DOCK_COUNT, MAX_TOUCHING), np.int32),
-            on_ground=np.empty((slots, stances, DOCK_COUNT), np.int32),
+            touching=np.empty((slots, stances, docks, MAX_TOUCHING), np.int32),
+            on_ground=np.empty((slots, stances, docks), np.int32),
             last=last,
             best=best,
             stay=stay,
@@ -159,7 +161,7 @@ class Walks:
         touching = stances.touching[slot, order]
         stance, own, place = np.nonzero(touching >= 0)
         item = touching[stance, own, place]
-        contacts = np.column_stack([stance, own, item // DOCK_COUNT, item % DOCK_COUNT])
+        contacts = np.column_stack([stance, own, item // self.docks, item % self.docks])
         on_ground = stances.on_ground[slot, order]
         return Walk(
             center=stances.center[slot, order],
