@@ -1,7 +1,7 @@
 """Structures as their mechanics sees them: random ones, and those that were grown."""
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,7 @@ BODY = RobotGeometry().dock_offset_body
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Robots that touch each other and the ground; dock k of robot i is dock 3 i + k."""
+    """Robots of n docks that touch each other and the ground; dock k of robot i is n i + k."""
 
     center: np.ndarray
     """Centers [R], shape (N, 3)."""
@@ -31,15 +31,18 @@ class Standing:
     foot: np.ndarray
     """Where they touch it [R], shape (G, 3)."""
 
+    body: np.ndarray = field(default_factory=lambda: BODY)
+    """Center to dock in the body frame [R], shape (n, 3)."""
+
     @property
     def dock(self):
-        """Dock centers [R], shape (3 N, 3)."""
-        return (self.center[:, None] + BODY @ self.turn.swapaxes(1, 2)).reshape(-1, 3)
+        """Dock centers [R], shape (n N, 3)."""
+        return (self.center[:, None] + self.body @ self.turn.swapaxes(1, 2)).reshape(-1, 3)
 
 
 def build(structure: Standing, params: MechanicsParams | None = None) -> Frame:
     """Let the robots join one after the other."""
-    frame = Frame(params or MechanicsParams(), BODY)
+    frame = Frame(params or MechanicsParams(), structure.body)
     for j in range(len(structure.center)):
         join(frame, structure, j)
     return frame
@@ -47,11 +50,12 @@ def build(structure: Standing, params: MechanicsParams | None = None) -> Frame:
 
 def join(frame: Frame, structure: Standing, j: int) -> None:
     """Let one robot join, the ones before it having done so."""
-    own = structure.standing // 3 == j
+    docks = len(structure.body)
+    own = structure.standing // docks == j
     frame.join(
         structure.center[j],
         structure.turn[j],
-        structure.contacts[structure.contacts[:, 1] // 3 == j],
+        structure.contacts[structure.contacts[:, 1] // docks == j],
         np.column_stack([structure.standing, structure.foot])[own],
     )
 
@@ -63,7 +67,7 @@ def solve(structure: Standing, **settings: object) -> Loads:
 
 def grown(history, robots: int | None = None) -> Standing:
     """The first robots of a structure that grew, all by default."""
-    count = robots or history.robot_count
+    count, n = robots or history.robot_count, history.robot.dock_count
     i, a, j, b = history.contacts[history.contacts[:, 2] < count].T
     docks = np.concatenate([history.ground_docks, history.edge_docks])
     docks = docks[docks[:, 0] < count]
@@ -71,9 +75,10 @@ def grown(history, robots: int | None = None) -> Standing:
     whole = Standing(
         center=history.position[:count],
         turn=Rotation.from_quat(history.orientation_wxyz[:count], scalar_first=True).as_matrix(),
-        contacts=np.column_stack([3 * i + a, 3 * j + b]).astype(np.int32),
-        standing=(3 * docks[:, 0] + docks[:, 1]).astype(np.int32),
+        contacts=np.column_stack([n * i + a, n * j + b]).astype(np.int32),
+        standing=(n * docks[:, 0] + docks[:, 1]).astype(np.int32),
         foot=np.empty((0, 3)),
+        body=history.robot.dock_offset_body,
     )
     foot = history.terrain.foot(whole.dock[whole.standing])
     return dataclasses.replace(whole, foot=foot)

@@ -37,9 +37,9 @@ def beam_frame(structure: Standing, params: MechanicsParams) -> Forces:
     for letter, nodes in (("C", structure.center), ("D", structure.dock), ("F", structure.foot)):
         for i, (x, y, z) in enumerate(nodes):
             model.add_node(f"{letter}{i}", x, y, z)
-    links, contacts, footings = [], [], []
+    links, contacts, footings, docks = [], [], [], len(structure.body)
     for d in range(len(structure.dock)):
-        links.append(model.add_member(f"L{d}", f"C{d // 3}", f"D{d}", "link", "round"))
+        links.append(model.add_member(f"L{d}", f"C{d // docks}", f"D{d}", "link", "round"))
         model.add_node_load(f"D{d}", "FZ", -1.0)
     for c, (one, other) in enumerate(structure.contacts):
         contacts.append(model.add_member(f"K{c}", f"D{one}", f"D{other}", "contact", "round"))
@@ -51,7 +51,7 @@ def beam_frame(structure: Standing, params: MechanicsParams) -> Forces:
     felt = [abs(f[6]) + np.hypot(f[10], f[11]) for f in (end[name] for name in links)]
     reactions = [model.nodes[f"F{g}"] for g in range(len(footings))]
     return Forces(
-        sensed=np.reshape(felt, (-1, 3)).mean(axis=1),
+        sensed=np.reshape(felt, (-1, docks)).mean(axis=1),
         # Bending changes evenly along a beam: halfway it is the mean of that at the ends.
         contact_stress=np.array(
             [_stress(f, 0.5 * (f[3:6] - f[9:]), r) for f in map(end.get, contacts)]

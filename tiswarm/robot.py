@@ -22,6 +22,8 @@ TANGENT_RHO = 2.0 / math.sqrt(3.0)
 _SPACING = 2.0
 _MAX_OVERLAP = 1e-9
 """Overlap of docks that rounding may leave [R]."""
+_FEWEST, _MOST = 2, 8
+"""Docks of a robot."""
 _NEAREST, _FARTHEST = 0.1, 10.0
 """Distances of a dock from the center [R]."""
 
@@ -59,7 +61,8 @@ class Robot(Protocol):
         """Center to dock in the body frame, shape (docks, 3)."""
 
 
-_Offset = tuple[float, float, float]
+_Coordinate = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Offset = tuple[_Coordinate, _Coordinate, _Coordinate]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -75,7 +78,7 @@ class RobotGeometry:
     rho: Annotated[float, Field(ge=1.0, le=_FARTHEST, validate_default=True)] = FIREANT_RHO
     """Distance from the robot's center to each dock center [R]."""
 
-    docks: Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=8)] | None = None
+    docks: tuple[_Offset, ...] | None = None
     """Vectors [x, y, z] from the center to each dock in the body frame [R]; they take the place
     of `shape` and `rho`."""
 
@@ -83,9 +86,12 @@ class RobotGeometry:
     @classmethod
     def _keep_corners_apart(cls, rho: float, info: ValidationInfo) -> float:
         if shape := info.data.get("shape"):
-            least = (_SPACING - _MAX_OVERLAP) / pdist(SHAPES[shape]).min()
-            if rho < least:
-                raise ValueError(f"at {rho:g} docks of a {shape} overlap; use {least:.4f} or more")
+            closest = float(pdist(SHAPES[shape]).min())
+            if rho * closest < _SPACING - _MAX_OVERLAP:
+                least = math.ceil(1e4 * (_SPACING - _MAX_OVERLAP) / closest) / 1e4
+                raise ValueError(
+                    f"at {rho:g} the docks of a {shape} overlap; use {least:g} or more"
+                )
         return rho
 
     @field_validator("docks")
@@ -96,7 +102,9 @@ class RobotGeometry:
         if docks is None:
             return docks
         if info.data != {"shape": "triangle", "rho": FIREANT_RHO}:
-            raise ValueError("docks take the place of shape and rho; remove these")
+            raise ValueError("these docks take the place of shape and rho; remove those")
+        if not _FEWEST <= len(docks) <= _MOST:
+            raise ValueError(f"a robot has {_FEWEST} to {_MOST} docks, not {len(docks)}")
         distance = np.linalg.norm(docks, axis=1)
         for k in np.flatnonzero((distance < _NEAREST) | (distance > _FARTHEST)):
             raise ValueError(

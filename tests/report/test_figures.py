@@ -372,6 +372,30 @@ def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
     assert not any(axes.collections for axes in figure.axes[1:])
 
 
+def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):
+    """A row for each robot; properties of the structure are the same for all conditions."""
+    measures = ["rmse_R", "floppy_modes", "contacts_per_robot", "height_R"]
+    header = ",".join(
+        ["condition,robot.shape,cases", *(f"{name}_mean,{name}_ci95" for name in measures)]
+    )
+    rows = [
+        [name, shape, 10, rmse, 0.1, modes, 1, 1.8, 0.1, 39, 2]
+        for shape in ("line", "cube")
+        for name, rmse, modes in [("joint", 0.1, 0), ("virtual-force", 3, 20)]
+    ]
+    write_table(tmp_path / "table.csv", header, rows)
+    write_summary(tmp_path, "case,status", [["0-joint", "done"]])
+
+    figure = table_figures.draw_shape(load_run(tmp_path))
+
+    rmse, modes, contacts, height = figure.axes
+    assert [label.get_text() for label in rmse.get_yticklabels()] == ["line", "cube"]
+    assert [line.get_xdata().tolist() for line in modes.lines] == [[0, 0], [20, 20]]
+    assert modes.get_xlim()[0] < 0.0
+    assert {line.get_color() for line in [*contacts.lines, *height.lines]} == {"0.4"}
+    assert len({line.get_color() for line in modes.lines}) == 2
+
+
 @pytest.mark.parametrize(("cases", "bars"), [(2, 0), (4, 2)])
 def test_few_structures_are_drawn_instead_of_an_interval(tmp_path, cases, bars):
     """An interval over two structures says nothing; small means are visible beside great ones."""

@@ -8,13 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.robot import RobotGeometry
+from tiswarm.robot import SHAPES, RobotGeometry
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
 from tiswarm.world.params import ClimbParams, TowerParams
 
+CORNERS = [(x, y, z) for x in (-1.5, 4.0) for y in (-1.0, 3.5) for z in (-1.25, 2.0)]
 slugs = st.from_regex(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,20}[A-Za-z0-9_-])?", fullmatch=True)
 slugs |= st.sampled_from(["1e3", "0x1", "0o7", "no", "null", "010", "1.5", "true", "_", "1_0"])
 texts = st.text(st.characters(codec="utf-8"), max_size=40)
@@ -38,6 +39,12 @@ sweeps = st.fixed_dictionaries(
         "structure": st.just(({"kind": "tower"}, {"kind": "tower", "climb": {"patience": 1}})),
     },
 )
+robots = st.builds(RobotGeometry, rho=st.floats(1.2, 10.0))
+robots |= st.builds(RobotGeometry, shape=st.sampled_from([*SHAPES]), rho=st.floats(1.8, 10.0))
+robots |= st.builds(
+    RobotGeometry,
+    docks=st.lists(st.sampled_from(CORNERS), min_size=2, max_size=8, unique=True).map(tuple),
+)
 scenarios = st.builds(
     Scenario,
     name=slugs,
@@ -46,7 +53,7 @@ scenarios = st.builds(
     seeds=st.integers(1, 99)
     | st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True).map(tuple),
     precision=st.sampled_from(["f64", "f32"]),
-    robot=st.builds(RobotGeometry, rho=st.floats(1.2, 10.0)),
+    robot=robots,
     structure=st.builds(
         TowerParams,
         goal_height=positive,

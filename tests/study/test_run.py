@@ -11,6 +11,8 @@ from PIL import Image
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import drawing, study
 from tiswarm.progress import Progress
+from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.robot import SHAPES
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.run import RunResult
 
@@ -29,6 +31,7 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             "structure.solve_every=20",
             "conditions.joint.localization.steps=200",
         ],
+        "robot-shape": ["robots=8", "robot.rho=1.8", f"sweep={{robot.shape: {[*SHAPES]}}}"],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
@@ -55,6 +58,27 @@ def test_logs_of_every_kind_are_read_back(tiswarm, tmp_path, kind):
 
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "estimate.csv").read_bytes() == (case / "estimate.csv").read_bytes()
+
+
+def test_robots_of_any_docks_are_grown_and_localized(tiswarm, tmp_path):
+    """Shapes, and docks of no shape: the log has them, contacts touch, the figure compares them."""
+    docks = [[1.5, 0, 0], [-1.5, 0, 0], [0, 0, 2.5], [0, 3, 0.5]]
+    robots = [{"shape": "cube", "rho": 1.8}, {"docks": docks}]
+    ran = tiswarm(
+        "run", "tests/tower.yaml", "--set", "robots=6", "--set", "seeds=1", "--no-pictures",
+        "--set", "conditions={a: {}}", "--set", f"sweep={json.dumps({'robot': robots})}",
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stderr
+    [run] = tmp_path.iterdir()
+    logs = sorted(
+        read_sensing_log(path).dock_offset_body.tolist() for path in run.glob("*/*/sensing.jsonl")
+    )
+
+    assert (pd.read_csv(run / "summary.csv")["status"] == "done").all()
+    assert docks in logs
+    assert [len(offsets) for offsets in logs if offsets != docks] == [8]
+    assert (run / "figures" / "shape.png").stat().st_size > 0
 
 
 def test_a_run_leaves_everything_behind(small_run):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests import frames, oracle_frames
 from tests.frames import BODY, Standing
+from tiswarm.robot import SHAPES, RobotGeometry
 from tiswarm.world import mechanics
 from tiswarm.world.mechanics import Frame, MechanicsParams, StructureFailure, stiffness
 
@@ -22,28 +23,33 @@ def _vector(rng, length):
     return length * vector / np.linalg.norm(vector)
 
 
-def _random_structure(seed):
+def _random_structure(seed, body=BODY):
     """Two to six robots that hang together by beams 1.5 to 2.5 R long, on one to four feet."""
     rng = np.random.default_rng(seed)
     robots = int(rng.integers(2, 7))
     turn = Rotation.random(robots, rng).as_matrix()
-    arm = BODY @ turn.swapaxes(1, 2)
+    arm, n = body @ turn.swapaxes(1, 2), len(body)
     center = np.zeros((robots, 3))
     contacts = set()
     for j in range(1, robots):
-        i, a, b = int(rng.integers(j)), int(rng.integers(3)), int(rng.integers(3))
+        i, a, b = int(rng.integers(j)), int(rng.integers(n)), int(rng.integers(n))
         center[j] = center[i] + arm[i, a] + _vector(rng, rng.uniform(1.5, 2.5)) - arm[j, b]
-        contacts.add((3 * i + a, 3 * j + b))
+        contacts.add((n * i + a, n * j + b))
     dock = (center[:, None] + arm).reshape(-1, 3)
     distance = np.linalg.norm(dock[:, None] - dock[None], axis=2)
     for one, other in np.argwhere((distance > 1.5) & (distance < 2.5)):
-        if one // 3 < other // 3:
+        if one // n < other // n:
             contacts.add((int(one), int(other)))
-    standing = np.sort(rng.choice(3 * robots, int(rng.integers(1, 5)), replace=False))
+    standing = np.sort(rng.choice(n * robots, int(rng.integers(1, 5)), replace=False))
     foot = np.array([dock[d] + _vector(rng, rng.uniform(1.5, 2.5)) for d in standing])
-    ordered = sorted(contacts, key=lambda pair: (pair[1] // 3, pair))
+    ordered = sorted(contacts, key=lambda pair: (pair[1] // n, pair))
     return Standing(
-        center=center, turn=turn, contacts=np.array(ordered), standing=standing, foot=foot
+        center=center,
+        turn=turn,
+        contacts=np.array(ordered),
+        standing=standing,
+        foot=foot,
+        body=body,
     )
 
 
@@ -62,6 +68,19 @@ def test_forces_are_those_of_a_frame_package(seed):
     expected = oracle_frames.beam_frame(structure, MechanicsParams())
     for name in FORCES:
         # Both solve in float64; they differ by some 1e-12, and by all of it in a wrong sign.
+        assert _difference(getattr(actual, name), getattr(expected, name)) < 1e-9, name
+
+
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name != "triangle"])
+@pytest.mark.parametrize("seed", range(3))
+def test_robots_of_any_shape_bear_what_a_frame_package_says(shape, seed):
+    """From two links to eight, in line, in a plane and in space."""
+    structure = _random_structure(seed, RobotGeometry(shape=shape, rho=1.8).dock_offset_body)
+
+    actual = frames.solve(structure)
+
+    expected = oracle_frames.beam_frame(structure, MechanicsParams())
+    for name in FORCES:
         assert _difference(getattr(actual, name), getattr(expected, name)) < 1e-9, name
 
 

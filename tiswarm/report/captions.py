@@ -26,6 +26,9 @@ CAPTIONS = {
     "method reports. It should resemble the errors.",
     "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "
     "state the power of N that fits all sizes, and the last two.",
+    "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
+    "no measurement in use), contacts with earlier robots, and height of the structure. Bars are "
+    "95 % CI; gray stands for all conditions.",
     "contact-graph": "Contacts: each ball is a robot, colored by its hops from the anchor, and "
     "each rod joins two robots in contact.",
     "error": "True structure, each robot colored by the error of its estimated position.",

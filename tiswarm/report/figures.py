@@ -28,6 +28,7 @@ from tiswarm.report.table_figures import (
     draw_accuracy,
     draw_rounds,
     draw_scaling,
+    draw_shape,
     profile_painters,
 )
 
@@ -94,6 +95,8 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
         painters["scaling"] = draw_scaling
     if (run.folder / "table.csv").is_file():
         painters["accuracy"] = draw_accuracy
+        if run.sweeps_robot:
+            painters["shape"] = draw_shape
     if compares_rounds(run):
         painters["back-propagation"] = draw_rounds
     return painters | profile_painters(run)

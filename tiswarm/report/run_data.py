@@ -93,6 +93,11 @@ class RunData:
         return (self.folder / "scaling.csv").is_file()
 
     @property
+    def sweeps_robot(self) -> bool:
+        """Whether the robots of its cases differ."""
+        return any(str(column).startswith("robot.") for column in self.summary)
+
+    @property
     def note(self) -> str:
         """How many cases failed; empty if none did."""
         failed = sum(not case.done for case in self.cases)

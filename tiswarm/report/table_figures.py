@@ -34,6 +34,7 @@ _MEASURES = {
 }
 """Axis label and published counterpart of each measure."""
 
+_LABELS = [label for label, _ in _MEASURES.values()]
 _DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
 
 _FEWEST_FOR_CI = 4  # structures below which each says more than a confidence interval
@@ -49,6 +50,12 @@ PROFILED = {
     "hops_from_anchor": "Hops from the anchor",
     "contacts": "Contacts of the robot",
     "hops_apart": "Hops between two robots",
+}
+_SHAPE_PANELS = {
+    "rmse_R": "RMSE [R]",
+    "floppy_modes": "Floppy modes",
+    "contacts_per_robot": "Contacts per robot",
+    "height_R": "Height [R]",
 }
 SCALING_PANELS = {
     "rmse_R": "RMSE [R]",
@@ -91,7 +98,7 @@ def draw_accuracy(run: RunData) -> "Figure":
                 each = _each_structure(run, measure, point)
                 rows_of = [names.index(condition) for condition in each.index]
                 axes.plot(each, place[rows_of], **{**look, "markersize": 1.8, "alpha": 0.6})
-    _finish_rows(panels, names)
+    _finish_rows(panels, names, _LABELS)
     if table[published].notna().any(axis=None):
         panels[0].plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
@@ -225,7 +232,7 @@ def _comparison(table: pd.DataFrame) -> "Figure":
                 xerr=shown.loc[rows, f"{name}_ci95"].fillna(0.0), fmt="o", markersize=3.5,
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
-    _finish_rows(panels, labels)
+    _finish_rows(panels, labels, _LABELS)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2,
         title="mean and 95 % CI", title_fontsize=7.0,
@@ -236,9 +243,50 @@ def _comparison(table: pd.DataFrame) -> "Figure":
     return figure
 
 
-def _finish_rows(panels: "list[Axes]", names: Sequence[str]) -> None:
+def draw_shape(run: RunData) -> "Figure":
+    """Draw accuracy and structure by the robots' shape: a row for each point of the sweep.
+
+    Conditions differ in color and marker; where all are equal, gray stands for all.
+    """
+    numbers = [f"{name}_{statistic}" for name in _SHAPE_PANELS for statistic in ("mean", "ci95")]
+    table = run.table("table.csv", ["condition"], ["cases", *numbers], after="cases")
+    words = swept_words(table).drop(columns="condition")
+    table["point"] = words.agg(", ".join, axis=1)
+    points = list(dict.fromkeys(table["point"]))
+    shown = points[:_MOST_ROWS]
+    series = dict(list(table.groupby("condition", sort=False)))
+    figure, panels = new_panels(
+        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_SHAPE_PANELS), 4, share="y"
+    )
+    for axes, name in zip(panels, _SHAPE_PANELS, strict=True):
+        alike = table.groupby("point")[f"{name}_mean"].nunique().max() <= 1
+        for index, (condition, rows) in enumerate(series.items()):
+            look = {**marker_style(index), "linestyle": "", "markersize": 3.0, "linewidth": 0.8}
+            look |= {"color": "0.4", "marker": "o"} if alike else {}
+            part = rows.set_index("point").reindex(shown)
+            axes.errorbar(
+                part[f"{name}_mean"], np.arange(len(shown)), label=condition,
+                xerr=part[f"{name}_ci95"].fillna(0.0), **look,
+            )  # fmt: skip
+    _finish_rows(panels, shown, [*_SHAPE_PANELS.values()])
+    for axes, name in list(zip(panels, _SHAPE_PANELS, strict=True))[1:]:
+        end = (table[f"{name}_mean"] + table[f"{name}_ci95"].fillna(0.0)).max()
+        top = float(np.nan_to_num(end)) or 1.0
+        axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
+    number = counted(int(table["cases"].max()), "structure")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=_MOST_COLUMNS,
+        title=f"{', '.join(map(str, words))}; mean and 95 % CI, {number}", title_fontsize=7.0,
+    )  # fmt: skip
+    left = len(points) - len(shown)
+    more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
+    figure_style.add_note(figure, more, run.note)
+    return figure
+
+
+def _finish_rows(panels: "list[Axes]", names: Sequence[str], labels: Sequence[str]) -> None:
     """Label rows, from the top, and axes."""
-    for axes, (label, _) in zip(panels, _MEASURES.values(), strict=True):
+    for axes, label in zip(panels, labels, strict=True):
         axes.set_xlabel(label)
         means = np.concatenate([np.asarray(line.get_xdata(), float) for line in axes.lines])
         axes.locator_params(axis="x", nbins=6)

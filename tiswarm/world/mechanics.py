@@ -1,10 +1,11 @@
 """Forces in a structure under its own weight: one linear solve after a join.
 
-A robot is a center and three docks joined by beams (its links); docks in contact are joined
-by a beam, and a dock on the ground by one to the fixed ground. Weight acts on the docks. The
-center, which bears no load, is eliminated beforehand, so a robot adds 18 unknowns: the motion
-of its docks. In the rigid model a robot is one body with 6 unknowns; on average it senses as
-much in towers and some 15 % more in cantilevers, on the same side of F = 10 in nine of ten.
+A robot is a center and n docks joined by beams (its links); docks in contact are joined by a
+beam, and a dock on the ground by one to the fixed ground. Weight acts on the docks, so a robot
+weighs n. The center, which bears no load, is eliminated beforehand, so a robot adds 6 n unknowns:
+the motion of its docks. In the rigid model a robot is one body with 6 unknowns; on average
+FireAntV3 senses as much in towers and some 15 % more in cantilevers, on the same side of F = 10 in
+nine of ten.
 
 The load that a robot senses in a link follows from the forces on its dock in either model: those
 of the dock's contacts and its weight.
@@ -52,7 +53,7 @@ class MechanicsParams:
     """Stiffness of robots and contacts, in units of the weight of a dock and R."""
 
     model: Literal["flexible", "rigid"] = "flexible"
-    """Whether robots bend (18 unknowns each) or only contacts do (6 unknowns each)."""
+    """Whether robots bend (6 unknowns a dock) or only contacts do (6 unknowns each)."""
 
     link_axial: Annotated[float, Field(gt=0.0)] = 2e9
     """EA of a link between a robot's center and a dock."""
@@ -154,7 +155,7 @@ class Frame:
             center: Its center [R], shape (3,).
             turn: Its orientation, body to world, shape (3, 3).
             contacts: Docks in contact, rows of (earlier dock, own dock), dock k of robot i
-                being 3 i + k, shape (c, 2).
+                being n i + k, shape (c, 2).
             footing: Docks on the ground, rows of (own dock, x, y, z): where it touches [R],
                 shape (g, 4).
         """

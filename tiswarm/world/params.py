@@ -45,7 +45,7 @@ class ClimbParams:
 
     settle: Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(_share)] = 0.0
     """Share of the robots that settle: one that stays with two docks touching turns about these
-    until the third touches too. Drawn for each robot; true and false stand for 1 and 0."""
+    until a third touches too. Drawn for each robot; true and false stand for 1 and 0."""
 
     max_flips: Annotated[int, Field(ge=1)] = 400
     """A walk is cut off after this many flips."""
