@@ -95,7 +95,7 @@ class RunData:
     @property
     def sweeps_robot(self) -> bool:
         """Whether the robots of its cases differ."""
-        return any(str(column).startswith("robot.") for column in self.summary)
+        return any(str(column).partition(".")[0] == "robot" for column in self.summary)
 
     @property
     def note(self) -> str:
