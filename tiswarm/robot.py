@@ -147,6 +147,11 @@ class RobotGeometry:
         return float(np.linalg.norm(self.docks, axis=1).mean())
 
     @property
+    def is_flat(self) -> bool:
+        """Whether all docks are in the x-y plane of the body."""
+        return not self.dock_offset_body[:, 2].any()
+
+    @property
     def extent(self) -> float:
         """Distance from the center to the farthest dock [R]."""
         return float(np.linalg.norm(self.dock_offset_body, axis=1).max())

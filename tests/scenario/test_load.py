@@ -175,6 +175,12 @@ REFUSED = [
         "robot.docks",
         "these docks take the place of shape and rho; remove those",
     ),
+    (
+        "name: tower\nrobot:\n  shape: tetrahedron\nstructure:\n  kind: tower\n  plane: true",
+        5,
+        "structure",
+        "in a plane robots are flat; use another robot.shape, or plane: false",
+    ),
     (f"{SMALL}robts: 20", 3, "robts", "unknown key; did you mean robots?"),
     (f"{SMALL}color: red", 3, "color", "unknown key; the keys here are name, description, rob"),
     (f"{SMALL}robots: 1", 3, "robots", "1 should be greater than or equal to 2"),

@@ -103,6 +103,21 @@ def test_weight_bends_a_planar_structure_in_its_plane():
     np.testing.assert_allclose(loads.ground_force[:, 1], 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("shape", ["line", "square"])
+def test_flat_robots_of_other_docks_stay_in_the_plane(shape):
+    """Two docks or four, all of them in y = 0."""
+    robot = RobotGeometry(shape=shape, rho=1.8)
+
+    [history] = grow(KINDS["tower"], robots=12, seeds=[1], robot=robot)
+
+    centers, orientations = _stances(history)
+    assert not centers[:, 1].any()
+    assert not orientations[:, [1, 3]].any()
+    assert history.robot.dock_count == robot.dock_count
+    assert history.robot_count == 12
+    assert find_fault(history, contact_gap=0.02) == ""
+
+
 def test_settings_of_other_axes_have_no_effect():
     """In a plane, robots have one axis to flip about, and none to settle about."""
     climb = replace(CantileverParams().climb, twists=3, settle=1.0)

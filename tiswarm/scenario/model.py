@@ -11,7 +11,16 @@ from hashlib import sha256
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, Discriminator, Field, JsonValue, Tag, TypeAdapter
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    JsonValue,
+    Tag,
+    TypeAdapter,
+    ValidationInfo,
+    field_validator,
+)
 from pydantic.dataclasses import dataclass
 
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
@@ -118,6 +127,13 @@ class Scenario:
     """By dotted key, values to run in all combinations. Keys that change together share an entry
     with a row of values for each point, which the first key names:
     `robots, structure.movers: [[100, 1], [1000, 10]]`."""
+
+    @field_validator("structure")
+    @classmethod
+    def _keep_docks_in_plane(cls, structure: StructureParams, info: ValidationInfo) -> object:
+        if structure.plane and not info.data.get("robot", RobotGeometry()).is_flat:
+            raise ValueError("in a plane robots are flat; use another robot.shape, or plane: false")
+        return structure
 
     @property
     def seed_list(self) -> tuple[int, ...]:

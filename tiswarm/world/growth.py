@@ -169,7 +169,7 @@ class GrowingStructure:
         return len(self.walks) < self.params.founders * self.params.sides
 
     def spawn(self, docks: Reals) -> Spawn | None:
-        """Put the next robot on the ground, turned at random: on its lowest docks, or one in a plane.
+        """Put the next robot on its lowest docks, or upright on one in a plane, turned at random.
 
         Draws depend on the seed and the number of robots spawned before alone.
 
