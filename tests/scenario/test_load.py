@@ -177,7 +177,7 @@ REFUSED = [
     ),
     (
         "name: tower\nrobot:\n  shape: tetrahedron\nstructure:\n  kind: tower\n  plane: true",
-        5,
+        4,
         "structure",
         "in a plane robots are flat; use another robot.shape, or plane: false",
     ),
