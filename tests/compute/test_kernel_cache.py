@@ -10,11 +10,12 @@ from tiswarm.compute import backend, kernel_cache
 
 @pytest.fixture
 def cache(tmp_path) -> Path:
-    """A sealed cache of two files."""
+    """A sealed cache of two files, one in a folder of its own, as quadrants stores kernels."""
     folder = tmp_path / "kernels" / "library-1.2.3"
     with kernel_cache.sealed(folder):
         (folder / "index").write_bytes(b"abc")
-        (folder / "kernel").write_bytes(b"machine code")
+        (folder / "deeper").mkdir()
+        (folder / "deeper" / "kernel").write_bytes(b"machine code")
     return folder
 
 
@@ -36,11 +37,11 @@ def test_a_sound_cache_is_kept(cache, capsys):
     with kernel_cache.sealed(cache):
         kept = {file.name for file in cache.iterdir()}
 
-    assert {"index", "kernel", "another"} <= kept
+    assert {"index", "deeper", "another"} <= kept
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("name", ["index", "kernel", "seal"])
+@pytest.mark.parametrize("name", ["index", "deeper/kernel", "seal"])
 @pytest.mark.parametrize("damage", [_flip, Path.unlink, _replace_by_folder])
 def test_any_damage_clears_the_cache(cache, capsys, name, damage):
     """The library would read or write it, and crash or hang; one line says what happened."""

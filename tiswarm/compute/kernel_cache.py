@@ -98,9 +98,9 @@ def _fits_seal(folder: Path) -> bool:
 
 
 def _digest(folder: Path) -> str:
-    """Return a digest of the names and contents of all files but the seal."""
+    """Return a digest of the names and contents of all files and folders but the seal."""
     found = sha256()
-    for file in sorted(set(folder.iterdir()) - {folder / _SEAL}):
-        content = file.read_bytes()
-        found.update(f"{file.name} {len(content)}\n".encode() + content)
+    for path in sorted(set(folder.rglob("*")) - {folder / _SEAL}):  # quadrants has a folder within
+        content = b"" if path.is_dir() else path.read_bytes()
+        found.update(f"{path.relative_to(folder)} {len(content)}\n".encode() + content)
     return found.hexdigest()
