@@ -88,20 +88,21 @@ $(installed_dev): $(inputs) | $(bin)/python
 	$(call install,'.[dev]',tiswarm and the developers' tools)
 	@touch $(installed) $@
 
-# Taichi and open3d need libraries that pip cannot bring.
-.venv/.system-checked: $(installed)
+# Taichi, open3d and the tests of devices need libraries that pip cannot bring.
+.venv/.system-checked: tiswarm/doctor.py $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \
 		:; \
 	elif ! command -v apt-get >/dev/null; then \
-		echo "for taichi and open3d: install what Debian calls $$missing"; \
+		echo "libraries are missing: install what Debian calls $$missing"; \
 	elif test "$$(id -u)" -ne 0; then \
-		echo "for taichi and open3d: sudo apt-get install $$missing"; \
+		echo "libraries are missing: sudo apt-get install $$missing"; \
 	else \
-		echo "installing system libraries for taichi and open3d: $$missing"; \
+		echo "installing system libraries: $$missing"; \
 		{ apt-get update && DEBIAN_FRONTEND=noninteractive \
 			apt-get install -y --no-install-recommends $$missing; } > .venv/.apt-log 2>&1 \
-		|| echo "warning: that failed (see .venv/.apt-log); pictures will be simpler" >&2; \
+		|| echo "warning: that failed (see .venv/.apt-log); pictures will be simpler," \
+			"and tests of devices fail" >&2; \
 	fi; \
 	touch $@

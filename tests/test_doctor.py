@@ -23,11 +23,12 @@ def bare_machine(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", refuse)
     monkeypatch.setattr(doctor.sys, "platform", "linux")
     monkeypatch.setattr(doctor, "_loads", lambda library: library == "libgomp.so.1")
+    monkeypatch.setattr(doctor, "find_software_vulkan", lambda: None)
 
 
 def test_missing_libraries_are_named_as_packages(bare_machine):
     """All libraries that cannot be loaded, not only the first."""
-    packages = "libx11-6 libgl1 libegl1 libidn2-0 libudev1 libusb-1.0-0"
+    packages = "libx11-6 libgl1 libegl1 libidn2-0 libudev1 libusb-1.0-0 mesa-vulkan-drivers"
 
     assert missing_packages() == packages.split()
 

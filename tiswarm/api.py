@@ -24,12 +24,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from tiswarm.compute import backend
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
 from tiswarm.inspection import Inspection, convergence_warning, explain_estimate, inspect
 from tiswarm.localization import registry
-from tiswarm.params import Arch, Precision
+from tiswarm.params import AnyArch, AnyPrecision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_file import read_sensing_log
@@ -145,9 +144,9 @@ def localize(
     method: str = "joint",
     *,
     cues: Sequence[str] | None = None,
-    arch: Arch = "cpu",
+    arch: AnyArch = "cpu",
     threads: int | None = None,
-    precision: Precision = "f64",
+    precision: AnyPrecision = "auto",
     **settings: object,
 ) -> Estimate:
     """Estimate the robots' positions from a log, as `tiswarm localize` does.
@@ -156,9 +155,11 @@ def localize(
         log: Sensing log, or its file.
         method: Name of the method.
         cues: Cues to use; the method's own choice if None.
-        arch: Compute device.
+        arch: Compute device of `joint`; other methods run on the processor. `auto` takes a
+            graphics card if one works.
         threads: CPU threads; all that this process may use if None.
-        precision: Floating-point type of the kernels.
+        precision: Floating-point type of `joint`; `auto` takes f64 where the device computes it at
+            half the rate of f32. Other methods compute in f64.
         settings: Settings of the method by name, nested ones as dictionaries.
 
     Returns:
@@ -170,7 +171,7 @@ def localize(
     """
     params = localization_params(method, cues=cues, values=_plain(settings))
     sensed = log if isinstance(log, SensingLog) else read_log(log)
-    backend.start(arch, threads=threads, precision=precision)
+    registry.start_device([params.method], arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
     if warning := convergence_warning(sensed, estimate):
         warnings.warn(warning, stacklevel=2)
@@ -182,7 +183,7 @@ def run(
     overrides: Mapping[str, object] | None = None,
     *,
     out: File = "reports",
-    arch: Arch = "cpu",
+    arch: AnyArch = "cpu",
     threads: int | None = None,
     workers: int | None = None,
     pictures: bool = True,
@@ -196,7 +197,7 @@ def run(
         scenario: YAML file.
         overrides: Values by dotted key that replace the file's.
         out: Parent of the run folder.
-        arch: Compute device.
+        arch: Compute device of `joint`, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
         pictures: Whether to draw figures, renders and report.html.

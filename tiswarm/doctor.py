@@ -11,12 +11,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tiswarm.child import child_command
 from tiswarm.compute.machine import machine
+from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.params import ARCHS, Arch
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
@@ -24,6 +26,8 @@ from tiswarm.report.render.scene import Look, Robots, build_scene
 from tiswarm.robot import RobotGeometry
 
 _PROBE_SECONDS = 60
+_ROBOTS, _STEPS = 10_000, 20
+"""Size and length of the run that examines a device."""
 _LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libGL.so.1": "libgl1",
@@ -64,7 +68,7 @@ def examine() -> Iterator[Finding]:
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
     yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
     for arch in ARCHS:
-        yield Finding(f"backend {arch}", *_in_child(start_backend, arch))
+        yield Finding(f"backend {arch}", *_in_child(try_backend, arch))
     for renderer in TRACERS:
         yield Finding(f"renderer {renderer}", *_in_child(draw_test_picture, renderer))
     if packages := missing_packages():
@@ -85,12 +89,38 @@ def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:
     return done.returncode == 0, said[-1] if said else f"died with status {done.returncode}"
 
 
-def start_backend(arch: Arch) -> str:
-    """Start a backend; return its library and number of threads."""
-    from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
+def try_backend(arch: Arch) -> str:
+    """Let a swarm part on a device; return its library, precision and speed.
 
-    found = backend.start(arch)
-    return f"{found.library}, {found.threads} threads"
+    Raises:
+        EnvironmentTroubleError: the machine lacks the device, or robots move otherwise than on the
+            processor in f64.
+    """
+    from tiswarm.compute import backend  # noqa: PLC0415 - the kernel language
+    from tiswarm.engine.relax import PreparedSwarm, RelaxResult  # noqa: PLC0415
+
+    robot = RobotGeometry()
+    side = robot.spacing * (3.0 * _ROBOTS) ** (1.0 / 3.0)
+    place = side * np.random.default_rng(0).random((_ROBOTS, 3))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (_ROBOTS, 1))
+
+    def part(swarm: PreparedSwarm) -> RelaxResult:
+        return swarm.relax(
+            attraction_gain=0.0, repulsion_gain=0.04, ramp=0.0, steps=_STEPS, max_step=0.02
+        )
+
+    running = backend.start(arch)
+    swarm = PreparedSwarm(place, level, [], robot=robot, arch=arch)
+    part(swarm)  # compiles the kernels
+    begin = time.perf_counter()
+    found = part(swarm)
+    step_ns = 1e9 * (time.perf_counter() - begin) / (_ROBOTS * _STEPS)
+    if arch != "cpu":
+        right = part(PreparedSwarm(place, level, [], robot=robot))
+        if not np.abs(found.position - right.position).max() <= _STEPS * found.force_error:
+            raise EnvironmentTroubleError("moves robots otherwise than the processor does")
+    speed = f"{step_ns:.0f} ns a step of a robot, {_ROBOTS:,} robots"
+    return f"{running.library}, {running}, {running.threads} threads: {speed}"
 
 
 def start_cache(arch: Arch) -> str:
@@ -113,7 +143,10 @@ def draw_test_picture(renderer: str) -> str:
 
 
 def missing_packages() -> list[str]:
-    """List missing Debian packages of taichi and open3d; none on other systems than Linux."""
+    """List missing Debian packages of taichi and open3d; none on other systems than Linux.
+
+    Developers also need software Vulkan, on which tests run the kernels of graphics cards.
+    """
     if sys.platform != "linux":
         return []
     needed = set(_TAICHI_LIBRARIES) if importlib.util.find_spec("taichi") else set()
@@ -122,9 +155,19 @@ def missing_packages() -> list[str]:
             import_open3d()
         except (ImportError, OSError):
             needed |= _LIBRARIES.keys()
-    return [
+    missing = [
         name for library, name in _LIBRARIES.items() if library in needed and not _loads(library)
     ]
+    if importlib.util.find_spec("pytest") and find_software_vulkan() is None:
+        missing.append("mesa-vulkan-drivers")
+    return missing
+
+
+def find_software_vulkan() -> Path | None:
+    """Find the manifest of Mesa's Vulkan driver that needs no graphics card."""
+    folders = ("/usr/share", "/usr/local/share", "/etc")
+    found = [path for folder in folders for path in Path(folder).glob("vulkan/icd.d/lvp_icd*.json")]
+    return max(found, default=None)  # that of 64 bits, if there is one of 32 beside
 
 
 def _loads(library: str) -> bool:

@@ -18,8 +18,14 @@ STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, use_attrib
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 """Compute device; defined here so that the command line need not load kernels."""
 
+AnyArch = Literal[Arch, "auto"]
+"""Compute device that users name; `auto` takes a graphics card where one works, else the CPU."""
+
 Precision = Literal["f64", "f32"]
 """Floating-point type of the kernels."""
+
+AnyPrecision = Literal["auto", Precision]
+"""Type that users name; `auto` takes f64 where the device computes it at half the rate of f32."""
 
 ARCHS: tuple[Arch, ...] = get_args(Arch)
 """All compute devices."""

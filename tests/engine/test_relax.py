@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.oracle import swarm_step
 from tiswarm import relax
-from tiswarm.compute import neighbor_list
+from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import RobotGeometry
@@ -238,7 +238,7 @@ def test_what_makes_no_sense_is_refused(change, message):
 def test_too_large_a_swarm_is_refused_before_memory_is_taken(monkeypatch):
     """By the memory that is free, and by what an entry can number."""
     place = swarm(100)
-    monkeypatch.setattr(engine.psutil, "virtual_memory", lambda: type("", (), {"available": 1e4}))
+    monkeypatch.setattr(backend.psutil, "virtual_memory", lambda: type("", (), {"available": 1e4}))
     with pytest.raises(EnvironmentTroubleError, match="need about"):
         relax(*place, robot=ROBOT, ramp=0.5, steps=1, **GAINS)
     monkeypatch.undo()

@@ -26,12 +26,11 @@ def lines(towers):
         return path.read_text().splitlines()
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
-def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path, precision):
+def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path):
     """Online and offline are one code path, whether lines come as text or as mappings."""
     path = tmp_path / "sensing.jsonl"
     path.write_text("\n".join(lines))
-    whole = tiswarm.localize(path, "virtual-force", precision=precision, **SETTINGS)
+    whole = tiswarm.localize(path, "virtual-force", **SETTINGS)
 
     localizer = tiswarm.Localizer(lines[0], VirtualForceParams(**SETTINGS), capacity=40)
     joined = [localizer.join(line) for line in lines[1:10]]
@@ -39,7 +38,7 @@ def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path, pr
 
     assert np.array(joined).tobytes() == whole.position.tobytes()
     assert localizer.positions.tobytes() == whole.position.tobytes()
-    again = tiswarm.localize(localizer.log, "virtual-force", precision=precision, **SETTINGS)
+    again = tiswarm.localize(localizer.log, "virtual-force", **SETTINGS)
     assert again.position.tobytes() == whole.position.tobytes()
 
 

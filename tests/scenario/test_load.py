@@ -193,7 +193,7 @@ REFUSED = [
     (f"{SMALL}seeds: []", 3, "seeds", "should have at least 1 item, not 0"),
     (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 should be greater than or equal to 0"),
     (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 occurs twice; give each value once"),
-    (f"{SMALL}precision: f16", 3, "precision", "\"f16\" should be 'f64' or 'f32'"),
+    (f"{SMALL}precision: f16", 3, "precision", "\"f16\" should be 'auto', 'f64' or 'f32'"),
     (
         f"{SMALL}scorecard: reactivebuild-laws",
         3,

@@ -273,8 +273,9 @@ def test_a_folder_takes_one_run_at_a_time(whole):
 @pytest.mark.slow
 def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
     """Cases of one batch are localized in their own precision."""
-    swept = _run(tmp_path, "seeds=1", "sweep.precision=[f64, f32]").folder / "cases"
-    alone = _run(tmp_path, "seeds=1", "precision=f32").folder / "cases"
+    joint = "conditions={a: {localization: {method: joint, steps: 50, hold_steps: 10}}}"
+    swept = _run(tmp_path, "seeds=1", joint, "sweep.precision=[f64, f32]").folder / "cases"
+    alone = _run(tmp_path, "seeds=1", joint, "precision=f32").folder / "cases"
 
     single = (alone / "0-a" / "estimate.csv").read_bytes()
     assert (swept / "0-precision=f32,a" / "estimate.csv").read_bytes() == single

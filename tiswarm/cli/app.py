@@ -16,7 +16,7 @@ import tiswarm
 from tiswarm.console import fail
 from tiswarm.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.memory import naming_shortage, require_address_space
-from tiswarm.params import Arch
+from tiswarm.params import AnyArch
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -35,7 +35,9 @@ app = typer.Typer(
 Overrides = Annotated[
     list[str], Option("--set", metavar="KEY=VALUE", help="Override a key (repeatable).")
 ]
-OneArch = Annotated[Arch, Option("--arch", help="Compute device; fails if unavailable.")]
+OneArch = Annotated[
+    AnyArch, Option("--arch", help="Compute device of joint; fails if unavailable.")
+]
 Threads = Annotated[
     int | None, Option(help="CPU threads (default: all cores).", show_default=False)
 ]

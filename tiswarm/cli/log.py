@@ -8,7 +8,7 @@ from typer import Argument, Option
 
 from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, show_page
 from tiswarm.console import ConsoleProgress
-from tiswarm.params import Precision
+from tiswarm.params import AnyPrecision
 from tiswarm.progress import Progress
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def localize(
     ] = None,
     arch: OneArch = "cpu",
     threads: Threads = None,
-    precision: Annotated[Precision, Option(help="Floating-point type.")] = "f64",
+    precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List joint's solutions.")] = False,
     opened: Open = False,
@@ -59,7 +59,6 @@ def localize(
     Simulators and real swarms write such logs (docs/files.md). The exit status is 4 if the estimate
     did not converge; it is written all the same.
     """
-    from tiswarm.compute import backend
     from tiswarm.errors import NOT_CONVERGED, InputError
     from tiswarm.inspection import (
         convergence_warning,
@@ -68,6 +67,7 @@ def localize(
         describe_solutions,
         explain_estimate,
     )
+    from tiswarm.localization import registry
     from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.scenario.validation import localization_params
@@ -77,9 +77,11 @@ def localize(
     seeds = [] if seed is None else [f"seed={seed}"]
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     params = localization_params(method, [*seeds, *overrides], cues=names)
-    sensed = read_sensing_log(log)
-    backend.start(arch, threads=threads, precision=precision)
-    estimate = _localized(sensed, params, ConsoleProgress(quiet=quiet))
+    sensed, progress = read_sensing_log(log), ConsoleProgress(quiet=quiet)
+    running = registry.start_device([params.method], arch, threads=threads, precision=precision)
+    if arch != "cpu":
+        progress.info(f"{params.method} computes on {running}")
+    estimate = _localized(sensed, params, progress)
     count = len(estimate.solutions)
     if solution is not None:
         estimate = estimate.with_solution(solution)

@@ -116,7 +116,6 @@ def tune(
         Literal["sse", "rmse"], Option(help="Error to minimize, in the mean over structures.")
     ] = "sse",
     out: Annotated[Path, Option(help="Record of the fit to write or continue.")] = Path("fit.json"),
-    arch: OneArch = "cpu",
     threads: Threads = None,
     *,
     quiet: Quiet = False,
@@ -131,7 +130,7 @@ def tune(
     record = study.tune(
         load_scenario(scenario, overrides), out,
         trials=trials, training_seeds=training_seeds, conditions=condition,
-        progress=ConsoleProgress(quiet=quiet), objective=objective, arch=arch, threads=threads,
+        progress=ConsoleProgress(quiet=quiet), objective=objective, threads=threads,
     )  # fmt: skip
     if not quiet:
         for name in ("best", "chosen"):

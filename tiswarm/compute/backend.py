@@ -1,5 +1,10 @@
 """Start of the compute backend, its device, precision and threads, and arrays on it.
 
+Parallel stages (the swarm step, the annealing of `joint`) run on the device that a user chooses.
+All others run on the processor in f64: they walk along few chains of dependent steps, in which a
+card is slower, and need functions that some cards lack in f64. One backend runs at a time, so a
+stage first calls `device` or `processor`.
+
 Nothing else may call `ti.init`. A device that is not there is an error, never a silent
 change of device.
 """
@@ -13,22 +18,27 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import psutil
 import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tiswarm.compute import kernel_cache
+from tiswarm.compute import cards, kernel_cache
 from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.memory import naming_shortage, require_address_space
-from tiswarm.params import ARCHS, Arch, Precision
+from tiswarm.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
+_LONG_LOOP = 100_000
+_ROUNDINGS = 32
+"""Largest error of a force, in roundings of the largest coordinate. Rounding a million robots to
+float32 alone, with float64 from there on, causes an error of 17."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,20 +57,68 @@ class Backend:
     library: str
     """Kernel library and its version."""
 
+    card: str
+    """Name of the graphics card; empty for a processor, or where the driver does not say."""
+
+    ends_long_loops: bool
+    """Whether a loop takes all its turns; software Vulkan stops each thread after 65,535."""
+
     cache: str
     """Folder of compiled kernels."""
+
+    def __str__(self) -> str:
+        """Name the device, its card if known, and the precision."""
+        return f"{self.arch}{f' ({self.card})' if self.card else ''} in {self.precision}"
 
     @property
     def is_cold(self) -> bool:
         """Whether no compiled kernels are stored, so that what needs one compiles it first."""
-        return not any(Path(self.cache).glob("*.*"))
+        return not any(Path(self.cache).rglob("*.*"))
 
     @property
     def dtype(self) -> type[np.floating[Any]]:
         """NumPy type of the precision."""
         return np.float64 if self.precision == "f64" else np.float32
 
+    def force_error(self, farthest: float) -> float:
+        """Bound the error of forces by rounding, relative to the largest force [1].
 
+        Args:
+            farthest: Largest coordinate [R].
+        """
+        return float(_ROUNDINGS * np.finfo(self.dtype).eps * (farthest + 1.0))
+
+    def require_memory(self, needed: float, robots: int) -> None:
+        """Refuse what does not fit into memory, if it is known how much of it is free.
+
+        Args:
+            needed: Memory that the robots need [B].
+            robots: Number of robots, for the message.
+
+        Raises:
+            EnvironmentTroubleError: less is free.
+        """
+        free = None
+        if self.arch == "cpu":
+            free = psutil.virtual_memory().available
+        elif self.arch == "cuda":
+            free = cards.free_cuda_memory()
+        if free is not None and needed > free:
+            raise EnvironmentTroubleError(
+                f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} "
+                f"GB of {self.arch} are free; use precision f32, fewer robots or a larger machine"
+            )
+
+
+class _Choice(NamedTuple):
+    """Device of parallel stages."""
+
+    arch: Arch = "cpu"
+    threads: int | None = None
+    precision: AnyPrecision = "auto"
+
+
+_chosen = _Choice()
 _started: Backend | None = None
 
 
@@ -71,27 +129,85 @@ def available_threads() -> int:
     return os.cpu_count() or 1
 
 
-def start(
-    arch: Arch = "cpu", *, threads: int | None = None, precision: Precision = "f64"
-) -> Backend:
-    """Start the backend, or do nothing where the very same one is running.
+def choose(
+    arch: Arch = "cpu", *, threads: int | None = None, precision: AnyPrecision = "auto"
+) -> None:
+    """Choose the device of parallel stages, which starts with the first of them.
 
     Args:
-        arch: Device; it is started or an error is raised.
-        threads: CPU threads; all that this process may use if None.
-        precision: Real type of the kernels' own arithmetic.
+        arch: Device.
+        threads: CPU threads of all stages; all that this process may use if None.
+        precision: Real type of the parallel stages' own arithmetic; `auto` takes f64 on processors
+            and on cards that compute it at half the rate of f32, else f32.
+
+    Raises:
+        InputError: the device is unknown or the thread count below 1.
+    """
+    global _chosen  # noqa: PLW0603 - the kernel library itself is one per process
+    _chosen = _checked(arch, threads, precision)
+
+
+def start(
+    arch: AnyArch = "cpu", *, threads: int | None = None, precision: AnyPrecision = "auto"
+) -> Backend:
+    """Choose the device of parallel stages and start it; arguments as for `choose`.
+
+    `auto` takes the first device of CUDA, Metal and Vulkan that works, else the processor. It
+    takes no software that stands in for a card.
 
     Raises:
         InputError: the device is unknown or the thread count below 1.
         EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
     """
-    global _started  # noqa: PLW0603 - the kernel library itself is one per process
+    global _chosen  # noqa: PLW0603
+    if arch != "auto":
+        choice = _checked(arch, threads, precision)
+        running = _run(choice)
+        _chosen = choice
+        return running
+    has_vulkan = (card := cards.find_card("vulkan")) is not None and not card.is_software
+    candidates: tuple[Arch, ...] = ("cuda", "metal", "vulkan")
+    for candidate in candidates if has_vulkan else candidates[:2]:
+        with contextlib.suppress(EnvironmentTroubleError):
+            return start(candidate, threads=threads, precision=precision)
+    return start("cpu", threads=threads, precision=precision)
+
+
+def device() -> Backend:
+    """Start the device of parallel stages, unless it runs.
+
+    Raises:
+        EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
+    """
+    return _run(_chosen)
+
+
+def processor() -> Backend:
+    """Start the processor in f64, unless it runs: the device of all other stages.
+
+    Raises:
+        EnvironmentTroubleError: the machine lacks the memory.
+    """
+    return _run(_Choice(threads=_chosen.threads))
+
+
+def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choice:
     if arch not in ARCHS:
-        choices = ", ".join(ARCHS)
+        choices = ", ".join([*ARCHS, "auto"])
         raise InputError(f"unknown backend {arch!r}; choose one of {choices}", argument="arch")
     if threads is not None and threads < 1:
         raise InputError(f"{threads} threads cannot compute; give 1 or more", argument="threads")
-    count = threads or available_threads()
+    return _Choice(arch, threads, precision)
+
+
+def _run(choice: _Choice) -> Backend:
+    """Start a backend, or do nothing where the very same one runs."""
+    global _started  # noqa: PLW0603
+    arch, card = choice.arch, cards.find_card(choice.arch)
+    precision: Precision = "f64" if arch == "cpu" or (card and card.has_fast_f64) else "f32"
+    if choice.precision != "auto":
+        precision = choice.precision
+    count = choice.threads or available_threads()
     wanted = (arch, count, precision)
     if _started and (_started.arch, _started.threads, _started.precision) == wanted:
         return _started
@@ -109,12 +225,11 @@ def start(
         pass  # finds damage before the library reads it
     atexit.register(_stop)
     _init(arch, count, precision, cache)
-    started = Backend(
-        arch=arch, threads=count, precision=precision, library=library, cache=str(cache)
-    )
-    _check_arithmetic(started)
-    _started = started
-    return started
+    _started = Backend(
+        arch=arch, threads=count, precision=precision, library=library,
+        card=card.name if card else "", ends_long_loops=_probe(arch, precision), cache=str(cache),
+    )  # fmt: skip
+    return _started
 
 
 def _stop() -> None:
@@ -127,8 +242,8 @@ def _stop() -> None:
 
 
 def current() -> Backend:
-    """Return the running backend, starting the default one where none runs."""
-    return _started or start()
+    """Return the running backend, starting the device of parallel stages where none runs."""
+    return _started or device()
 
 
 @contextlib.contextmanager
@@ -198,22 +313,27 @@ def faulty_driver() -> EnvironmentTroubleError:
     )
 
 
-def _check_arithmetic(backend: Backend) -> None:
-    """Refuse a device that takes float64 and computes in float32, or lacks its functions."""
-    expected = np.linspace(0.1, 3.0, 16, dtype=backend.dtype)
-    value = expected.copy()
+def _probe(arch: Arch, precision: Precision) -> bool:
+    """Refuse a device that computes nothing, or in float32 where float64 is wanted.
+
+    Returns:
+        Whether the device ends long loops.
+    """
+    real: type[np.floating[Any]] = np.float64 if precision == "f64" else np.float32
+    value, count = np.linspace(0.1, 3.0, 16, dtype=real), np.zeros(1, np.int32)
+    expected = value + value
     try:
         with naming_shortage():
-            probe_arithmetic(value)
-        resolution = 8 * np.finfo(backend.dtype).eps
-        computes = np.allclose(value, expected, rtol=resolution, atol=0.0)
+            probe_arithmetic(_LONG_LOOP, value, count)
+        computes = np.allclose(value, expected, rtol=8 * np.finfo(real).eps, atol=0.0)
     except RuntimeError:
         computes = False
-    if not computes:
+    if not (computes and count[0] > 1):
         raise EnvironmentTroubleError(
-            f"backend {backend.arch} does not compute in {backend.precision}; use --arch cpu, "
-            "or --precision f32 where structures need not be grown"
+            f"backend {arch} does not compute in {precision}; use --arch cpu"
+            f"{'' if precision == 'f32' else ', or precision auto'}"
         )
+    return bool(count[0] == _LONG_LOOP)
 
 
 @dataclass(frozen=True)

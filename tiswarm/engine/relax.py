@@ -10,19 +10,19 @@ Equations as in `tiswarm.engine.kernels`. Lengths in the unit of the robot's spa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import psutil
 from numpy.typing import ArrayLike
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
-from tiswarm.compute.backend import Allocator, Backend
+from tiswarm.compute.backend import Allocator
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import Gains, Robots
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.params import Arch, Precision
+from tiswarm.errors import InputError
+from tiswarm.params import AnyArch, AnyPrecision, Precision
 from tiswarm.robot import Robot
 
 _SKIN = 0.25
@@ -52,6 +52,12 @@ class RelaxResult:
     list_builds: int
     """How often rows of neighbors were made, in the structure that needed it most."""
 
+    precision: Precision
+    """Floating-point type that the device computed in."""
+
+    force_error: float
+    """Largest error of a force by rounding, relative to the largest force [1]."""
+
 
 def relax(
     position: ArrayLike,
@@ -67,8 +73,8 @@ def relax(
     height_gain: float = 0.0,
     max_step: float | None = None,
     structure: ArrayLike | None = None,
-    precision: Precision = "f64",
-    arch: Arch = "cpu",
+    precision: AnyPrecision = "auto",
+    arch: AnyArch = "cpu",
     threads: int | None = None,
 ) -> RelaxResult:
     """Take steps of the whole swarm under Eqs. (1)-(3), all robots at once.
@@ -96,8 +102,9 @@ def relax(
         max_step: Longest step of a robot; None for no limit.
         structure: Number of each robot's structure, shape (N,); robots of different structures
             never interact. None for one structure.
-        precision: f32 halves the memory and loses what is far from the origin.
-        arch: Device; it computes there or an error is raised.
+        precision: f32 halves the memory and loses what is far from the origin; `auto` as for
+            `tiswarm.compute.backend.choose`.
+        arch: Device; it computes there or an error is raised. `auto` takes a card if one works.
         threads: CPU threads; all that this process may use if None.
 
     Raises:
@@ -129,8 +136,8 @@ class PreparedSwarm:
         robot: Robot,
         height: ArrayLike | None = None,
         structure: ArrayLike | None = None,
-        precision: Precision = "f64",
-        arch: Arch = "cpu",
+        precision: AnyPrecision = "auto",
+        arch: AnyArch = "cpu",
         threads: int | None = None,
     ) -> None:
         """Check the robots, renumber them and copy them to the device."""
@@ -151,10 +158,10 @@ class PreparedSwarm:
         target = None if height is None else _shaped("height", height, (robots,))
         self.running = running = backend.start(arch, threads=threads, precision=precision)
         if not self._is_resolved(center):
-            way_out = " or use precision f64" if precision == "f32" else ""
+            way_out = " or use precision f64" if running.precision == "f32" else ""
             raise InputError(
-                f"a robot {np.abs(center).max():.3g} from the origin is beyond what {precision} "
-                f"resolves; move the swarm to the origin{way_out}"
+                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
+                f"{running.precision} resolves; move the swarm to the origin{way_out}"
             )
         if robots == 0:
             return
@@ -162,7 +169,7 @@ class PreparedSwarm:
         self.by_structure = running.arch == "cpu" and size.max() <= SMALL
         self.order = order = morton_order(center, ids)
         self.start = np.concatenate([[0], size.cumsum()])
-        _check_memory(running, robots, len(body))
+        running.require_memory(robots * _bytes_of_robot(running.dtype, len(body)), robots)
         new = np.argsort(order)
         connected[:, [0, 2]] = new[connected[:, [0, 2]]]
         self.memory = memory = Allocator(running, on_host=self.by_structure)
@@ -211,14 +218,24 @@ class PreparedSwarm:
             )
         position = self.start_position.copy()
         if steps == 0 or len(position) == 0:
-            return RelaxResult(position=position, largest_move=np.zeros(steps), list_builds=0)
+            return self._result(position, np.zeros(steps), 0)
         relax = self._by_structure if self.by_structure else self._all_at_once
         self._go_to_start()
         moves, builds = relax(gains, np.broadcast_to(ramps, steps))
         position[self.order] = self.memory.download(self.robots.position)
         if not self._is_resolved(position):
             raise InputError("the forces diverged; lower the gains or give max_step")
-        return RelaxResult(position=position, largest_move=moves, list_builds=builds)
+        return self._result(position, moves, builds)
+
+    def _result(self, position: Reals, moves: Reals, builds: int) -> RelaxResult:
+        farthest = max(np.abs(p).max(initial=0.0) for p in (self.start_position, position))
+        return RelaxResult(
+            position=position,
+            largest_move=moves,
+            list_builds=builds,
+            precision=self.running.precision,
+            force_error=self.running.force_error(2.0 * farthest / self.spacing),
+        )
 
     def _is_resolved(self, position: Reals) -> bool:
         """Whether every coordinate is a number that the precision resolves finely enough."""
@@ -242,7 +259,6 @@ class PreparedSwarm:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
             while not control[kernels.STALE]:
-                taken = int(control[kernels.TAKEN])
                 with backend.fast_arithmetic():
                     for t in range(
                         taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
@@ -252,7 +268,9 @@ class PreparedSwarm:
                             0.5 * _SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
                             control, self.moves,
                         )  # fmt: skip
-            taken = int(control[kernels.TAKEN])
+                before, taken = taken, int(control[kernels.TAKEN])
+                if taken == before:
+                    raise backend.faulty_driver()
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
@@ -319,13 +337,7 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     return np.column_stack([one // docks, one % docks, other // docks, other % docks])
 
 
-def _check_memory(running: Backend, robots: int, docks: int) -> None:
-    """Refuse a swarm that does not fit into the machine's memory, before any of it is reserved."""
+def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int) -> int:
+    """Count the memory of a robot in arrays of numbers and of integers [B]."""
     numbers, integers = 3 * 3 + docks * (3 + 2 * 4 + 4), docks * (1 + 16 + 16) + 12
-    needed = robots * (numbers * np.dtype(running.dtype).itemsize + 4 * integers)
-    free = psutil.virtual_memory().available
-    if running.arch == "cpu" and needed > free:
-        raise EnvironmentTroubleError(
-            f"{robots} robots need about {needed / 1e9:.1f} GB of memory and {free / 1e9:.1f} GB "
-            "are free; use precision f32, fewer robots or a larger machine"
-        )
+    return numbers * np.dtype(dtype).itemsize + 4 * integers

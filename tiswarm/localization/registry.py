@@ -1,17 +1,21 @@
 """Every localization method, by name."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
 
 from tiswarm.aliases import Reals
+from tiswarm.compute import backend
+from tiswarm.compute.backend import Backend
+from tiswarm.errors import InputError
 from tiswarm.localization import hop_by_hop, least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.orientations import with_orientations
+from tiswarm.params import AnyArch, AnyPrecision
 from tiswarm.progress import Advance, by_share, ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -28,6 +32,40 @@ METHODS: dict[str, ModuleType] = {
 share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
+
+PARALLEL = frozenset({"joint"})
+"""Methods that run on the device that a user chooses; others run on the processor in f64."""
+
+
+def start_device(
+    methods: Iterable[str],
+    arch: AnyArch,
+    *,
+    threads: int | None = None,
+    precision: AnyPrecision = "auto",
+) -> Backend:
+    """Start what the parallel ones of these methods run on; arguments as for `backend.start`.
+
+    Raises:
+        InputError: none of the methods is parallel, and a device or f32 was named.
+        EnvironmentTroubleError: the machine lacks the device.
+    """
+    if not PARALLEL.isdisjoint(methods):
+        return backend.start(arch, threads=threads, precision=precision)
+    problem = (
+        f"has no use: {' and '.join(sorted(set(methods)))} always computes on cpu in f64; "
+        "choose method joint, or leave this out"
+    )
+    if arch not in {"cpu", "auto"}:
+        raise InputError(f"{arch} {problem}", argument="arch")
+    if precision == "f32":
+        raise InputError(f"f32 {problem}", key="precision")
+    return backend.start("cpu", threads=threads)
+
+
+def start_for(method: str) -> Backend:
+    """Start the device of a method, unless it runs."""
+    return backend.device() if method in PARALLEL else backend.processor()
 
 
 def localize(
@@ -67,6 +105,7 @@ def localize_many(
     estimates: dict[int, Estimate] = {}
     for members in batches.values():
         method = METHODS[params[members[0]].method]
+        start_for(params[members[0]].method)
         centered = [_centered(logs[n]) for n in members]
         report = by_share(on_progress, len(members))
         batch = method.localize_batch(centered, [params[n] for n in members], report)

@@ -64,7 +64,6 @@ def localize_batch(
     Returns:
         One estimate a log. The residual is the root mean square step of the robots.
     """
-    dtype = backend.current().dtype
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
@@ -73,24 +72,19 @@ def localize_batch(
     both = list(zip(logs, params, strict=True))
     direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
     height = np.concatenate([_heights(log, p) for log, p in both])
-    planar = [_planar(log) for log in logs]
-    measured = LogArrays(
-        *_contacts_by_robot(logs),
-        direction.astype(dtype),
-        height.astype(dtype),
-        np.concatenate(planar).astype(np.int32),
-    )
+    planar = np.concatenate([_planar(log) for log in logs]).astype(np.int32)
+    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar)
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
-    placed = _robots(np.concatenate(offsets).astype(dtype))
+    placed = _robots(np.concatenate(offsets))
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
-    trace = Trace.allocate(len(frames), len(placed.yaw), dtype)
+    trace = Trace.allocate(len(frames), len(placed.yaw), np.float64)
     recent = rounds.recent or len(placed.yaw)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     kernels.localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, recent, every,
-        np.array([_gains(p, log.noise) for log, p in both], dtype), start,
+        np.array([_gains(p, log.noise) for log, p in both]), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
         *trace,
     )  # fmt: skip
@@ -102,15 +96,15 @@ def localize_batch(
         older = slice(a, max(a, b - recent))  # robots that the last round left where they were
         trace.position[frames > iterations, older] = placed.position[older]
         trace.step_length[frames > iterations, older] = 0.0
-        scaled = trace.position[:, a:b].astype(np.float64) * log.dock_radius
-        steps = trace.step_length[:, a:b].astype(np.float64) * log.dock_radius
+        scaled = trace.position[:, a:b] * log.dock_radius
+        steps = trace.step_length[:, a:b] * log.dock_radius
         turns = bool(_torque(p, log.noise).gain)
         estimates.append(
             Estimate(
                 robot_id=log.robot_id,
                 position=scaled[-1],
                 disconnected=disconnected(measure(log, ["contacts"])),
-                yaw=placed.yaw[a:b].astype(np.float64) if turns else None,
+                yaw=placed.yaw[a:b] if turns else None,
                 iteration=frames,
                 trace=scaled,
                 residual=np.sqrt(np.mean(steps**2, axis=1)),
@@ -171,14 +165,14 @@ class Localizer:
         self._builder = SensingLogBuilder(head)
         self._head = head
         self._dock_body = np.array(head.dock_offsets, np.float64) / self._unit
-        docks, dtype = len(self._dock_body), backend.current().dtype
+        docks = len(self._dock_body)
         self._count = 0
         self._cells = CellList.allocate(1, capacity * docks)
         self._contact_start = np.zeros(capacity + 1, np.int32)
-        self._direction = np.zeros((capacity, 3), dtype)
-        self._height = np.full(capacity, np.nan, dtype)
+        self._direction = np.zeros((capacity, 3))
+        self._height = np.full(capacity, np.nan)
         self._is_planar = np.zeros(capacity, np.int32)
-        self._robots = _robots(np.zeros((capacity, docks, 3), dtype))
+        self._robots = _robots(np.zeros((capacity, docks, 3)))
         self._anchor = np.array(head.anchor_position)
         self._robots.position[0] = 0.0  # far from the origin, numbers lose digits
 
@@ -190,8 +184,7 @@ class Localizer:
     @property
     def positions(self) -> Reals:
         """Estimated centers in the log's unit, in join order, shape (n, 3)."""
-        position: NDArray[np.floating] = self._robots.position[: self._count]
-        moved: Reals = position.astype(np.float64) * self._unit + self._anchor
+        moved: Reals = self._robots.position[: self._count] * self._unit + self._anchor
         return moved
 
     def join(self, robot: Line) -> Reals:
@@ -248,15 +241,16 @@ class Localizer:
 
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
-        dtype, count, every = self._height.dtype, self._count, self._params.iterations
+        count, every = self._count, self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(
             self._contact_start, contact, self._direction, self._height, self._is_planar
         )
         capacity = len(self._height)
-        trace = Trace.allocate(2, capacity, dtype)
+        trace = Trace.allocate(2, capacity, np.float64)
+        backend.processor()
         kernels.localize_in_join_order(
-            every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)], dtype),
+            every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)]),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
         )  # fmt: skip
@@ -264,10 +258,10 @@ class Localizer:
             raise backend.faulty_driver()
 
 
-def _robots(dock_offset: NDArray[np.floating]) -> Robots:
+def _robots(dock_offset: Reals) -> Robots:
     """Reserve robots that have not been placed."""
-    (robots, _, axes), dtype = dock_offset.shape, dock_offset.dtype
-    return Robots(dock_offset, np.zeros(robots, dtype), np.full((robots, axes), np.nan, dtype))
+    robots, _, axes = dock_offset.shape
+    return Robots(dock_offset, np.zeros(robots), np.full((robots, axes), np.nan))
 
 
 def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:

@@ -41,7 +41,9 @@ class Manifest:
 
     tiswarm: str = ""  # version of the package; empty until the run is complete
     code: str = ""  # digest of the code that computed the cases
-    backend: _Facts = field(default_factory=dict)
+    backend: _Facts = field(default_factory=dict)  # device of parallel stages
+    devices: Mapping[str, str] = field(default_factory=dict)  # device and precision, by stage
+    force_error: float = 0.0  # largest error of a force by rounding, relative to the largest force
     machine: _Facts = field(default_factory=dict)
     python: str = ""
     libraries: Mapping[str, str] = field(default_factory=dict)  # versions

@@ -216,6 +216,8 @@ def machine_table(manifest: Manifest) -> Table:
     facts = {
         **manifest.machine,
         **manifest.backend,
+        **manifest.devices,
+        "error of forces by rounding": f"{manifest.force_error:.1g}",
         "peak_memory_MB": manifest.peak_memory_MB,
         "python": manifest.python,
         **manifest.libraries,

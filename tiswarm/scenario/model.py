@@ -100,8 +100,9 @@ class Scenario:
     seeds: _Seeds = 1
     """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
 
-    precision: Literal["f64", "f32"] = "f64"
-    """Floating-point type of the localizer; structures always grow in f64."""
+    precision: Literal["auto", "f64", "f32"] = "auto"
+    """Floating-point type of `joint`; all else computes in f64. `auto` takes f64 on processors and
+    on cards that compute it at half the rate of f32, else f32."""
 
     robot: RobotGeometry = RobotGeometry()
     """Geometry of a robot."""

@@ -9,9 +9,8 @@ import platform
 import resource
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -69,6 +68,15 @@ class Costs:
         return self._costs[case]
 
 
+class Used(NamedTuple):
+    """What computed a stage."""
+
+    stage: str
+    backend: Backend
+    force_error: float = 0.0
+    """Largest error of a force by rounding, relative to the largest force [1]."""
+
+
 def peak_memory_mb() -> int:
     """Return the peak of memory since the stage began; off Linux, since the process began [MB]."""
     with suppress(OSError, ValueError):
@@ -78,8 +86,17 @@ def peak_memory_mb() -> int:
     return peak_bytes // (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> Manifest:
-    """Gather what a reader needs to judge or repeat a run; costs are by case and stage."""
+def manifest(used: Collection[Used], costs: Sequence[Mapping[str, Cost]]) -> Manifest:
+    """Gather what a reader needs to judge or repeat a run.
+
+    Args:
+        used: What computed the stages, at least one.
+        costs: Costs by case and stage.
+    """
+    main = max(used, key=lambda each: (each.backend.arch != "cpu", each.force_error)).backend
+    devices: dict[str, set[str]] = {}
+    for each in used:
+        devices.setdefault(each.stage, set()).add(str(each.backend))
     stages: dict[str, dict[str, float]] = {}
     peak = 0
     for name, cost in (item for of_case in costs for item in of_case.items()):
@@ -91,7 +108,11 @@ def manifest(backend: Backend, costs: Sequence[Mapping[str, Cost]]) -> Manifest:
     return Manifest(
         tiswarm=__version__,
         code=CODE,
-        backend={key: value for key, value in asdict(backend).items() if key != "cache"},
+        backend={
+            key: getattr(main, key) for key in ("arch", "card", "threads", "precision", "library")
+        },
+        devices={stage: " and ".join(sorted(devices[stage])) for stage in sorted(devices)},
+        force_error=max((each.force_error for each in used), default=0.0),
         machine=machine(),
         python=platform.python_version(),
         libraries={name: installed[name] for name in _LIBRARIES if name in installed},

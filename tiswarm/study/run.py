@@ -14,18 +14,19 @@ from tiswarm.errors import (
     OutOfMemoryError,
     TiswarmError,
 )
-from tiswarm.params import Arch
+from tiswarm.localization.registry import start_device
+from tiswarm.params import AnyArch, Arch
 from tiswarm.progress import Progress
 from tiswarm.records.frames import write_frame
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import read_manifest, write_manifest
-from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study import tables
 from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, shard, structures
 from tiswarm.study.executors import Execution, Executor, open_executor, reason
-from tiswarm.study.provenance import manifest
+from tiswarm.study.provenance import Used, manifest
 from tiswarm.study.runner import Job, Outcome, failure
 from tiswarm.study.store import CaseRecord, RunFolder, remove
 
@@ -56,7 +57,7 @@ def run(
     parent: Path,
     *,
     progress: Progress,
-    arch: Arch = "cpu",
+    arch: AnyArch = "cpu",
     threads: int | None = None,
     execution: Execution = _HERE,
 ) -> RunResult:
@@ -66,7 +67,7 @@ def run(
         scenario: What to compute.
         parent: Folder that holds the run's folder.
         progress: Receives progress reports.
-        arch: Device.
+        arch: Device of `joint`; other stages run on the processor.
         threads: CPU threads; all if None.
         execution: Where cases are computed, and which.
 
@@ -75,8 +76,7 @@ def run(
         EnvironmentTroubleError: the device is missing, the folder is in use, or workers run
             other code.
     """
-    if execution.scheduler is None:  # a missing device is an error before anything is written
-        backend.start(arch, threads=threads)
+    arch = _start_device(scenario, arch, threads, execution, progress)
     folder = RunFolder.of(scenario, parent)
     cases = plan(scenario)
     mine = shard(cases, *execution.shard)
@@ -92,14 +92,14 @@ def run(
             were, them = ("was", "it") if outdated == 1 else ("were", "them")
             many = counted(outdated, "case")
             progress.info(f"{many} {were} computed by other code; computing {them} again")
-        used = None
+        used: set[Used] = set()
         if missing:
             for name in ("manifest.json", "report.html"):  # they describe a complete run
                 remove(folder.path / name)
             with open_executor(execution, threads, progress) as executor:
                 for outcome in _compute(missing, folder, executor, arch, execution, progress):
                     records |= {record.case: record for record in outcome.records}
-                    used = outcome.backend or used
+                    used.update(outcome.used)
         failed = tuple(record for record in records.values() if not record.is_done)
         others = folder.read_cases([case for case in cases if case.name not in records])
         records |= {name: record for name, record in others.items() if record.is_current}
@@ -113,11 +113,37 @@ def run(
         if not result.missing:
             if not _has_manifest(folder.path):
                 costs = [folder.read_cost(case.name) for case in cases]
-                write_manifest(folder.path, manifest(used or backend.current(), costs))
+                write_manifest(
+                    folder.path, manifest(used or {Used("grow", backend.current())}, costs)
+                )
             _write_tables(folder, cases, [records[case.name] for case in cases])
             if all(record.is_done for record in records.values()):
                 folder.remove_structures()
     return result
+
+
+def _start_device(
+    scenario: Scenario,
+    arch: AnyArch,
+    threads: int | None,
+    execution: Execution,
+    progress: Progress,
+) -> Arch:
+    """Start the device of a study before anything is written, and return its name.
+
+    On a cluster, only its workers can start it.
+    """
+    points = [variant.settings for variant in variants(scenario)]
+    if execution.scheduler is not None:
+        if arch == "auto":
+            raise InputError("auto cannot see the workers; name their device", argument="arch")
+        return arch
+    methods = {settings.localization.method for settings in points}
+    for precision in sorted({settings.precision for settings in points}):
+        running = start_device(methods, arch, threads=threads, precision=precision)
+    if arch != "cpu":
+        progress.info(f"joint computes on {running}")
+    return running.arch
 
 
 def _has_manifest(run: Path) -> bool:
@@ -218,7 +244,7 @@ def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) ->
         return None
     record = failure(batch[0], reason(error))
     folder.store_failure(record)
-    return Outcome(records=[record], backend=None)
+    return Outcome(records=[record], used=())
 
 
 def _report(records: Sequence[CaseRecord], progress: Progress) -> None:

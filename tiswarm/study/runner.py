@@ -1,8 +1,8 @@
 """Runs a batch of cases: grow, sense, localize, evaluate, store."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -13,16 +13,17 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
-from tiswarm.localization.registry import localize_many
+from tiswarm.localization.params import JointParams, LocalizationParams
+from tiswarm.localization.registry import localize_many, start_for
 from tiswarm.memory import naming_shortage
-from tiswarm.params import Arch, Precision
+from tiswarm.params import AnyPrecision, Arch
 from tiswarm.progress import Advance, Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
 from tiswarm.study.cases import Case
-from tiswarm.study.provenance import Costs
+from tiswarm.study.provenance import Costs, Used
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -46,10 +47,10 @@ class Job:
 
 
 class Outcome(NamedTuple):
-    """Record of each case of a job, as stored, and the backend that computed them, if one did."""
+    """Record of each case of a job, as stored, and what computed its stages."""
 
     records: Sequence[CaseRecord]
-    backend: Backend | None
+    used: Collection[Used]
 
 
 def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda: None) -> Outcome:
@@ -58,7 +59,7 @@ def run_job(job: Job, progress: Progress, on_ready: Callable[[], None] = lambda:
     with naming_shortage():
         runner.warm_up()
         on_ready()
-        return Outcome(records=runner.run(), backend=backend.current())
+        return Outcome(records=runner.run(), used=runner.used)
 
 
 def failure(case: Case, reason: str) -> CaseRecord:
@@ -77,6 +78,7 @@ class _CaseRunner:
         self.job = job
         self.progress = progress
         self.costs = Costs()
+        self.used: set[Used] = set()
         self._sample: History | None = None
         self._sampled_on: Backend | None = None
 
@@ -118,8 +120,9 @@ class _CaseRunner:
             yield advance
 
     def _warm_up_growth(self) -> None:
-        running = backend.start(self.job.arch, threads=self.job.threads)
-        if self._sampled_on is not running:
+        self._choose_device("auto")
+        running = backend.processor()
+        if self._sampled_on != running:
             settings = self.job.cases[0].settings
             with suppress(Exception):  # a case that cannot be computed says why itself
                 [self._sample] = grow(
@@ -129,17 +132,19 @@ class _CaseRunner:
             self._sampled_on = running
 
     def _warm_up_methods(self, cases: Sequence[Case]) -> None:
-        """Start the backend in the precision of these cases, and compile their methods."""
-        running = backend.start(
-            self.job.arch, threads=self.job.threads, precision=_precision(cases[0])
-        )
+        """Choose the precision of these cases, and compile their methods."""
+        self._choose_device(_precision(cases[0]))
         for settings in [case.settings for case in cases]:
             method = repr(settings.localization)
-            if self._sample is not None and _compiled.get(method) is not running:
+            running = start_for(settings.localization.method)
+            if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
                     log = observe(self._sample, settings.sensing)
-                    localize_many([log], [settings.localization])
+                    localize_many([log], [_shortened(settings.localization)])
                 _compiled[method] = running
+
+    def _choose_device(self, precision: AnyPrecision) -> None:
+        backend.choose(self.job.arch, threads=self.job.threads, precision=precision)
 
     def _grow(self) -> dict[int, History]:
         """Grow each structure once for all of its conditions; return them by seed."""
@@ -156,6 +161,7 @@ class _CaseRunner:
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
                 on_progress=advance,
             )  # fmt: skip
+        self.used.add(Used("grow", backend.processor()))
         for seed, history in zip(seeds, grown, strict=True):
             share = self.costs.of(first[seed].name)["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
@@ -199,7 +205,15 @@ class _CaseRunner:
         self._warm_up_methods(cases)
         with self._stage("localize", cases) as advance:
             methods = [case.settings.localization for case in cases]
-            return localize_many(logs, methods, with_observability=True, on_progress=advance)
+            estimates = localize_many(logs, methods, with_observability=True, on_progress=advance)
+        running = start_for(methods[0].method)
+        farthest = [
+            np.abs(estimate.position - log.anchor_position).max() / log.dock_radius
+            for estimate, log in zip(estimates, logs, strict=True)
+        ]
+        error = running.force_error(max(farthest))
+        self.used.add(Used(f"localize by {methods[0].method}", running, error))
+        return estimates
 
     def _store(
         self, case: Case, history: History, log: SensingLog, estimate: Estimate
@@ -228,11 +242,16 @@ class _CaseRunner:
         )
 
 
-def _precision(case: Case) -> Precision:
+def _shortened(params: LocalizationParams) -> LocalizationParams:
+    """Cut the steps of `joint`: few of them compile the same kernels, and devices take longer."""
+    return replace(params, steps=4, hold_steps=2) if isinstance(params, JointParams) else params
+
+
+def _precision(case: Case) -> AnyPrecision:
     return case.settings.precision
 
 
-def _method(case: Case) -> tuple[str, Precision]:
+def _method(case: Case) -> tuple[str, AnyPrecision]:
     """Return method and precision; cases that share them are localized side by side."""
     return case.settings.localization.method, case.settings.precision
 

@@ -19,7 +19,6 @@ from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
-from tiswarm.params import Arch
 from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
@@ -88,7 +87,6 @@ def tune(
     conditions: Sequence[str],
     progress: Progress,
     objective: Objective = "sse",
-    arch: Arch = "cpu",
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Fit gains to the least error over training structures, one set for all conditions.
@@ -101,7 +99,6 @@ def tune(
         conditions: Conditions to include; all if empty.
         progress: Receives progress reports.
         objective: What to minimize: the mean of the SSE, as the paper does, or of the RMSE.
-        arch: Device.
         threads: CPU threads; all if None.
 
     Returns:
@@ -131,7 +128,7 @@ def tune(
     done = _read_trials(path, record)
     first = {name: done[0][name] for name in ranges} if done else start
     study = _replayed_study(first, done, ranges, score, path)
-    backend.start(arch, threads=threads)
+    backend.start(threads=threads)
     if len(done) < trials:
         cases = _training_cases(points, seeds, progress)
         with progress.task("fit", trials - len(done)) as advance:

@@ -57,9 +57,7 @@ def grow(
         One history a seed, in that order. Where growth ended early its `ended` says why, and
         what had grown is kept.
     """
-    running = backend.current()
-    # A flip that stops within 1e-9 R of the true contact needs float64 on any device.
-    backend.start(running.arch, threads=running.threads, precision="f64")
+    running = backend.processor()
     batch = _GrowthBatch(params, robots, seeds, robot)
     with ThreadPoolExecutor(running.threads) as threads:
         while batch.spawn():

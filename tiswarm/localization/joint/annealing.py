@@ -17,6 +17,7 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
+from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.force_kernels import INERTIA, TOTAL, YAW
@@ -37,6 +38,10 @@ from tiswarm.measurements.rows import SPACING
 from tiswarm.progress import ignore
 from tiswarm.records.sensing_log import SensingLog
 
+_SHORT_LOOP = 10_000
+"""Most robots of a structure on a device that stops long loops."""
+_BYTES = 1_000
+"""Memory of a robot in one chain on the device, in f64 [B]."""
 _AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """A row of the kernel's headings to begin with."""
 
@@ -76,6 +81,11 @@ class Annealer:
             inertia_factor: Factor of every mass; 4 halves the steps.
         """
         running = backend.current()
+        if max(log.robot_count for log in logs) > _SHORT_LOOP and not running.ends_long_loops:
+            raise EnvironmentTroubleError(
+                f"{running.card or running.arch} stops long loops, and joint needs one over all "
+                f"robots; localize at most {_SHORT_LOOP} robots, or use --arch cpu"
+            )
         self.memory = memory = Allocator(running, on_host=False)
         self.shared = params[0]
         self.problems = problems
@@ -103,6 +113,7 @@ class Annealer:
             for log, problem in zip(logs, problems, strict=True)
         ]
         position = np.concatenate(guess, axis=1)[:, self.order].reshape(-1, 3)
+        running.require_memory(len(position) * _BYTES, len(self.order))
         arm = np.concatenate(
             [dock_offsets(g.orientation_wxyz, g.dock_offset_body / g.dock_radius) for g in logs]
         )[self.order]
@@ -235,8 +246,11 @@ class Annealer:
 
     def advance(self, until: int) -> None:
         """Take steps until so many have been taken."""
-        rows, blocks = self.neighbors, self.blocks
-        while (blocks.taken.to_numpy().min() if self.by_block else blocks.taken[0]) < until:
+        rows, blocks, before = self.neighbors, self.blocks, -1
+        while (taken := self._taken()) < until:
+            if not self.by_block and taken == before:
+                raise backend.faulty_driver()
+            before = taken
             if not self.by_block and blocks.age[0] == STALE:
                 note_places(self.swarm.position, blocks.listed)
                 rows.cutoff = self.near + blocks.skin[0]
@@ -252,6 +266,11 @@ class Annealer:
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 blocks.age.fill(STALE)
+
+    def _taken(self) -> int:
+        """Return how many steps the slowest block has taken."""
+        taken = self.blocks.taken
+        return int(taken.to_numpy().min() if self.by_block else taken[0])
 
     def temperatures(self, step: int) -> Reals:
         """Compute the kinetic temperature of each chain, relative to its target at a step.

@@ -218,7 +218,7 @@ def taichi_tracer(scene: Scene) -> Trace:
     from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
     from tiswarm.report.render.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
 
-    backend.current()
+    backend.processor()
     camera = scene.camera
     start, end = (camera.project(ends.astype(np.float64)) for ends in (scene.start, scene.end))
     nearest: Reals = np.minimum(start[:, 2], end[:, 2]) - scene.radius

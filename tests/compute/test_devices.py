@@ -1,0 +1,198 @@
+"""What graphics cards compute agrees with the processor; software Vulkan stands in for them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tiswarm
+from tests import runs
+from tests.devices import LIBRARIES, run_child, vulkan_environment
+from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tiswarm.compute import backend
+from tiswarm.engine import kernels
+from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.localization import registry
+from tiswarm.localization.joint import annealing
+from tiswarm.localization.joint.annealing import Annealer
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.params import JointParams
+from tiswarm.records.positions import write_estimate
+from tiswarm.sensing import SensingParams, observe
+
+BATCH = np.repeat(np.arange(10), 100)
+"""Structures of the scene `batch`."""
+
+on_each_library = pytest.mark.parametrize("library", LIBRARIES)
+
+
+def _relaxed(arch: str, scene: str, steps: int):
+    structure = BATCH if scene == "batch" else None
+    position, orientation, contacts = swarm(1_000, 6)
+    if scene == "batch":
+        contacts = contacts[BATCH[contacts[:, 0]] == BATCH[contacts[:, 2]]]
+    return position, tiswarm.relax(
+        position, orientation, contacts, robot=ROBOT, ramp=0.5, steps=steps,
+        structure=structure, arch=arch, **GAINS,
+    )  # fmt: skip
+
+
+_RELAX = """
+import json
+from tests.compute.test_devices import _relaxed
+from tiswarm import doctor
+from tiswarm.compute import backend
+from tiswarm.errors import EnvironmentTroubleError
+assert backend.start("auto").arch == "cpu"
+try: backend.start("vulkan", precision="f64")
+except EnvironmentTroubleError as error: assert "use --arch cpu, or precision auto" in str(error)
+else: raise AssertionError
+assert "vulkan (llvmpipe" in doctor.try_backend("vulkan")
+found = {}
+for scene in ("block", "batch"):
+    for steps in (1, 10, 10):
+        _, result = _relaxed("vulkan", scene, steps)
+        row = [result.position.tolist(), result.list_builds, result.precision, result.force_error]
+        found.setdefault(f"{scene} {steps}", []).append(row)
+print(json.dumps(found))
+"""
+
+
+@on_each_library
+def test_a_device_takes_the_steps_of_the_processor(library):
+    """A swarm and a batch, to the stated error of forces; lists as often, the same bytes twice.
+
+    The doctor is content with it, f64 is refused, and `auto` takes no software.
+    """
+    found = json.loads(run_child(_RELAX, **vulkan_environment(library)))
+
+    for key, rows in found.items():
+        scene, steps = key.split()
+        start, expected = _relaxed("cpu", scene, int(steps))
+        for position, list_builds, precision, force_error in rows:
+            assert precision == "f32"
+            assert list_builds == expected.list_builds
+            longest = np.abs(expected.position - start).max()
+            np.testing.assert_allclose(
+                position, expected.position, rtol=0, atol=int(steps) * force_error * longest
+            )
+        assert all(row == rows[0] for row in rows)
+
+
+def _annealed(logs, by_block):
+    """Take five steps of two chains, blocks as for `Annealer`; return the places."""
+    params = [JointParams(chains=2, steps=20, hold_steps=10)] * len(logs)
+    problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
+    annealer = Annealer(logs, params, problems, by_block=by_block)
+    annealer.advance(5)
+    return annealer.by_robot(annealer.swarm.position)
+
+
+_JOINT = """
+import numpy as np
+from tests.compute.test_devices import _annealed
+from tiswarm.compute import backend
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
+noise = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+towers = grow(TowerParams(), robots=20, seeds=[0, 1], robot=RobotGeometry())
+logs = [observe(tower, noise) for tower in towers]
+right = [_annealed(logs, by_block) for by_block in (True, False)]
+assert np.array_equal(*right)
+assert not backend.start("vulkan").ends_long_loops
+print(np.abs(_annealed(logs, None) - right[0]).max())
+"""
+
+
+@on_each_library
+def test_a_device_anneals_as_the_processor_does(library):
+    """Five steps of two chains and two towers; later, rounding makes all chains differ."""
+    deviation = float(run_child(_JOINT, **vulkan_environment(library)))
+
+    assert 0.0 < deviation < 1e-4
+
+
+_JOINT_BRIEFLY = "{method: joint, chains: 2, steps: 10, hold_steps: 5, refine: false}"
+_CONDITIONS = (
+    f"{{annealed: {{localization: {_JOINT_BRIEFLY}}}, "
+    "algorithm-1: {localization: {method: virtual-force}}}"
+)
+
+
+@on_each_library
+def test_a_study_uses_the_device_for_joint_alone(tmp_path, library):
+    """Its manifest says so, and the other method gives the bytes of the processor."""
+    done = runs.call(
+        "run", "scenarios/tower.yaml", "--arch", "vulkan", "--no-pictures", "--out", tmp_path,
+        "--set", "robots=12", "--set", "seeds=1", "--set", f"conditions={_CONDITIONS}",
+        **vulkan_environment(library),
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    assert "joint computes on vulkan (llvmpipe" in done.stderr
+    [run] = tmp_path.iterdir()
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["devices"].pop("localize by joint").startswith("vulkan (llvmpipe")
+    assert manifest["devices"] == dict.fromkeys(["grow", "localize by virtual-force"], "cpu in f64")
+    assert 1e-6 < manifest["force_error"] < 1e-3
+    case = run / "cases" / "0-algorithm-1"
+    write_estimate(tmp_path / "here.csv", tiswarm.localize(case / "sensing.jsonl", "virtual-force"))
+    assert (tmp_path / "here.csv").read_bytes() == (case / "estimate.csv").read_bytes()
+
+
+@pytest.mark.parametrize("method", ["virtual-force", "least-squares"])
+def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
+    """Before it is looked for; the message names the method that uses one."""
+    log = observe(towers[0], SensingParams())
+    with pytest.raises(InputError, match=f"{method} always computes on cpu in f64; .* joint"):
+        tiswarm.localize(log, method, arch="metal")
+    with pytest.raises(InputError, match=r"precision: f32 has no use"):
+        tiswarm.localize(log, method, precision="f32")
+    assert registry.start_device([method], "auto").arch == "cpu"
+
+    with pytest.raises(InputError, match="vulkan has no use"):
+        tiswarm.run("tests/tower.yaml", {"robots": 4}, out=tmp_path, arch="vulkan", quiet=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_stages_change_the_device_and_back():
+    """The choice of the user outlasts stages that run on the processor in f64."""
+    backend.start(precision="f32", threads=1)
+
+    assert str(backend.processor()) == "cpu in f64"
+    assert str(backend.device()) == "cpu in f32"
+    assert registry.start_for("virtual-force").precision == "f64"
+    assert registry.start_for("joint").precision == "f32"
+    assert backend.current().threads == 1
+
+
+def test_a_device_that_returns_without_working_is_refused(monkeypatch):
+    """Its memory is as it was; neither the start, nor steps, nor annealings wait for ever."""
+    nothing = lambda *arguments: None  # noqa: E731
+    monkeypatch.setattr(backend, "probe_arithmetic", nothing)
+    with pytest.raises(EnvironmentTroubleError, match="cpu does not compute in f32"):
+        backend.start(precision="f32")
+    monkeypatch.undo()
+    backend.start()
+
+    monkeypatch.setattr(kernels, "step_robots", nothing)
+    with pytest.raises(EnvironmentTroubleError, match="its driver is faulty"):
+        tiswarm.relax(*swarm(2_001), robot=ROBOT, ramp=0.5, steps=3, **GAINS)
+
+
+def test_an_annealing_without_steps_is_refused(towers, monkeypatch):
+    """As on a device that drops its launches; one without long loops takes no large structure."""
+    logs = [observe(towers[0], SensingParams())]
+    monkeypatch.setattr(annealing, "take_steps", lambda *arguments: None)
+    with pytest.raises(EnvironmentTroubleError, match="its driver is faulty"):
+        _annealed(logs, by_block=False)
+
+    monkeypatch.setattr(annealing, "_SHORT_LOOP", 29)
+    running = backend.current()
+    monkeypatch.setattr(
+        backend, "current", lambda: running.__class__(**{**vars(running), "ends_long_loops": False})
+    )
+    with pytest.raises(EnvironmentTroubleError, match="localize at most 29 robots"):
+        _annealed(logs, by_block=False)

@@ -1,0 +1,37 @@
+"""Devices that need no graphics card: software Vulkan, in processes of their own."""
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import pytest
+
+from tests.runs import REPOSITORY, environment
+from tiswarm.doctor import find_software_vulkan
+
+LIBRARIES = [name for name in ("taichi", "quadrants") if find_spec(name)]
+"""Kernel languages that are installed."""
+
+
+def vulkan_environment(library: str) -> dict[str, str]:
+    """Return variables under which software Vulkan is the only card.
+
+    A missing driver fails the test where the set-up could have installed it.
+    """
+    driver = find_software_vulkan()
+    if driver is None:
+        could_install = shutil.which("apt-get") and os.geteuid() == 0
+        (pytest.fail if could_install else pytest.skip)("run: apt-get install mesa-vulkan-drivers")
+    return {"VK_ICD_FILENAMES": str(driver), "TISWARM_BACKEND": library}
+
+
+def run_child(code: str, *arguments: str, **variables: str) -> str:
+    """Run code in a process without bounds checks; return what it prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], cwd=REPOSITORY, env=environment(**variables),
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout

@@ -1,0 +1,121 @@
+"""What the drivers of graphics cards say of them; the kernel library does not pass it on."""
+
+import ctypes
+import functools
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.params import Arch
+
+_SUCCESS = 0
+_CUDA_RATE = 87
+"""CU_DEVICE_ATTRIBUTE_SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO."""
+_HALF_RATE = 2
+
+_PROPERTIES_BYTES = 4096
+"""Room for VkPhysicalDeviceProperties: numbers, from the version to the type, then the name."""
+_TYPE_AT, _NAME_AT = 16, 20
+_IS_PROCESSOR = 4
+"""VK_PHYSICAL_DEVICE_TYPE_CPU."""
+_MOST_CARDS = 16
+
+
+class Card(NamedTuple):
+    """A graphics card, or a processor that stands in for one."""
+
+    name: str
+
+    driver: str
+    """Version of the driver, or of the interface that it offers."""
+
+    is_software: bool
+    """Whether the processor does the work of a card; that is slower than the device cpu."""
+
+    has_fast_f64: bool
+    """Whether f64 takes at most twice the time of f32."""
+
+
+class _VulkanInstance(ctypes.Structure):
+    """VkInstanceCreateInfo."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int32),
+        ("next", ctypes.c_void_p),
+        ("flags", ctypes.c_uint32),
+        ("application", ctypes.c_void_p),
+        ("layers", ctypes.c_uint32),
+        ("layer_names", ctypes.c_void_p),
+        ("extensions", ctypes.c_uint32),
+        ("extension_names", ctypes.c_void_p),
+    )
+
+
+@functools.cache
+def find_card(arch: Arch) -> Card | None:
+    """Ask the driver of CUDA or Vulkan for its card; None if it has none or cannot be asked."""
+    with suppress(OSError, AttributeError):  # no driver, or one without these functions
+        if arch == "cuda":
+            return _cuda_card()
+        if arch == "vulkan":
+            return _vulkan_card()
+    return None
+
+
+def free_cuda_memory() -> int | None:
+    """Ask how much memory of the first CUDA card is free [B]; None if it cannot be asked."""
+    with suppress(OSError, AttributeError):
+        cuda, card = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
+        context, free, total = ctypes.c_void_p(), ctypes.c_size_t(), ctypes.c_size_t()
+        if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(card), 0):
+            return None
+        if cuda.cuDevicePrimaryCtxRetain(ctypes.byref(context), card) != _SUCCESS:
+            return None
+        cuda.cuCtxPushCurrent_v2(context)
+        status = cuda.cuMemGetInfo_v2(ctypes.byref(free), ctypes.byref(total))
+        cuda.cuCtxPopCurrent_v2(ctypes.byref(context))
+        cuda.cuDevicePrimaryCtxRelease_v2(card)
+        return free.value if status == _SUCCESS else None
+    return None
+
+
+def _cuda_card() -> Card | None:
+    cuda, card = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
+    if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(card), 0):
+        return None
+    name, rate, version = ctypes.create_string_buffer(256), ctypes.c_int(), ctypes.c_int()
+    cuda.cuDeviceGetName(name, len(name), card)
+    asked = cuda.cuDeviceGetAttribute(ctypes.byref(rate), _CUDA_RATE, card)
+    cuda.cuDriverGetVersion(ctypes.byref(version))
+    return Card(
+        name=name.value.decode(errors="replace"),
+        driver=f"CUDA {version.value // 1000}.{version.value % 1000 // 10}",
+        is_software=False,
+        has_fast_f64=asked == _SUCCESS and 0 < rate.value <= _HALF_RATE,
+    )
+
+
+def _vulkan_card() -> Card | None:
+    """Return the first card that is none of software, if there is one, else the software."""
+    vulkan, instance = ctypes.CDLL("libvulkan.so.1"), ctypes.c_void_p()
+    wanted = _VulkanInstance(kind=1)
+    if vulkan.vkCreateInstance(ctypes.byref(wanted), None, ctypes.byref(instance)) != _SUCCESS:
+        return None
+    count, cards = ctypes.c_uint32(_MOST_CARDS), (ctypes.c_void_p * _MOST_CARDS)()
+    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), cards)
+    found = []
+    for card in cards[: count.value]:
+        facts = ctypes.create_string_buffer(_PROPERTIES_BYTES)
+        vulkan.vkGetPhysicalDeviceProperties(ctypes.c_void_p(card), facts)
+        version, kind = np.frombuffer(facts.raw, np.uint32)[[0, _TYPE_AT // 4]].tolist()
+        found.append(
+            Card(
+                name=ctypes.string_at(ctypes.byref(facts, _NAME_AT)).decode(errors="replace"),
+                driver=f"Vulkan {version >> 22}.{version >> 12 & 0x3FF}",
+                is_software=kind == _IS_PROCESSOR,
+                has_fast_f64=False,  # its shaders lack sine and cosine in f64
+            )
+        )
+    vulkan.vkDestroyInstance(instance, None)
+    return min(found, key=lambda card: card.is_software, default=None)
