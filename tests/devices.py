@@ -15,15 +15,17 @@ LIBRARIES = [name for name in ("taichi", "quadrants") if find_spec(name)]
 """Kernel languages that are installed."""
 
 
-def vulkan_environment(library: str) -> dict[str, str]:
-    """Return variables under which software Vulkan is the only card.
-
-    A missing driver fails the test where the set-up could have installed it.
-    """
-    driver = find_software_vulkan()
-    if driver is None:
+def require(found: object, packages: str) -> None:
+    """Fail a test for want of system packages where the set-up could have installed them."""
+    if not found:
         could_install = shutil.which("apt-get") and os.geteuid() == 0
-        (pytest.fail if could_install else pytest.skip)("run: apt-get install mesa-vulkan-drivers")
+        (pytest.fail if could_install else pytest.skip)(f"run: apt-get install {packages}")
+
+
+def vulkan_environment(library: str) -> dict[str, str]:
+    """Return variables under which software Vulkan is the only card."""
+    driver = find_software_vulkan()
+    require(driver, "mesa-vulkan-drivers")
     return {"VK_ICD_FILENAMES": str(driver), "TISWARM_BACKEND": library}
 
 

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import importlib.util
 import io
+import shutil
 import subprocess
 import sys
 import time
@@ -145,7 +146,8 @@ def draw_test_picture(renderer: str) -> str:
 def missing_packages() -> list[str]:
     """List missing Debian packages of taichi and open3d; none on other systems than Linux.
 
-    Developers also need software Vulkan, on which tests run the kernels of graphics cards.
+    Developers also need software Vulkan, on which tests run the kernels of graphics cards, and a
+    compiler of C for a stub of CUDA's driver.
     """
     if sys.platform != "linux":
         return []
@@ -158,8 +160,9 @@ def missing_packages() -> list[str]:
     missing = [
         name for library, name in _LIBRARIES.items() if library in needed and not _loads(library)
     ]
-    if importlib.util.find_spec("pytest") and find_software_vulkan() is None:
-        missing.append("mesa-vulkan-drivers")
+    if importlib.util.find_spec("pytest"):
+        missing += [] if find_software_vulkan() else ["mesa-vulkan-drivers"]
+        missing += [] if shutil.which("cc") else ["gcc", "libc6-dev"]
     return missing
 
 

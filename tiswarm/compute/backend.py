@@ -16,7 +16,7 @@ import gc
 import io
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +36,8 @@ from tiswarm.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
 _LONG_LOOP = 100_000
+_BLOCKS = 8
+"""Blocks of threads for each multiprocessor in a loop; more wait for their turn."""
 _ROUNDINGS = 32
 """Largest error of a force, in roundings of the largest coordinate. Rounding a million robots to
 float32 alone, with float64 from there on, causes an error of 17."""
@@ -224,11 +226,16 @@ def _run(choice: _Choice) -> Backend:
     with kernel_cache.sealed(cache):
         pass  # finds damage before the library reads it
     atexit.register(_stop)
-    _init(arch, count, precision, cache)
+    _init(arch, count, precision, cache, blocks=_BLOCKS * card.multiprocessors if card else 0)
     _started = Backend(
         arch=arch, threads=count, precision=precision, library=library,
-        card=card.name if card else "", ends_long_loops=_probe(arch, precision), cache=str(cache),
+        card=card.name if card else "", ends_long_loops=True, cache=str(cache),
     )  # fmt: skip
+    try:
+        _started = replace(_started, ends_long_loops=_probe(arch, precision))
+    except EnvironmentTroubleError:
+        _stop()  # seals the kernels of the probe
+        raise
     return _started
 
 
@@ -261,7 +268,7 @@ def fast_arithmetic() -> Iterator[None]:
         config.fast_math = False
 
 
-def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
+def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks: int) -> None:
     """Call the library's own start-up, quietly, and check what came of it."""
     wanted = getattr(ti, arch)
     real = ti.f64 if precision == "f64" else ti.f32
@@ -273,6 +280,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path) -> None:
         "offline_cache": True,
         "offline_cache_file_path": str(cache),
         "debug": os.environ.get("TISWARM_DEBUG") == "1",
+        "saturating_grid_dim": blocks,  # of threads in a loop, on CUDA; 0 leaves it to the library
     }
     try:
         with contextlib.redirect_stdout(io.StringIO()), _float_state_kept(), naming_shortage():

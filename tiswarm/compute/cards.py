@@ -10,8 +10,8 @@ import numpy as np
 from tiswarm.params import Arch
 
 _SUCCESS = 0
-_CUDA_RATE = 87
-"""CU_DEVICE_ATTRIBUTE_SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO."""
+_CUDA_RATE, _CUDA_MULTIPROCESSORS = 87, 16
+"""CU_DEVICE_ATTRIBUTE_SINGLE_TO_DOUBLE_PRECISION_PERF_RATIO and ..._MULTIPROCESSOR_COUNT."""
 _HALF_RATE = 2
 
 _PROPERTIES_BYTES = 4096
@@ -33,8 +33,11 @@ class Card(NamedTuple):
     is_software: bool
     """Whether the processor does the work of a card; that is slower than the device cpu."""
 
-    has_fast_f64: bool
-    """Whether f64 takes at most twice the time of f32."""
+    has_fast_f64: bool = False
+    """Whether f64 takes at most twice the time of f32. Shaders of Vulkan lack its functions."""
+
+    multiprocessors: int = 0
+    """Parts that run blocks of threads by themselves; 0 where the driver does not say."""
 
 
 class _VulkanInstance(ctypes.Structure):
@@ -84,15 +87,20 @@ def _cuda_card() -> Card | None:
     cuda, card = ctypes.CDLL("libcuda.so.1"), ctypes.c_int()
     if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(card), 0):
         return None
-    name, rate, version = ctypes.create_string_buffer(256), ctypes.c_int(), ctypes.c_int()
+    name, version = ctypes.create_string_buffer(256), ctypes.c_int()
     cuda.cuDeviceGetName(name, len(name), card)
-    asked = cuda.cuDeviceGetAttribute(ctypes.byref(rate), _CUDA_RATE, card)
     cuda.cuDriverGetVersion(ctypes.byref(version))
+    facts = []
+    for attribute in (_CUDA_RATE, _CUDA_MULTIPROCESSORS):
+        value = ctypes.c_int()
+        cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, card)
+        facts.append(value.value)
     return Card(
         name=name.value.decode(errors="replace"),
         driver=f"CUDA {version.value // 1000}.{version.value % 1000 // 10}",
         is_software=False,
-        has_fast_f64=asked == _SUCCESS and 0 < rate.value <= _HALF_RATE,
+        has_fast_f64=0 < facts[0] <= _HALF_RATE,
+        multiprocessors=facts[1],
     )
 
 
@@ -114,7 +122,6 @@ def _vulkan_card() -> Card | None:
                 name=ctypes.string_at(ctypes.byref(facts, _NAME_AT)).decode(errors="replace"),
                 driver=f"Vulkan {version >> 22}.{version >> 12 & 0x3FF}",
                 is_software=kind == _IS_PROCESSOR,
-                has_fast_f64=False,  # its shaders lack sine and cosine in f64
             )
         )
     vulkan.vkDestroyInstance(instance, None)

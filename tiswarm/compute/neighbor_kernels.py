@@ -346,7 +346,7 @@ def fill_rows(
         docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
         buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
     )  # fmt: skip
-    most = 0
+    longest[0] = 0
     robots = row_count.shape[0]
     for first in range(robots):
         if first % run == 0:
@@ -355,5 +355,5 @@ def fill_rows(
                 grid, base, first, last, dock, cells, connections, rows,
                 first // run * run_stride, room,
             )  # fmt: skip
-            ti.atomic_max(most, used)
-    longest[0] = most
+            if used > longest[0]:  # most runs need no atomic operation then
+                ti.atomic_max(longest[0], used)

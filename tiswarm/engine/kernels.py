@@ -8,7 +8,7 @@ never scattered, so runs repeat bit for bit. `grid` is the struct of
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2, Ref, ti
+from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2, Ref, Static, ti
 from tiswarm.compute.math_kernels import rotate, vector_at
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 
@@ -18,8 +18,9 @@ STEPS_A_LAUNCH = 4
 UNKNOWN = -1e30
 """Height of robots that no height pulls."""
 
-TAKEN, STALE = 0, 1
-"""Columns of `control`: steps taken, and whether rows are stale or no step is left."""
+TAKEN, STALE, STRAYED, LONGEST = 0, 1, 2, 3
+"""Columns of `control`: steps taken; whether rows are stale or no step is left; on cards, whether a
+robot strayed too far, and the bits of the longest squared step as an f32."""
 
 
 class Gains(NamedTuple):
@@ -142,7 +143,7 @@ def _step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, 
 
 @ti.kernel
 def step_robots(
-    docks: I32, own_bits: I32, entry_stride: I32,
+    on_card: Static, docks: I32, own_bits: I32, entry_stride: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float,  # Gains
     stray_limit: Float, first_t: I32, ramp: Reals1,
@@ -154,12 +155,16 @@ def step_robots(
 
     One launch takes several steps, since a launch takes as long as a thousand robots do.
 
+    On cards a reduction of real numbers would be a loop of compare-and-swap in every warp. There
+    one robot at most writes a flag, and few the bits of a step, which order as integers do.
+
     Args:
+        on_card: Whether a graphics card computes.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         first_t: Which step comes first.
         ramp: Share of attraction in each step, shape (T,).
-        control: Columns as TAKEN and STALE name them; read and written.
+        control: Columns as TAKEN and others name them; read and written.
         largest_move: Written: longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
@@ -177,11 +182,22 @@ def step_robots(
                 step, way = _step_robot(
                     grid, gains, ramp[first_t + k], base, half - base, robot, rows, robots
                 )
-                ti.atomic_max(moved, step)
-                ti.atomic_max(strayed, way)
+                if ti.static(on_card):
+                    if way > stray_limit * stray_limit:
+                        control[STRAYED] = 1
+                    bits = ti.bit_cast(ti.cast(step, ti.f32), ti.i32)
+                    if bits > control[LONGEST]:
+                        ti.atomic_max(control[LONGEST], bits)
+                else:
+                    ti.atomic_max(moved, step)
+                    ti.atomic_max(strayed, way)
         if control[STALE] == 0:
             control[TAKEN] = t + 1
             gone = strayed > stray_limit * stray_limit or t + 1 == ramp.shape[0]
+            if ti.static(on_card):
+                gone = gone or control[STRAYED] == 1
+                moved = ti.bit_cast(control[LONGEST], ti.f32)
+                control[LONGEST] = 0
             control[STALE] = ti.cast(gone, ti.i32)
             largest_move[t] = ti.sqrt(moved)
 
@@ -229,6 +245,7 @@ def start_interval(position: Reals2, reference: Reals2, control: Ints1):
     for robot, c in ti.ndrange(position.shape[0], 3):
         reference[robot, c] = position[robot, c]
     control[STALE] = 0
+    control[STRAYED] = 0
 
 
 @ti.kernel

@@ -188,7 +188,7 @@ class PreparedSwarm:
             arm=memory.reals(robots * len(body), 3),
             dock=memory.reals(2 * robots * len(body) * 4),
         )
-        self.control, self.moves, self.ramp = memory.ints(2), memory.reals(1), memory.reals(1)
+        self.control, self.moves, self.ramp = memory.ints(4), memory.reals(1), memory.reals(1)
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(ids[order])
         kernels.turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
@@ -254,7 +254,7 @@ class PreparedSwarm:
             self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
         self.memory.refill(self.ramp, ramp)
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
-        control[kernels.TAKEN] = 0
+        control.fill(0)
         while taken < steps:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
@@ -264,9 +264,9 @@ class PreparedSwarm:
                         taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
                     ):
                         kernels.step_robots(
-                            neighbors.docks, neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * _SKIN * self.spacing, t, self.ramp, *neighbors.rows, *robots,
-                            control, self.moves,
+                            self.running.arch != "cpu", neighbors.docks, neighbors.own_bits,
+                            neighbors.entry_stride, *gains, 0.5 * _SKIN * self.spacing, t,
+                            self.ramp, *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
                 if taken == before:

@@ -87,6 +87,7 @@ class Annealer:
                 f"robots; localize at most {_SHORT_LOOP} robots, or use --arch cpu"
             )
         self.memory = memory = Allocator(running, on_host=False)
+        self.on_card = running.arch != "cpu"
         self.shared = params[0]
         self.problems = problems
         self.robust = [p.robust for p in params]
@@ -202,6 +203,7 @@ class Annealer:
             age=upload(np.full(blocks, STALE)),
             skin=upload(np.full(blocks, SKIN)),
             listed=upload(listed.ravel()),
+            strayed=upload(np.zeros(2, np.int64)),
         )
 
     def run(self, on_progress: Callable[[float], None] = ignore) -> list[Annealed]:
@@ -257,8 +259,8 @@ class Annealer:
                 rows.build(blocks.listed, 0)
                 blocks.age.fill(0)
             take_steps(
-                self.by_block, self.docks, self.turning, rows.own_bits, rows.entry_stride,
-                rows.capacity, self.near, self.shared.seed, until, self.steps,
+                self.on_card, self.by_block, self.docks, self.turning, rows.own_bits,
+                rows.entry_stride, rows.capacity, self.near, self.shared.seed, until, self.steps,
                 max(AnnealSchedule.growing * self.steps, 1.0), self.inertia_factor, *self.measured,
                 *self.trees, rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
                 *self.swarm, *blocks,

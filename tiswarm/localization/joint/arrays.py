@@ -188,3 +188,7 @@ class Blocks(NamedTuple):
 
     listed: Reals1
     """Where robots were as rows were built, and last their block [R], rows of four."""
+
+    strayed: Ints1
+    """Whether a robot is beyond half the skin in this step, and beyond a quarter of the thick one;
+    written on graphics cards, shape (2,)."""

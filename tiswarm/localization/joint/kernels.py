@@ -163,18 +163,24 @@ def _move_robot(
 
 
 @ti.func
-def _grow_old(b, strayed, blocks: Ref):
-    """Decide whether the rows of block b serve one more step, and how far the next ones reach.
+def _is_beyond_rows(strayed, b, blocks: Ref):
+    """Whether rows are stale for a robot that went so far from where they were built [R^2]."""
+    return strayed > (0.5 * blocks.skin[b]) ** 2
 
-    Args:
-        b: The block.
-        strayed: Largest squared distance of a robot from where its row was built [R^2].
-        blocks: Ages and skins.
-    """
+
+@ti.func
+def _is_fast(strayed):
+    """Whether thick rows would serve few steps for a robot that went so far in one [R^2]."""
+    return strayed > (0.25 * SKIN) ** 2
+
+
+@ti.func
+def _grow_old(b, is_stale, is_fast, blocks: Ref):
+    """Decide whether the rows of block b serve one more step, and how far the next ones reach."""
     is_new = blocks.age[b] == 0
-    blocks.age[b] = ti.select(strayed > (0.5 * blocks.skin[b]) ** 2, STALE, blocks.age[b] + 1)
+    blocks.age[b] = ti.select(is_stale, STALE, blocks.age[b] + 1)
     if is_new:
-        blocks.skin[b] = ti.select(strayed > (0.25 * SKIN) ** 2, THIN_SKIN, SKIN)
+        blocks.skin[b] = ti.select(is_fast, THIN_SKIN, SKIN)
 
 
 @ti.func
@@ -185,6 +191,7 @@ def _growth_at(t, growing):
 
 @ti.kernel
 def take_steps(
+    on_card: Static,
     by_block: Static,
     docks: Static,
     turning: Static,
@@ -260,10 +267,13 @@ def take_steps(
     age: Ints1,
     skin: Reals1,
     listed: Reals1,
+    strayed: Ints1,
 ):
     """Move every robot but the anchors, from the step that was taken last.
 
     Args:
+        on_card: Whether a graphics card computes; reductions are flags there, as in
+            `tiswarm.engine.kernels.step_robots`.
         by_block: Whether one thread takes all steps of a block, and builds its rows anew when they
             are stale. Else all threads take the next step together, and the host builds rows.
         docks: Docks of a robot.
@@ -303,7 +313,7 @@ def take_steps(
     connections = ti.static(Connections(none_start, none))
     rows = ti.static(Rows(entry, row_first, row_count))
     swarm = ti.static(Swarm(arm, position, velocity, force, mass, heading, total, square_total))
-    blocks = ti.static(Blocks(block_start, taken, age, skin, listed))
+    blocks = ti.static(Blocks(block_start, taken, age, skin, listed, strayed))
     if ti.static(by_block):
         for i in range(taken.shape[0] * GRAIN):
             if i % GRAIN == 0:
@@ -338,13 +348,14 @@ def take_steps(
                                 r, docks, turning, step, robots, contacts, priors, grid, rows, swarm
                             )
                         _move_subtrees(b, step, trees, blocks, swarm)
-                        strayed = 0.0
+                        farthest = 0.0
                         for r in range(start, end):
                             distance = _move_robot(
                                 r, turning, step, robots, priors, trees, blocks, swarm
                             )
-                            strayed = ti.max(strayed, distance)
-                        _grow_old(b, strayed, blocks)
+                            farthest = ti.max(farthest, distance)
+                        is_stale = _is_beyond_rows(farthest, b, blocks)
+                        _grow_old(b, is_stale, _is_fast(farthest), blocks)
                         taken[b] = t + 1
     else:
         t = taken[0]
@@ -355,20 +366,30 @@ def take_steps(
             s = sigma[structure[r % structure.shape[0]], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
             pull_robot(r, docks, turning, step, robots, contacts, priors, grid, rows, swarm)
-        for i in range((block_start.shape[0] - 1) * GRAIN):
-            if i % GRAIN == 0:
-                b = i // GRAIN
+        grain = ti.static(1 if on_card else GRAIN)
+        for i in range((block_start.shape[0] - 1) * grain):
+            if i % grain == 0:
+                b = i // grain
                 s = sigma[b % sigma.shape[0], t]
                 step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
                 _move_subtrees(b, step, trees, blocks, swarm)
-        strayed = 0.0
+        farthest = 0.0
+        strayed[0] = 0
+        strayed[1] = 0
         for r in range(row_count.shape[0]):
             s = sigma[structure[r % structure.shape[0]], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
             distance = _move_robot(r, turning, step, robots, priors, trees, blocks, swarm)
-            ti.atomic_max(strayed, distance)
+            if ti.static(on_card):
+                if _is_beyond_rows(distance, 0, blocks):
+                    strayed[0] = 1
+                if _is_fast(distance):
+                    strayed[1] = 1
+            else:
+                ti.atomic_max(farthest, distance)
         taken[0] = t + 1
-        _grow_old(0, strayed, blocks)
+        is_stale = _is_beyond_rows(farthest, 0, blocks) or strayed[0] == 1
+        _grow_old(0, is_stale, _is_fast(farthest) or strayed[1] == 1, blocks)
 
 
 @ti.kernel
