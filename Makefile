@@ -3,6 +3,10 @@
 # Empty: the newest Python that suits. Otherwise: make run PYTHON=/path/to/python3.12
 PYTHON =
 SCENARIO = scenarios/tower.yaml
+# What `make gpu` examines: cuda, vulkan or metal. A quick trial of the command itself:
+# make gpu ARCH=vulkan GPU_OPTIONS='--brief --sizes 1e3 --joint-sizes 20 40'
+ARCH = cuda
+GPU_OPTIONS =
 # `make run SYSTEM_LIBRARIES=no` leaves the machine's own packages alone.
 SYSTEM_LIBRARIES = yes
 
@@ -18,7 +22,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test lint format clean unusable
+.PHONY: help run test gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -28,6 +32,9 @@ run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=sc
 
 test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
 	$(bin)/python -m pytest -n auto
+
+gpu: $(installed_dev) $(system_checked)  ## Check and measure a graphics card (ARCH=cuda)
+	$(bin)/python -m benchmarks.gpu --arch $(ARCH) $(GPU_OPTIONS)
 
 lint: $(installed_dev)  ## Check format, style, types and architecture
 	$(bin)/ruff format --check --quiet .

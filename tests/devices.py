@@ -1,4 +1,7 @@
-"""Devices that need no graphics card: software Vulkan, in processes of their own."""
+"""Devices to test: software Vulkan, which needs no graphics card, or a card that a variable names.
+
+`TISWARM_TEST_ARCH=cuda pytest tests/compute/test_devices.py` tests that of this machine.
+"""
 
 import os
 import shutil
@@ -11,6 +14,7 @@ import pytest
 from tests.runs import REPOSITORY, environment
 from tiswarm.doctor import find_software_vulkan
 
+ARCH = os.environ.get("TISWARM_TEST_ARCH", "vulkan")
 LIBRARIES = [name for name in ("taichi", "quadrants") if find_spec(name)]
 """Kernel languages that are installed."""
 
@@ -22,8 +26,10 @@ def require(found: object, packages: str) -> None:
         (pytest.fail if could_install else pytest.skip)(f"run: apt-get install {packages}")
 
 
-def vulkan_environment(library: str) -> dict[str, str]:
-    """Return variables under which software Vulkan is the only card."""
+def device_environment(library: str) -> dict[str, str]:
+    """Return variables of a process on the device; software Vulkan is the only card in its own."""
+    if "TISWARM_TEST_ARCH" in os.environ:
+        return {"TISWARM_BACKEND": library}
     driver = find_software_vulkan()
     require(driver, "mesa-vulkan-drivers")
     return {"VK_ICD_FILENAMES": str(driver), "TISWARM_BACKEND": library}

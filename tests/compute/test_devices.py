@@ -7,7 +7,7 @@ import pytest
 
 import tiswarm
 from tests import runs
-from tests.devices import LIBRARIES, run_child, vulkan_environment
+from tests.devices import ARCH, LIBRARIES, device_environment, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm.compute import backend
 from tiswarm.engine import kernels
@@ -38,20 +38,23 @@ def _relaxed(arch: str, scene: str, steps: int):
 
 
 _RELAX = """
-import json
+import json, sys
 from tests.compute.test_devices import _relaxed
+from tests.devices import ARCH
 from tiswarm import doctor
-from tiswarm.compute import backend
+from tiswarm.compute import backend, cards
 from tiswarm.errors import EnvironmentTroubleError
-assert backend.start("auto").arch == "cpu"
-try: backend.start("vulkan", precision="f64")
-except EnvironmentTroubleError as error: assert "use --arch cpu, or precision auto" in str(error)
-else: raise AssertionError
-assert "vulkan (llvmpipe" in doctor.try_backend("vulkan")
+card = cards.find_card(ARCH)
+assert backend.start("auto").arch == ("cpu" if card and card.is_software else ARCH)
+if ARCH == "vulkan":
+    try: backend.start(ARCH, precision="f64")
+    except EnvironmentTroubleError as error: assert "--arch cpu, or precision auto" in str(error)
+    else: raise AssertionError
+print(doctor.try_backend(ARCH), file=sys.stderr)
 found = {}
 for scene in ("block", "batch"):
     for steps in (1, 10, 10):
-        _, result = _relaxed("vulkan", scene, steps)
+        _, result = _relaxed(ARCH, scene, steps)
         row = [result.position.tolist(), result.list_builds, result.precision, result.force_error]
         found.setdefault(f"{scene} {steps}", []).append(row)
 print(json.dumps(found))
@@ -62,15 +65,15 @@ print(json.dumps(found))
 def test_a_device_takes_the_steps_of_the_processor(library):
     """A swarm and a batch, to the stated error of forces; lists as often, the same bytes twice.
 
-    The doctor is content with it, f64 is refused, and `auto` takes no software.
+    The doctor is content with it; Vulkan is refused in f64, and `auto` takes no software.
     """
-    found = json.loads(run_child(_RELAX, **vulkan_environment(library)))
+    found = json.loads(run_child(_RELAX, **device_environment(library)))
 
     for key, rows in found.items():
         scene, steps = key.split()
         start, expected = _relaxed("cpu", scene, int(steps))
         for position, list_builds, precision, force_error in rows:
-            assert precision == "f32"
+            assert precision == "f32" or ARCH == "cuda"
             assert list_builds == expected.list_builds
             longest = np.abs(expected.position - start).max()
             np.testing.assert_allclose(
@@ -91,7 +94,8 @@ def _annealed(logs, by_block):
 _JOINT = """
 import numpy as np
 from tests.compute.test_devices import _annealed
-from tiswarm.compute import backend
+from tests.devices import ARCH
+from tiswarm.compute import backend, cards
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
@@ -101,7 +105,8 @@ towers = grow(TowerParams(), robots=20, seeds=[0, 1], robot=RobotGeometry())
 logs = [observe(tower, noise) for tower in towers]
 right = [_annealed(logs, by_block) for by_block in (True, False)]
 assert np.array_equal(*right)
-assert not backend.start("vulkan").ends_long_loops
+card = cards.find_card(ARCH)
+assert backend.start(ARCH).ends_long_loops != bool(card and card.is_software)
 print(np.abs(_annealed(logs, None) - right[0]).max())
 """
 
@@ -109,9 +114,9 @@ print(np.abs(_annealed(logs, None) - right[0]).max())
 @on_each_library
 def test_a_device_anneals_as_the_processor_does(library):
     """Five steps of two chains and two towers; later, rounding makes all chains differ."""
-    deviation = float(run_child(_JOINT, **vulkan_environment(library)))
+    deviation = float(run_child(_JOINT, **device_environment(library)))
 
-    assert 0.0 < deviation < 1e-4
+    assert deviation < 1e-4
 
 
 _JOINT_BRIEFLY = "{method: joint, chains: 2, steps: 10, hold_steps: 5, refine: false}"
@@ -125,18 +130,18 @@ _CONDITIONS = (
 def test_a_study_uses_the_device_for_joint_alone(tmp_path, library):
     """Its manifest says so, and the other method gives the bytes of the processor."""
     done = runs.call(
-        "run", "scenarios/tower.yaml", "--arch", "vulkan", "--no-pictures", "--out", tmp_path,
+        "run", "scenarios/tower.yaml", "--arch", ARCH, "--no-pictures", "--out", tmp_path,
         "--set", "robots=12", "--set", "seeds=1", "--set", f"conditions={_CONDITIONS}",
-        **vulkan_environment(library),
+        **device_environment(library),
     )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
-    assert "joint computes on vulkan (llvmpipe" in done.stderr
+    assert f"joint computes on {ARCH}" in done.stderr
     [run] = tmp_path.iterdir()
     manifest = json.loads((run / "manifest.json").read_text())
-    assert manifest["devices"].pop("localize by joint").startswith("vulkan (llvmpipe")
+    assert manifest["devices"].pop("localize by joint").startswith(ARCH)
     assert manifest["devices"] == dict.fromkeys(["grow", "localize by virtual-force"], "cpu in f64")
-    assert 1e-6 < manifest["force_error"] < 1e-3
+    assert 0.0 < manifest["force_error"] < 1e-3
     case = run / "cases" / "0-algorithm-1"
     write_estimate(tmp_path / "here.csv", tiswarm.localize(case / "sensing.jsonl", "virtual-force"))
     assert (tmp_path / "here.csv").read_bytes() == (case / "estimate.csv").read_bytes()

@@ -96,7 +96,13 @@ ENGINES = {
     "stream-f32": Entry(engine="c_lists:Streaming", precision="float32"),
     "tiswarm-f64-all": _ours(threads=ALL),
     "numba-f64-all": Entry(engine="numba_lists:NumbaLists", threads=ALL),
+    "tiswarm-cuda-f64": _ours(arch="cuda"),
     "tiswarm-cuda-f32": _ours("float32", arch="cuda"),
+    "quadrants-cuda-f64": _ours(arch="cuda", library="quadrants"),
+    "quadrants-cuda-f32": _ours("float32", arch="cuda", library="quadrants"),
+    "warp-cuda-f64": _warp("float64", "cuda"),
     "warp-cuda-f32": _warp("float32", "cuda"),
+    "tiswarm-vulkan-f32": _ours("float32", arch="vulkan"),
+    "tiswarm-metal-f32": _ours("float32", arch="metal"),
 }
 """Every engine; one thread, unless the name ends in `all`."""
