@@ -102,7 +102,7 @@ def in_sight(history: History, views: Views) -> Bools:
     near = _near_part(views, dock.min(axis=0) - reach, dock.max(axis=0) + reach)
     robots = np.column_stack([views.joined, views.robot, views.other]).astype(np.int32)
     blocked = np.empty(len(robots), np.int32)
-    backend.current()
+    backend.processor()
     find_blocked(
         limits, dock, *Segments(views.start, views.end, near, robots),
         *CellList.allocate(1, len(dock)), blocked,
