@@ -13,7 +13,7 @@ PAGES = [
     *(REPOSITORY / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *sorted((REPOSITORY / "docs").rglob("*.md")),
 ]
-NAMED = r"\b((?:scenarios|tests|docs)/[\w./-]+\.(?:csv|json|md|py|yaml))"
+NAMED = r"\b((?:scenarios|tests|docs)/[\w./-]+\.(?:csv|jsonl|json|md|py|yaml))"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
