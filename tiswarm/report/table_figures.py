@@ -273,6 +273,8 @@ def draw_shape(run: RunData) -> "Figure":
         end = (table[f"{name}_mean"] + table[f"{name}_ci95"].fillna(0.0)).max()
         top = float(np.nan_to_num(end)) or 1.0
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
+    for axes in panels:
+        axes.tick_params(axis="x", labelsize=6.0)
     number = counted(int(table["cases"].max()), "structure")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=_MOST_COLUMNS,
