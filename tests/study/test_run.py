@@ -74,7 +74,9 @@ def test_robots_of_any_docks_are_grown_and_localized(tiswarm, tmp_path):
     logs = sorted(
         read_sensing_log(path).dock_offset_body.tolist() for path in run.glob("*/*/sensing.jsonl")
     )
+    drawn = tiswarm("report", run)
 
+    assert drawn.returncode == 0, drawn.stderr
     assert (pd.read_csv(run / "summary.csv")["status"] == "done").all()
     assert docks in logs
     assert [len(offsets) for offsets in logs if offsets != docks] == [8]
