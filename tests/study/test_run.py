@@ -31,7 +31,12 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             "structure.solve_every=20",
             "conditions.joint.localization.steps=200",
         ],
-        "robot-shape": ["robots=8", "robot.rho=1.8", f"sweep={{robot.shape: {[*SHAPES]}}}"],
+        "robot-shape": [
+            "robots=6",
+            "robot.rho=1.8",
+            f"sweep={{robot.shape: {[*SHAPES]}}}",
+            "conditions.joint.localization.steps=200",
+        ],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
