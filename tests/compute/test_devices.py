@@ -11,6 +11,7 @@ from tests.devices import ARCH, LIBRARIES, device_environment, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm.compute import backend
 from tiswarm.engine import kernels
+from tiswarm.engine.relax import PreparedSwarm
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization import registry
 from tiswarm.localization.joint import annealing
@@ -171,6 +172,16 @@ def test_stages_change_the_device_and_back():
     assert registry.start_for("virtual-force").precision == "f64"
     assert registry.start_for("joint").precision == "f32"
     assert backend.current().threads == 1
+
+
+def test_a_swarm_on_a_device_that_stopped_is_refused():
+    """Its arrays are gone; a launch would read other memory."""
+    position, orientation, contacts = swarm(2_001)
+    prepared = PreparedSwarm(position, orientation, contacts, robot=ROBOT, precision="f32")
+    backend.processor()
+
+    with pytest.raises(InputError, match="prepare it again"):
+        prepared.relax(ramp=0.5, steps=1, **GAINS)
 
 
 def test_a_device_that_returns_without_working_is_refused(monkeypatch):

@@ -219,6 +219,8 @@ class PreparedSwarm:
         position = self.start_position.copy()
         if steps == 0 or len(position) == 0:
             return self._result(position, np.zeros(steps), 0)
+        if backend.current() is not self.running and not self.by_structure:
+            raise InputError("another device started, which freed the swarm; prepare it again")
         relax = self._by_structure if self.by_structure else self._all_at_once
         self._go_to_start()
         moves, builds = relax(gains, np.broadcast_to(ramps, steps))
