@@ -11,11 +11,14 @@ from scipy.spatial.transform import Rotation
 from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute import backend
+from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
+from tiswarm.compute.lang import Ints1, Ints2, Reals1, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
 from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.virtual_force_kernels import Gains, Robots, _dock_at, _gains_of, _move
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
@@ -226,6 +229,43 @@ def test_the_precision_of_the_device_changes_nothing(log):
     found = localize(log, SHORT).position
 
     np.testing.assert_array_equal(found, expected)
+
+
+@ti.kernel
+def _step_once(
+    gains_table: Reals2, step: Reals2, head: Ints2, following: Ints2, dock_offset: Reals3,
+    yaw: Reals1, position: Reals2, found: Ints1,
+):  # fmt: skip
+    cells = ti.static(CellList(head, following))
+    robots = ti.static(Robots(dock_offset, yaw, position))
+    gains = _gains_of(gains_table, 0)
+    ti.loop_config(serialize=True)
+    for i in range(position.shape[0]):
+        link(cells, 0, i, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing))
+        move = ti.Vector([step[i, 0], step[i, 1], step[i, 2]])
+        _move(gains, i, 0, 0, move, 0.0, robots, cells)
+        item = first_item(cells, 0, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing), 13)
+        while item >= 0:
+            found[i] += item == i
+            item = following[0, item]
+
+
+def test_docks_that_rounding_moves_across_a_face_are_found_again():
+    """A dock is listed in the cube of its rounded place, where the next step unlinks it."""
+    place, arm = np.random.default_rng(0).uniform(-9.0, 9.0, (2, 20_000, 3))
+    step = 2.0 - arm - place
+    across = np.floor((place + arm + step) / 2.0) != np.floor((place + step + arm) / 2.0)
+    at_face = across.any(axis=1)
+    place, arm, step = place[at_face], arm[at_face, None], step[at_face]
+    gains = np.array([[getattr(SHORT, name, 2.0) for name in Gains._fields]], float)
+    found = np.zeros(len(place), np.int32)
+
+    _step_once(
+        gains, step, *CellList.allocate(1, len(place)), arm, np.zeros(len(place)), place, found
+    )
+
+    assert len(place) > 100
+    assert (found == 1).all()
 
 
 def test_a_launch_that_does_nothing_is_noticed(log, monkeypatch):

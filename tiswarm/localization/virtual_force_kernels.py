@@ -318,14 +318,15 @@ def _turn_of(gains: Ref, torque, share, turned):
 def _move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref):
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     docks = robots.dock_offset.shape[1]
+    there = vector_at(robots.position, robot) + step  # as rounded, so that docks are found again
     for k in range(docks):
         item = (robot - base) * docks + k
         old = cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing)
         turn_dock(turn, robot, k, robots.dock_offset)
-        new = cube_of(_dock_at(robots, robot, k) + step, 1.0 / gains.spacing)
+        new = cube_of(there + vector_in(robots.dock_offset, robot, k), 1.0 / gains.spacing)
         relink(cells, structure, item, old, new)
     robots.yaw[robot] += turn
-    _write_position(robots, robot, vector_at(robots.position, robot) + step)
+    _write_position(robots, robot, there)
 
 
 @ti.kernel
