@@ -17,6 +17,10 @@ CAPTIONS = {
     "error-along-growth": "Error of each robot against its place along the structure, a panel for "
     "each kind of structure. A dot is a robot; its color is its join index, the order in which "
     "robots joined.",
+    "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
+    "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
+    "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "
+    "are 95 % CI. Farther left and lower is better.",
     "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
     "hops (contacts on the shortest way to the anchor) and number of contacts. Bands cover the "
     "errors of 80 % of these robots. Numbers above count "

@@ -23,6 +23,7 @@ from tiswarm.report.figure_style import (
     shortened,
 )
 from tiswarm.report.run_data import Case, RunData, Series
+from tiswarm.report.suite_figure import draw_suites
 from tiswarm.report.table_figures import (
     compares_rounds,
     draw_accuracy,
@@ -97,6 +98,8 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
         painters["accuracy"] = draw_accuracy
         if run.sweeps_robot:
             painters["shape"] = draw_shape
+    if (run.folder / "suites.csv").is_file():
+        painters["price-and-error"] = draw_suites
     if compares_rounds(run):
         painters["back-propagation"] = draw_rounds
     return painters | profile_painters(run)

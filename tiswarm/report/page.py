@@ -35,7 +35,16 @@ from tiswarm.scenario.yaml_source import read_yaml
 LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
 
-_FIRST = ("accuracy", "convergence", "structure", "truth-and-estimate", "error", "sd", "contact")
+_FIRST = (
+    "price",
+    "accuracy",
+    "convergence",
+    "structure",
+    "truth-and-estimate",
+    "error",
+    "sd",
+    "contact",
+)
 """Beginnings of the names of the first pictures; others follow by name."""
 
 
@@ -117,6 +126,8 @@ def _gather(run: RunData) -> Page:
     words = ["condition", "against", "measure"]
     numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
     paired = run.table("paired.csv", words, numbers, after="measure", optional=True)
+    words = ["condition", "suite", "way", "needs"]
+    suites = run.table("suites.csv", words, ["rmse_R_mean"], after="cases", optional=True)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),
@@ -126,7 +137,7 @@ def _gather(run: RunData) -> Page:
         warnings=warnings_of(run.summary),
         notes=notes_of(run.summary, manifest),
         headline=headline_table(table),
-        tables=result_tables(table, paired),
+        tables=result_tables(table, paired, suites),
         view=build_view(run),
         rows=case_table(run.summary),
         rows_example=f"{table['condition'].iloc[0]} done",

@@ -39,6 +39,7 @@ _CALIBRATION = [
     ("robots located", "located"),
     ("RMSE of robots located [R]", "rmse_located_R"),
 ]
+_SUITES = [*_CALIBRATION[-2:], ("RMSE of all [R]", "rmse_R"), *_ACCURACY[1:], *_LIMITS[1:2]]
 _ANCHOR = [
     ("first robot", "first_on_anchor"),
     ("second robot", "second_on_anchor"),
@@ -119,10 +120,14 @@ def headline_table(table: pd.DataFrame) -> Table:
     return _labeled(swept_words(rows), columns, "Accuracy", " ".join(notes))
 
 
-def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
-    """Format the other results of a run; `paired` may be empty."""
+def result_tables(
+    table: pd.DataFrame, paired: pd.DataFrame, suites: pd.DataFrame | None = None
+) -> list[Table]:
+    """Format the other results of a run; `paired` and `suites` may be empty."""
     words = swept_words(table)
     tables = []
+    if suites is not None and len(suites):
+        tables.append(_measured_suites(suites))
     if table["paper_rmse_radii"].notna().any():
         tables.append(_beside_the_paper(table))
     if len(paired):
@@ -156,6 +161,24 @@ def result_tables(table: pd.DataFrame, paired: pd.DataFrame) -> list[Table]:
         shown = _labeled(words, anchor, "Robots on the anchor", note)
         tables.append(replace(shown, frame=_once(shown.frame)))
     return tables
+
+
+def _measured_suites(suites: pd.DataFrame) -> Table:
+    """Format prices of sensor suites beside what robots achieve with them."""
+    note = (
+        "Prices [USD] are those of the paper's Table I: of the sensors of so many robots, touch "
+        "included, and of what the suite needs, if Table I states it. Where a method does not "
+        "place robots one by one, robots are located if its cues determine their positions, up to "
+        "mirror images. Systems of a lattice, m-blocks and atron, cannot build these structures: "
+        "their rows mean FireAntV3 robots whose docks know the pose of a connection."
+    )
+    prices = [name for name in map(str, suites) if name.startswith("usd_")]
+    columns = {
+        f"{int(name.removeprefix('usd_')):,} robots [USD]": _numbers(suites[name])
+        for name in prices
+    }
+    words = swept_words(suites).drop(columns=["suite", "way"])
+    return _labeled(words, columns | _means(suites, _SUITES), "Table I, measured", note)
 
 
 def _once(frame: pd.DataFrame) -> pd.DataFrame:

@@ -66,6 +66,15 @@ class Suite:
     figures: tuple[Figure, ...]
     """Sources of its accuracy and reach."""
 
+    def price(self, robots: int, *, touch: bool = False) -> float:
+        """Compute the price of the sensors of a swarm, and of what stands around it, if stated.
+
+        `touch` adds the sensors of FireAntV3 to robots without them [USD].
+        """
+        has_touch = not self.settings
+        added = SUITES["fireant-v3"].robot_usd if touch and not has_touch else 0.0
+        return robots * (self.robot_usd + added) + (self.infrastructure_usd or 0.0)
+
 
 _SUITES = (
     Suite(

@@ -164,6 +164,8 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
     }
     if len({setting.robots for setting in settings}) > 1:
         written["scaling"] = tables.scaling(cases, records, costs)
+    if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
+        written["suites"] = tables.suites(records, settings, folder.cases)
     for name, content in written.items():
         write_frame(content, folder.path / f"{name}.csv")
 

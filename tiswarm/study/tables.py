@@ -7,6 +7,7 @@
 | `paired.csv` | measure and pair of conditions, on the same structures |
 | `profiles.csv` | condition and range of robots that are alike |
 | `scaling.csv` | series, measure and number of robots |
+| `suites.csv` | condition and point, with the price of the sensors |
 | `comparison.csv` | row of `table.csv` of each run |
 """
 
@@ -31,6 +32,7 @@ from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
+from tiswarm.sensing.suites import SUITES
 from tiswarm.study.cases import Case, point_text, series_text, structures
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord, RunFolder
@@ -45,6 +47,10 @@ _AVERAGED = (
     "located", "rmse_located_R",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
+_OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
+_PRICED = (1, 100, 1_000, 10_000)
+"""Robots whose sensors have a price in `suites.csv`."""
+
 _SCALED = ("rmse_R", "procrustes_disparity")
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
@@ -214,6 +220,58 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         return pd.DataFrame(columns=["condition", "by"])
     every = pd.concat(parts, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), every], axis=1)
+
+
+# --- sensor suites ---------------------------------------------------------------------------
+
+
+def suites(
+    records: Sequence[CaseRecord], settings: Sequence[Scenario], cases: Path
+) -> pd.DataFrame:
+    """Tabulate what the sensors of each point and condition cost, and how well robots localize.
+
+    A method that places robots one by one states which are located. With any other, those are
+    located whose positions its cues determine. Means are over structures.
+    """
+    setting_of = dict(zip([record.case for record in records], settings, strict=True))
+    rows = []
+    for group in _grouped(records, lambda record: record.series):
+        first, setting = group[0], setting_of[group[0].case]
+        suite, touch = SUITES[setting.sensing.suite], setting.sensing.touch
+        done = [
+            {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
+        ]
+        row = {
+            "condition": first.condition,
+            **first.point,
+            "suite": suite.name,
+            "way": setting.localization.method + ", touch" * touch,
+            "needs": suite.needs,
+            "cases": len(done),
+            **{f"usd_{n}": suite.price(n, touch=touch) for n in _PRICED},
+        }
+        scores = pd.DataFrame(done, columns=list(_OF_SUITES), dtype=float)
+        for name in _OF_SUITES:
+            found = mean_std_ci95(scores[name].to_numpy())
+            row |= {f"{name}_mean": found["mean"], f"{name}_ci95": found["ci95"]}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _located(case: Path) -> dict[str, float]:
+    """Return the share of robots located and their RMSE, both without the anchor.
+
+    NaN where nothing states it.
+    """
+    estimate = read_frame(case / "estimate.csv", ["known"]).iloc[1:]
+    square = read_frame(case / "robots.csv", gaps=["error_R"])["error_R"].iloc[1:] ** 2
+    if "undetermined" in estimate:
+        is_located = estimate["undetermined"].isna()
+    elif estimate["known"].isna().any():
+        return {"located": math.nan, "rmse_located_R": math.nan}
+    else:
+        is_located = estimate["known"] == "yes"
+    return {"located": is_located.mean(), "rmse_located_R": square[is_located].mean() ** 0.5}
 
 
 # --- size of the swarm -----------------------------------------------------------------------
