@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from tests.structures import with_fixes, with_ranges
+from tiswarm.localization.joint.annealing import start_sigma
+from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,
@@ -93,3 +95,25 @@ def test_ranges_place_robots_among_some_that_are_known(log, towers, params):
     error = np.linalg.norm(found.position - towers[0].position, axis=1)
     assert found.observability.floppy_modes == 0
     assert np.median(error) < 0.05
+
+
+def test_chains_unfold_what_ranges_alone_tie(towers):
+    """Robots whose positions ranges determine are placed there, though the first guess folds."""
+    ranged = observe(towers[1], SensingParams(suite="kilobot"))
+
+    found = localize(ranged, JointParams(chains=2))
+
+    error = np.linalg.norm(found.position - towers[1].position, axis=1)
+    assert found.convergence.converged
+    assert np.sqrt((error[~found.observability.floppy] ** 2).mean()) < 0.5
+
+
+@pytest.mark.parametrize(("touch", "sigma"), [(False, [2.0, 5.0]), (True, [0.6, 5.0])])
+def test_chains_start_hotter_where_ranges_alone_tie_robots(towers, touch, sigma):
+    """Contacts tie them as firmly as ever, with ranges beside them or without."""
+    ranged = observe(towers[1], SensingParams(suite="kilobot", touch=touch))
+    settings = [JointParams(), JointParams(start_sigma=5.0)]
+
+    found = [start_sigma(pose_problem(ranged, params), params) for params in settings]
+
+    assert found == sigma

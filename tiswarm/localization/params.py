@@ -275,7 +275,7 @@ class JointParams(CueParams):
 
     start_sigma: Annotated[float, Field(gt=0.0)] = 0.6
     """Square root of the temperature at which annealing begins: the standard deviation by which
-    measurements may be missed then [R]."""
+    measurements may be missed then [R]. At least 2 where ranges alone tie robots to each other."""
 
     end_sigma: Annotated[float, Field(gt=0.0)] | None = None
     """The same when annealing ends [R]. If null 0.01 where measurements suffice and are sharp, up

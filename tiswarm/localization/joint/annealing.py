@@ -100,7 +100,12 @@ class Annealer:
         self.by_block = self._is_quicker_by_block(running) if by_block is None else by_block
         self.sigma = np.array(
             [
-                cooled(p.start_sigma, end_sigma(problem, p), self.steps, self.shared.hold_steps)
+                cooled(
+                    start_sigma(problem, p),
+                    end_sigma(problem, p),
+                    self.steps,
+                    self.shared.hold_steps,
+                )
                 for problem, p in zip(problems, params, strict=True)
             ]
         )
@@ -306,6 +311,17 @@ class Annealer:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
         value: Reals = array.to_numpy().astype(np.float64)
         return value.reshape(self.chains, -1, *value.shape[1:])[:, np.argsort(self.order)]
+
+
+def start_sigma(problem: Problem, params: JointParams) -> float:
+    """Choose the square root of the temperature at which annealing of one structure begins [R].
+
+    Ranges are longer than contacts. Where they alone tie robots to each other, the first guess is
+    often folded, and colder chains remain so.
+    """
+    is_contact = problem.rows.is_contact
+    by_ranges = len(is_contact) > 0 and not is_contact.any()
+    return max(params.start_sigma, AnnealSchedule.ranged * by_ranges)
 
 
 def end_sigma(problem: Problem, params: JointParams) -> float:

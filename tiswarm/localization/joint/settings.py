@@ -18,6 +18,10 @@ class AnnealSchedule:
     underdetermined: float = 0.05
     """Underdetermination from which on to end at `warmest` [1]."""
 
+    ranged: float = 2.0
+    """Least square root of the start temperature where ranges alone tie robots to each other [R].
+    Chosen on training structures, see `docs/notes/ranges.md`."""
+
     outlier_sd: float = 3.0
     """Width of the robust loss, in standard deviations: where a contact begins to give way."""
 
