@@ -177,8 +177,10 @@ def _measured_suites(suites: pd.DataFrame) -> Table:
         f"{int(name.removeprefix('usd_')):,} robots [USD]": _numbers(suites[name])
         for name in prices
     }
-    words = swept_words(suites).drop(columns=["suite", "way"])
-    return _labeled(words, columns | _means(suites, _SUITES), "Table I, measured", note)
+    columns |= {**_means(suites, _SUITES), "needs": suites["needs"]}
+    words = swept_words(suites).drop(columns=["suite", "way", "needs"])
+    shown = _labeled(words, columns, "Table I, measured", note)
+    return replace(shown, words=[*words, "needs"])
 
 
 def _once(frame: pd.DataFrame) -> pd.DataFrame:

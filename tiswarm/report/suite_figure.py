@@ -9,6 +9,7 @@ from tiswarm.aliases import Reals
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, marker_style, new_panels, shortened
+from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import RunData, swept_words
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 _PRICE, _ERROR, _HALF = "usd_100", "rmse_R_mean", "rmse_R_ci95"
 _CHEAPEST = 200.0  # price up to which the axis is linear: some sensors cost nothing [USD]
 _MOST_PANELS = 4
-_LABEL_HEIGHT = 0.028  # least distance of labels [share of the panel's height]
-_LABEL_RIGHT = 0.014  # distance of labels from their markers [share of the panel's width]
+_LINE, _LETTER = 0.025, 0.0145  # height and width of a letter of a label [share of the panel]
+_MARKER = 0.014  # half the width of a marker [share of the panel]
 
 
 def draw_suites(run: RunData) -> "Figure":
@@ -30,6 +31,8 @@ def draw_suites(run: RunData) -> "Figure":
     gaps = ["cases", _PRICE, _ERROR, _HALF]
     table = run.table("suites.csv", ["condition", "suite", "way"], gaps, after="cases")
     table = table[table["cases"] > 0]
+    # Of fewer structures, the interval says nothing.
+    table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST_FOR_CI, 0.0)
     swept = [name for name in swept_words(table) if name not in {"condition", "suite", "way"}]
     swept.remove("needs")
     points = [*table.groupby(swept, sort=False)] if swept else [((), table)]
@@ -41,8 +44,8 @@ def draw_suites(run: RunData) -> "Figure":
     )
     fit_axis(panels[0], "y", table[_ERROR].to_numpy(float))
     panels[0].set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
-    panels[0].set_xlim(-0.3 * _CHEAPEST, 6.0 * table[_PRICE].max())
-    panels[0].set_ylim(top=1.6 * (table[_ERROR] + table[_HALF].fillna(0.0)).max())
+    panels[0].set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
+    panels[0].set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
     for axes, (point, rows) in zip(panels, shown, strict=True):
         _draw_panel(axes, rows, ways)
         title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
@@ -52,7 +55,7 @@ def draw_suites(run: RunData) -> "Figure":
     number = counted(int(table["cases"].max()), "structure")
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4,
-        title=f"mean and 95 % CI, {number}", title_fontsize=7.0,
+        title=f"mean{' and 95 % CI' * bool(table[_HALF].any())}, {number}", title_fontsize=7.0,
     )  # fmt: skip
     left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} in suites.csv" if left else ""
@@ -66,38 +69,42 @@ def _draw_panel(axes: "Axes", rows: pd.DataFrame, ways: list[str]) -> None:
     for place, way in enumerate(ways):
         mine = (rows["way"] == way).to_numpy()
         axes.errorbar(
-            price[mine], error[mine], yerr=rows.loc[mine, _HALF].fillna(0.0), label=way,
+            price[mine], error[mine], yerr=rows.loc[mine, _HALF], label=way,
             linestyle="", markersize=4.0, elinewidth=0.6, **marker_style(place),
         )  # fmt: skip
-    to_panel = axes.transScale + axes.transLimits
-    anchor = to_panel.transform(np.column_stack([price, error]))
+    anchors = (axes.transScale + axes.transLimits).transform(np.column_stack([price, error]))
+    names = rows["suite"].tolist()
     colors = [marker_style(ways.index(way))["color"] for way in rows["way"]]
-    for name, color, marker, y in zip(rows["suite"], colors, anchor, _apart(anchor), strict=True):
-        x = marker[0] + _LABEL_RIGHT
+    for name, color, anchor, y in zip(
+        names, colors, anchors, _heights(names, anchors), strict=True
+    ):
         axes.annotate(
-            name, marker, (x, y), xycoords="axes fraction", textcoords="axes fraction",
-            fontsize=5.5, va="center", color=color,
+            name, anchor, (anchor[0] + _MARKER, y), xycoords="axes fraction",
+            textcoords="axes fraction", fontsize=5.5, va="center", color=color,
             arrowprops={"arrowstyle": "-", "linewidth": 0.3, "color": color, "shrinkA": 0.0},
         )  # fmt: skip
 
 
-def _apart(anchor: Reals) -> Reals:
-    """Compute heights of labels that do not hide those of the same price, shape (n,).
+def _heights(names: list[str], anchors: Reals) -> list[float]:
+    """Choose the height of each label: the one nearest to its marker where it hides nothing.
 
-    Both are in shares of the panel; labels stay as near to their markers as their order allows.
+    Lengths are shares of the panel; `anchors` are the markers' places, shape (n, 2).
     """
-    height: Reals = anchor[:, 1].copy()
-    for x in np.unique(anchor[:, 0]):
-        mine = np.flatnonzero(anchor[:, 0] == x)
-        mine = mine[np.argsort(anchor[mine, 1], kind="stable")]
-        step = _LABEL_HEIGHT * np.arange(len(mine))
-        height[mine] = _isotonic(anchor[mine, 1] - step) + step
-    return height
-
-
-def _isotonic(values: Reals) -> Reals:
-    """Find the ascending values nearest to some values, by least squares."""
-    from scipy.optimize import isotonic_regression  # noqa: PLC0415 - slow to import
-
-    found: Reals = isotonic_regression(values).x
-    return found
+    taken = [(x - _MARKER, x + _MARKER, y) for x, y in anchors.tolist()]
+    heights = dict.fromkeys(range(len(names)), 0.0)
+    for place in np.argsort(anchors[:, 1], kind="stable").tolist():
+        x, y = anchors[place].tolist()
+        left, right = x + _MARKER, x + _MARKER + _LETTER * len(names[place])
+        steps = sorted(range(-len(taken), len(taken) + 1), key=abs)
+        free = (
+            height
+            for height in (y + _LINE * step for step in steps)
+            if height > 0.5 * _LINE
+            and not any(
+                left < other_right and other_left < right and abs(height - other) < _LINE
+                for other_left, other_right, other in taken
+            )
+        )
+        heights[place] = next(free, y)
+        taken.append((left, right, heights[place]))
+    return [*heights.values()]
