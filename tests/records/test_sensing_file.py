@@ -78,6 +78,7 @@ def stances_of(draw, robots, radius, *, ground):
         ranges=draw(ranges_of(owner, radius)),
         directions=draw(linked(owner, st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(owner, orientation, 8)),
+        touches=draw(touches_of(owner)),
     )
 
 
@@ -115,6 +116,18 @@ def linked(draw, owner, measured, width):
 
 
 @st.composite
+def touches_of(draw, owner):
+    """Draw a touch of an earlier robot in some stances of these robots, sorted by stance."""
+    known = st.sampled_from([(-1, -1), (2, -1), (-1, 0)])
+    pairs = [
+        (stance, draw(st.integers(0, robot - 1)), draw(known))
+        for stance, robot in enumerate(owner)
+        if robot > 0 and draw(st.booleans())
+    ]
+    return table([(stance, own, other, its) for stance, other, (own, its) in pairs], np.int32, 4)
+
+
+@st.composite
 def logs(draw):
     """Draw any log that a file can hold."""
     robots = draw(st.integers(1, 5))
@@ -149,6 +162,7 @@ def logs(draw):
         ranges=draw(ranges_of(range(robots), radius)),
         directions=draw(linked(range(robots), st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(range(robots), orientation, 8)),
+        touches=draw(touches_of(range(robots))),
         stances=stances,
         noise=draw(st.none() | noises),
         length_unit=draw(st.text(letters, min_size=1, max_size=5)),
@@ -189,6 +203,7 @@ STANCE = {
     "ranges": [[7, 4.5, 0.1]],
     "directions": [[0, 7, 2, 0.0, 0.6, 0.8]],
     "connections": [[0, 7, 2, 0.8, 0.0, 0.6, 0.0]],
+    "touches": [[1, 7, None]],
 }
 ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
 JOINER = {
@@ -200,6 +215,7 @@ JOINER = {
     "ranges": [[7, 9.0, 0.5]],
     "directions": [[0, 7, 1, -1.0, 0.0, 0.0], [2, 7, 0, 0.0, 0.0, 1.0]],
     "connections": [[2, 7, 0, 0.6, 0.8, 0.0, 0.0]],
+    "touches": [[None, 7, None], [None, 7, 2], [0, 7, None]],
     "flip_height": 5.31,
     "spawn_position": [9.0, 0.0, 1.0],
     "stances": [STANCE],

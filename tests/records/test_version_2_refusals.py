@@ -98,6 +98,24 @@ MALFORMED = {
         ([0, 10, 1, 1, 0, 0, "0"], "[6]", '"0" should be a valid number'),
         ([0, 10, 1, None, 0, 0, 0], "[3]", "null should be a valid number"),
     ],
+    "touches": [
+        ([], "", "are missing; add them"),
+        ([None, 10], "[2]", "is missing; add it"),
+        ([None, 10, None, None], "", "should have at most 3 items"),
+        ([0, 10, 1], "", "both docks are known; list the contact in contacts"),
+        ([3, 10, None], "", "there is no dock 3; the header has docks 0 to 2"),
+        ([-1, 10, None], "", "there is no dock -1; the header has docks 0 to 2"),
+        ([None, 10, 3], "", "there is no dock 3; the header has docks 0 to 2"),
+        ([None, 10, -1], "", "there is no dock -1; the header has docks 0 to 2"),
+        ([None, 12, None], "", "robot 12 is not on an earlier line"),
+        ([None, 11, None], "", "the robot touches itself"),
+        ([None, None, None], "[1]", "null should be a valid integer"),
+        ([None, 10.0, None], "[1]", "10.0 should be a valid integer"),
+        ([0.5, 10, None], "[0]", "0.5 should be a valid integer"),
+        (["", 10, None], "[0]", '"" should be a valid integer'),
+        ([None, 10, True], "[2]", "true should be a valid integer"),
+        (10, "", "should be a valid tuple"),
+    ],
 }
 """Of each list: an item, where in it the mistake is, and the problem."""
 
@@ -106,6 +124,7 @@ RIGHT = {
     "ranges": [10, 2, 0.1],
     "directions": [0, 10, 1, 1, 0, 0],
     "connections": [0, 10, 1, 1, 0, 0, 0],
+    "touches": [None, 10, None],
 }
 
 CASES = [

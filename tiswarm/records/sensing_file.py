@@ -183,6 +183,7 @@ class SensingLogBuilder:
         orientation = self._orientation(entry, f"{prefix}orientation_wxyz")
         check: dict[str, Callable[[Any, str], Any]] = {
             "dock": self._check_dock,
+            "dock or null": lambda dock, key: -1 if dock is None else self._check_dock(dock, key),
             "robot": partial(self._robot_index, robot),
             "number": lambda number, _: number,
         }
@@ -195,18 +196,25 @@ class SensingLogBuilder:
                 here = f"{prefix}{name}[{place}]"
                 pairs = zip(kinds, [numbers] if len(kinds) == 1 else numbers, strict=True)
                 item = tuple(check[kind](number, here) for kind, number in pairs)
-                if name == "fixes":
-                    self._check_fix(item, here)
-                elif name == "ranges":
-                    self._check_range(item, here)
-                elif name in {"directions", "connections"}:
-                    what = "direction" if name == "directions" else "quaternion"
-                    item = (*item[:3], *_unit(item[3:], what, here))
+                item = self._checked_item(name, item, here)
                 if first.setdefault(item, place) != place:
                     problem = f"repeats {prefix}{name}[{first[item]}]; list it once"
                     raise InputError(problem, key=here)
             lists[name] = sorted(first)
         return SensedStance(orientation, lists)
+
+    def _checked_item(self, name: str, item: tuple[Any, ...], key: str) -> tuple[Any, ...]:
+        """Check the numbers of an item of one list beside each other; scale unit vectors."""
+        if name == "fixes":
+            self._check_fix(item, key)
+        elif name == "ranges":
+            self._check_range(item, key)
+        elif name in {"directions", "connections"}:
+            what = "direction" if name == "directions" else "quaternion"
+            return (*item[:3], *_unit(item[3:], what, key))
+        elif name == "touches" and -1 not in {item[0], item[2]}:
+            raise InputError("both docks are known; list the contact in contacts", key=key)
+        return item
 
     def _orientation(self, entry: RobotLine | StanceEntry, key: str) -> list[float]:
         """Check a stance's orientation; NaN for a robot without a compass."""
@@ -373,11 +381,7 @@ def _lists(
     start, items = {}, {}
     for key, rows in arrays.items():
         pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
-        columns = [
-            number if kind == "number" else number.astype(np.int64) for kind, number in pairs
-        ]
-        columns = [names[number] if kind == "robot" else number
-                   for kind, number in zip(STANCE_LISTS[key], columns, strict=True)]  # fmt: skip
+        columns = [_column(kind, number, names) for kind, number in pairs]
         if "number" in STANCE_LISTS[key]:  # whole numbers may stand among them
             columns = [column.astype(object) for column in columns]
         items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
@@ -385,3 +389,17 @@ def _lists(
     for stance in range(count):
         places = {key: slice(*first[stance : stance + 2]) for key, first in start.items()}
         yield {key: items[key][place].tolist() for key, place in places.items()}
+
+
+def _column(kind: str, number: NDArray[Any], names: Ints) -> NDArray[Any]:
+    """Write a column of a list as the file has it: names of robots, null for unknown docks."""
+    if kind == "number":
+        return number
+    index = number.astype(np.int64)
+    if kind == "robot":
+        return names[index]
+    if kind == "dock or null":
+        column = index.astype(object)
+        column[index < 0] = None
+        return column
+    return index

@@ -64,6 +64,8 @@ _Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
 _Directions = Annotated[list[_Direction], Field(fail_fast=True)]
 _Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LIST]
 _Connections = Annotated[list[_Connection], Field(fail_fast=True)]
+_Touch = Annotated[tuple[int | None, int, int | None], _AS_LIST]
+_Touches = Annotated[list[_Touch], Field(fail_fast=True)]
 
 
 class HeaderLine(BaseModel):
@@ -141,6 +143,7 @@ class StanceEntry(BaseModel):
     ranges: _Ranges | None = None
     directions: _Directions | None = None
     connections: _Connections | None = None
+    touches: _Touches | None = None
 
 
 class RobotLine(BaseModel):
@@ -179,6 +182,10 @@ class RobotLine(BaseModel):
     y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
     own body. Version 2."""
 
+    touches: _Touches | None = None
+    """Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
+    least one of them null; the other robot is on an earlier line. Version 2."""
+
     flip_height: float | None = None
     """Height of the center that the flips imply [length unit]."""
 
@@ -196,12 +203,14 @@ STANCE_LISTS = {
     "ranges": ("robot", "number", "number"),
     "directions": ("dock", "robot", "dock", *("number",) * 3),
     "connections": ("dock", "robot", "dock", *("number",) * 4),
+    "touches": ("dock or null", "robot", "dock or null"),
 }
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
-The log has an array for each list: a row for each item, after a column that names the stance."""
+The log has an array for each list: a row for each item, after a column that names the stance. A
+dock that is null is -1 there."""
 
-NEW_LISTS = ("fixes", "ranges", "directions", "connections")
+NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches")
 """Lists that version 1 does not have."""
 
 NEW_NOISE = ("direction_deg", "connection_deg")

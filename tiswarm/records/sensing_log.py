@@ -96,6 +96,9 @@ class Stances:
     connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
     """Connections as in `SensingLog`, rows that start with the stance, shape (Q, 8)."""
 
+    touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
+    """Touches as in `SensingLog`, rows that start with the stance, shape (H, 4)."""
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SensingLog:
@@ -154,6 +157,10 @@ class SensingLog:
     connections: Reals = field(default_factory=lambda: np.empty((0, 8)))
     """Measured relative orientations at the final stance, rows of (robot, dock, earlier robot, its
     dock, unit quaternion from the earlier robot's body to the robot's (4)), shape (Q, 8)."""
+
+    touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
+    """Contacts of unknown docks at the final stance, rows of (robot, dock or -1, earlier robot, its
+    dock or -1), shape (H, 4). A dock that is not known is -1."""
 
     flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
