@@ -16,7 +16,7 @@ def test_a_log_holds_only_what_robots_sense():
     allowed = {
         "robot_id", "dock_radius", "dock_offset_body", "anchor_position", "orientation_wxyz",
         "contacts", "ground_z", "ground_docks", "flip_height", "spawn_position", "stances",
-        "noise", "length_unit", "fixes", "ranges", "directions", "connections",
+        "noise", "length_unit", "fixes", "ranges", "directions", "connections", "touches",
         "orientation_sd",  # follows from connections
     }  # fmt: skip
 

@@ -51,6 +51,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     }
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
+    lists |= _touches(lists["contacts"], params)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
@@ -102,6 +103,19 @@ def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> St
         pivot_dock=np.concatenate([walk.pivot_dock for walk in history.walks]),
         **{name: _numbered(rows[~_is_last(rows, length)], start) for name, rows in lists.items()},
     )
+
+
+def _touches(contacts: NDArray[np.int32], params: SensingParams) -> _Lists:
+    """Split contacts into those with docks and touches, whose docks robots do not all know."""
+    touches = contacts.copy()
+    touches[:, 4] = -1
+    if params.contact_docks == "none":
+        touches[:, 2] = -1
+    has_docks = params.contact_docks == "both"
+    return {
+        "contacts": contacts if has_docks else contacts[:0],
+        "touches": touches[:0] if has_docks else np.unique(touches, axis=0),
+    }
 
 
 def _is_last(rows: NDArray[Any], length: Ints) -> Bools:

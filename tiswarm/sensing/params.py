@@ -38,6 +38,10 @@ class SensingParams:
     contacts: bool = True
     """Sense contacts."""
 
+    contact_docks: Literal["both", "own", "none"] = "both"
+    """Docks that a robot knows of its contacts: its own and the other, its own only, or none, so
+    that it knows which robots it touches and not where."""
+
     ground_docks: bool = True
     """Sense docks on flat ground, whose height is known."""
 
@@ -120,6 +124,9 @@ class SensingParams:
             raise ValueError(
                 "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
             )
+        is_named = not self.direction_noise_deg is self.connection_noise_deg is None
+        if self.contact_docks != "both" and is_named:
+            raise ValueError("directions and connections name docks; set contact_docks to both")
 
     @model_validator(mode="before")
     @classmethod
