@@ -205,16 +205,14 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
     arm = [[r @ matrix(q) @ b / log.dock_radius for b in log.dock_offset_body]
            for r, q in zip(turn, log.orientation_wxyz, strict=True)]  # fmt: skip
     force, torque = np.zeros_like(position), np.zeros(len(position))
-    contacts = Counter(log.contacts[:, [0, 2]].ravel().tolist())
+    contacts = Counter([*log.contacts[:, [0, 2]].ravel(), *log.touches[:, [0, 2]].ravel()])
+    touching = Counter(map(tuple, log.contacts.tolist()))
     distance = ~known.is_offset
-    for i, j, shift, lever, variance, is_final, measured in zip(
-        known.robot[distance], known.other[distance], known.shift[distance], known.lever[distance],
-        known.variance[: distance.sum()], known.is_final[distance],
-        known.rows.distances.length, strict=True,
+    for (i, j, own, its, apart, docks), variance, is_final, measured in zip(
+        _distances(known, position, turn), known.variance[: distance.sum()],
+        known.is_final[distance], known.rows.distances.length, strict=True,
     ):  # fmt: skip
-        own, its = np.append(lever[:2], 0.0), np.append(lever[2:], 0.0)
-        upward = (shift - own + its)[2] * np.array([0.0, 0.0, 1.0])
-        apart = position[i] + turn[i] @ own + upward - position[j] - turn[j] @ its
+        touching[docks] += is_final
         gap = np.linalg.norm(apart) - measured
         within = tolerance**2 + variance
         stiff = tolerance**2 / within / (1.0 + (gap / width) ** 2 / within)
@@ -222,8 +220,8 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
         pull = -stiff * slope * apart / np.linalg.norm(apart)
         force[i] += pull
         force[j] -= pull
-        torque[i] += np.cross(turn[i] @ own, pull)[2]
-        torque[j] -= np.cross(turn[j] @ its, pull)[2]
+        torque[i] += np.cross(own, pull)[2]
+        torque[j] -= np.cross(its, pull)[2]
         if is_final:
             trust = 1.0 / (1.0 + (gap / width) ** 2 / within)
             toward = apart / np.linalg.norm(apart)
@@ -233,21 +231,21 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
             across = (push - push @ toward * toward) * min(1.0, 2.0 / np.linalg.norm(apart))
             force[i] += across
             force[j] -= across
-            torque[i] += np.cross(turn[i] @ own, across - push)[2]
-            torque[j] -= np.cross(turn[j] @ its, across - push)[2]
+            torque[i] += np.cross(own, across - push)[2]
+            torque[j] -= np.cross(its, across - push)[2]
     for robot in range(len(position)) if known.is_offset.any() else ():
         slope = [_offset_slope(known, position, yaw, tolerance, width, robot, k) for k in range(4)]
         force[robot] -= slope[:3]
         torque[robot] -= slope[3]
-    touching = {tuple(row) for row in log.contacts.tolist()}
     for i in range(len(position)):
         for j in range(i + 1, len(position)):
             for a, own in enumerate(arm[i]):
                 for b, other in enumerate(arm[j]):
                     apart = position[i] + own - position[j] - other
                     length = np.linalg.norm(apart)
-                    if length < size and (i, a, j, b) not in touching:
-                        push = -_slope_inside(length, size) * apart / length
+                    if length < size:
+                        left = 1 - touching[i, a, j, b]
+                        push = -left * _slope_inside(length, size) * apart / length
                         force[i] += push
                         force[j] -= push
                         torque[i] += np.cross(own, push)[2]
@@ -263,6 +261,34 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
         stiff = (tolerance / sd) ** 2
         hold[int(robot)] += normal * gap * stiff / (1.0 + stiff + (gap / width / sd) ** 2)
     return force + hold, torque
+
+
+def _distances(known, position, turn):
+    """Robots of each distance, horizontal arms, vector between the docks, and docks of a touch."""
+    level = np.array([1.0, 1.0, 0.0])
+    for row in np.flatnonzero(~known.is_offset):
+        i, j, docks = known.robot[row], known.other[row], ()
+        own, its = (np.append(arm, 0.0) for arm in np.split(known.lever[row], 2))
+        own = own + np.array([0.0, 0.0, known.shift[row, 2]])
+        if row in known.rows.touch:
+            docks, own, its = _nearest_docks(known.rows, row, position, turn)
+        own, its = turn[i] @ own, turn[j] @ its
+        yield i, j, own * level, its * level, position[i] + own - position[j] - its, docks
+
+
+def _nearest_docks(rows, row, position, turn):
+    """Docks of a touch whose distance is nearest to D, earlier robot first; arms as sensed."""
+    walks, d = rows.odometry, rows.distances
+    i, j, every = rows.robot[row], rows.other[row], range(rows.odometry.arm.shape[1])
+    best = np.inf, None
+    for a in every if d.dock[row] < 0 else [d.dock[row]]:
+        for b in every if d.other_dock[row] < 0 else [d.other_dock[row]]:
+            own = walks.shift[d.stance[row]] + walks.arm[d.stance[row], a]
+            its = walks.arm[d.other_stance[row], b]
+            apart = position[i] + turn[i] @ own - position[j] - turn[j] @ its
+            off = abs(np.linalg.norm(apart) - d.length[row])
+            best = min(best, (off, ((j, b, i, a), own, its)), key=lambda found: found[0])
+    return best[1]
 
 
 def _offset_slope(known, position, yaw, tolerance, width, robot, coordinate, h=1e-30):

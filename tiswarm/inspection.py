@@ -14,7 +14,7 @@ from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count, parts, reach
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.observability import by_cue, common_modes
-from tiswarm.measurements.odometry import CENTER
+from tiswarm.measurements.odometry import CENTER, UNKNOWN
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
@@ -148,6 +148,8 @@ def _outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
         (robot, stance, "ranges", f"range to {name[other]}")
         if own == CENTER
         else (robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]")
+        if UNKNOWN not in (own, dock)
+        else (robot, stance, "touches", f"touch of {name[other]}")
         for robot, stance, own, other, dock in contacts.tolist()
     ]
     rows += [

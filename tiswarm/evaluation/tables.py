@@ -13,7 +13,6 @@ from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
 from tiswarm.measurements.cues import measure
-from tiswarm.measurements.odometry import CENTER
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
@@ -64,7 +63,8 @@ def outlier_scores(
 ) -> dict[str, float | int]:
     """Return precision and recall of the detected outliers, and the counts behind them.
 
-    A contact is wrong if the robots did not touch with these docks in that stance. `cues` are the
+    A contact is wrong if the robots did not touch with these docks in that stance. Touches, whose
+    docks are unknown, are not scored. `cues` are the
     cues of the log that the localizer used.
 
     Returns:
@@ -74,15 +74,14 @@ def outlier_scores(
     if estimate.outlier_contacts is None:
         return {}
     rows = measure(log, cues)
-    sensed = rows.sensed_contacts[rows.is_contact]
+    sensed = _with_docks(rows.sensed_contacts)
     true = history.table("contacts")
     size = tuple(np.concatenate([true, sensed]).max(axis=0, initial=0) + 1)
 
     def key(rows: AnyInts) -> Ints:  # each row as one number
         return np.asarray(np.ravel_multi_index(tuple(rows.astype(np.int64).T), size))
 
-    is_contact = estimate.outlier_contacts[:, 2] != CENTER  # ranges are judged, too
-    outliers = key(estimate.outlier_contacts[is_contact])
+    outliers = key(_with_docks(estimate.outlier_contacts))
     wrong = np.setdiff1d(key(sensed), key(true))
     hits = np.isin(outliers, wrong).sum()
     return {
@@ -91,6 +90,11 @@ def outlier_scores(
         "outlier_precision": hits / len(outliers) if len(outliers) else np.nan,
         "outlier_recall": hits / len(wrong) if len(wrong) else np.nan,
     }
+
+
+def _with_docks(contacts: Ints) -> Ints:
+    """Choose the rows of contacts, (n, 5), that name both docks: neither ranges nor touches."""
+    return contacts[(contacts[:, [2, 4]] >= 0).all(axis=1)]
 
 
 def by_robot(

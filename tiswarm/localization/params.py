@@ -19,6 +19,7 @@ CUES = (
     "fixes",
     "ranges",
     "directions",
+    "touches",
 )
 """Cues that settings have a switch for."""
 
@@ -193,6 +194,8 @@ class CueParams:
 
     directions: Annotated[bool, Field(description="Measured directions of contacts count.")] = True
 
+    touches: Annotated[bool, Field(description="Contacts whose docks are unknown count.")] = True
+
     @property
     def cues(self) -> tuple[str, ...]:
         """What of the log is used: every cue without a switch, and those whose switch is on."""
@@ -209,6 +212,9 @@ class LeastSquaresParams(CueParams):
 
     method: Literal["least-squares"] = "least-squares"
     """Name of the method."""
+
+    touches: Literal[False] = False
+    """Touches do not count: only `joint` finds their docks."""
 
     start: VirtualForceParams = VirtualForceParams()
     """How the positions to start from are found."""
@@ -318,6 +324,9 @@ class HopByHopParams(CueParams):
 
     method: Literal["hop-by-hop"] = "hop-by-hop"
     """Name of the method."""
+
+    touches: Literal[False] = False
+    """Touches do not count: only `joint` finds their docks."""
 
     order: Literal["hops", "join"] = "hops"
     """hops: a robot follows once its measurements of the world and of located robots, whether these

@@ -105,8 +105,8 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
     noise = log.noise or ASSUMED
     yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
-    rows = measure(log, cues, odometry=odometry)
     center = position / log.dock_radius
+    rows = measure(log, cues, odometry=odometry).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     motions, floppy = floppy_motions(bodies), floppy_robots(bodies)
     if motions is None or floppy is None:

@@ -14,7 +14,7 @@ import numpy as np
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.orientations import LINK_SD, with_orientations
 from tiswarm.measurements.rows import SPACING, Distances, Offsets, Places
 from tiswarm.records.sensing_log import SensingLog
@@ -153,6 +153,15 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
     )  # fmt: skip
 
 
+def _touches(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
+    """Docks that are not known touched, at the end or at an earlier stance."""
+    stance, rows = _of_all_stances("touches", log, odometry)
+    own, other, its = rows.T.astype(np.int64)
+    own, its = (np.where(dock < 0, UNKNOWN, dock) for dock in (own, its))
+    final = odometry.final[other]
+    return Distances.of(stance, own, final, its, length=SPACING, sd=precision.contact)
+
+
 def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints, Reals]:
     """Take rows of final and earlier stances: the stance of each, and its other columns."""
     final: Reals = getattr(log, key)
@@ -178,6 +187,7 @@ CUES: list[tuple[tuple[str, ...], _Producer]] = [
     (("fixes",), _fixes),
     (("ranges",), _ranges),
     (("directions",), _directions),
+    (("touches",), _touches),
 ]
 """Every producer, after the names of the cues that must be in use for it."""
 
@@ -222,10 +232,11 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     """
     d, o, p, walks = rows.distances, rows.offsets, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
-    shape = (len(walks.owner) + 1, docks + 1, log.robot_count, docks + 1)  # CENTER is a dock, too
+    # CENTER and UNKNOWN are docks, too.
+    shape = (len(walks.owner) + 1, docks + 2, log.robot_count, docks + 2)
     robot, at, dock, other, other_dock = rows.sensed_contacts.T
     stance = walks.first[robot] + at
-    ends = (dock + 1, other, other_dock + 1)
+    ends = (dock - UNKNOWN, other, other_dock - UNKNOWN)
     number = np.ravel_multi_index((stance, *ends), shape)
     following = np.ravel_multi_index((stance + 1, *ends), shape)
     stays = (dock == walks.pivot[stance]) & rows.is_contact

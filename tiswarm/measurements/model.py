@@ -8,16 +8,20 @@
 
 p are the final centers, a and b arms from them to docks in the world frame, as sensed, and T turns
 an arm about the vertical by the robot's yaw correction. Lengths in R.
+
+A touch is a distance of docks, one or both UNKNOWN. It is that of the two docks, among all
+that they may be, whose distance is nearest to what was measured.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.sparse import csc_array
 
 from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.measurements.odometry import CENTER, Odometry
+from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.rows import (
     NO_DISTANCES,
     NO_OFFSETS,
@@ -99,8 +103,21 @@ class Measurements:
         return is_contact
 
     @property
+    def touch(self) -> Ints:
+        """Distances with an unknown dock, shape (T,)."""
+        d = self.distances
+        return np.flatnonzero((d.dock == UNKNOWN) | (d.other_dock == UNKNOWN))
+
+    @property
+    def touch_arms(self) -> tuple[tuple[Reals, Reals], tuple[Reals, Reals]]:
+        """Arms of the docks of each touch, and the others, as `Odometry.candidates` has them."""
+        d, touch = self.distances, self.touch
+        own = self.odometry.candidates(d.stance[touch], d.dock[touch])
+        return own, self.odometry.candidates(d.other_stance[touch], d.other_dock[touch])
+
+    @property
     def sensed_contacts(self) -> Ints:
-        """Robot, its stance, own dock or CENTER, other robot and the same of it, of each pair.
+        """Robot, its stance, own dock, CENTER or UNKNOWN, other robot and its dock, of each pair.
 
         Shape (P, 5); the rows of a vector are alike.
         """
@@ -147,7 +164,7 @@ class Measurements:
         """Propagate the noise of orientations to the rows.
 
         The direction of a distance is unknown before the positions are: its variance is the mean
-        over all directions.
+        over all directions, and over all docks that may touch.
 
         Returns:
             Variance of each row [R^2], shape (E,).
@@ -156,6 +173,8 @@ class Measurements:
         stance, dock = np.concatenate([d.stance, p.stance]), np.concatenate([d.dock, p.dock])
         noise = self.odometry.arms(stance, dock)[1]
         noise[: len(d.stance)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
+        if len(touch := self.touch):
+            noise[touch] = sum(side[1].mean(axis=1) for side in self.touch_arms)
         every = np.full((len(d.stance), _AXES), _AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
@@ -177,7 +196,48 @@ class Measurements:
         arm = turned(self.arm[: len(j)], None if yaw is None else yaw[..., i])
         its = turned(self.other_arm, None if yaw is None else yaw[..., j])
         apart: Reals = position[..., i, :] + (arm - its) - position[..., j, :]
+        if len(self.touch):
+            apart[..., self.touch, :] = self._nearest_docks(position, yaw)[0]
         return apart
+
+    def associated(self, position: Reals, yaw: Reals | None = None) -> "Measurements":
+        """Replace unknown docks by those that touch at one configuration; as in `vectors`."""
+        if not len(self.touch):
+            return self
+        d, docks = self.distances, self.odometry.arm.shape[1]
+        dock, other_dock = d.dock.copy(), d.other_dock.copy()
+        pair = np.divmod(self.association(position, yaw), docks)
+        for column, found in zip((dock, other_dock), pair, strict=True):
+            known = column[self.touch]
+            column[self.touch] = np.where(known == UNKNOWN, found, known)
+        distances = d._replace(dock=dock, other_dock=other_dock)
+        return Measurements.gather(self.odometry, [distances], [self.places], [self.offsets])
+
+    def association(self, position: Reals, yaw: Reals | None = None) -> Ints:
+        """Find which docks touch: docks times one robot's dock plus the other's, (..., T)."""
+        return self._nearest_docks(position, yaw)[1]
+
+    def _nearest_docks(self, position: Reals, yaw: Reals | None) -> tuple[Reals, Ints]:
+        """Choose the docks of each touch; of equally near pairs the first.
+
+        Returns:
+            Vectors between them [R], shape (..., T, 3), and their `association`.
+        """
+        touch = self.touch
+        i, j = self.robot[touch], self.other[touch]
+        (own, _), (its, _) = self.touch_arms
+        between = position[..., i, :] - position[..., j, :]
+        of_own = [turned(arm, None if yaw is None else yaw[..., i]) for arm in own.swapaxes(0, 1)]
+        of_its = [turned(arm, None if yaw is None else yaw[..., j]) for arm in its.swapaxes(0, 1)]
+        apart, pair = np.empty_like(between), np.zeros(between.shape[:-1], np.int64)
+        least = np.full(pair.shape, np.inf)
+        for number, (arm, other) in enumerate(product(of_own, of_its)):
+            vector = between + arm - other
+            off = np.abs(np.linalg.norm(vector, axis=-1) - self.distances.length[touch])
+            is_nearer = off < least
+            least, pair = np.where(is_nearer, off, least), np.where(is_nearer, number, pair)
+            apart = np.where(is_nearer[..., None], vector, apart)
+        return apart, pair
 
     def points(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the points whose coordinates `places` measures [R], shape (..., K, 3)."""
@@ -218,7 +278,9 @@ class Measurements:
         return np.concatenate([slope[:, None] * apart, self.axes(yaw), self.places.direction])
 
     def jacobian(self, position: Reals, yaw: Reals | None = None) -> csc_array:
-        """Compute the derivatives of the residuals; arguments as in `vectors`.
+        """Compute the derivatives of the residuals by arms that are known: see `associated`.
+
+        Arguments as in `vectors`.
 
         Returns:
             Derivatives by x, y and z of each center [1], then by each yaw [R], shape (E, 4 N).

@@ -33,8 +33,8 @@ def observability(
             random: what is determined hardly depends on where robots are.
         yaw_unknown: Whether each robot's yaw is unknown, too.
     """
-    rows = measure(log, cues)
     center = _anywhere(log) if position is None else position / log.dock_radius
+    rows = measure(log, cues).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     return Observability(
         cues=tuple(_held(log, cues)),
@@ -71,7 +71,7 @@ def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
     Returns:
         Number of such modes, and the docks of the anchor in contact, shape (n,).
     """
-    rows = measure(log, known.cues)
+    rows = measure(log, known.cues).associated(_anywhere(log))
     modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=known.yaw_unknown)
     robot, _, dock, other, other_dock = rows.sensed_contacts.T
     return modes, np.unique(np.concatenate([other_dock[other == 0], dock[robot == 0]]))

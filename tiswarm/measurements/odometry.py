@@ -14,6 +14,9 @@ from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
 CENTER = -1
 """In place of a dock: the robot's center."""
 
+UNKNOWN = -2
+"""In place of a dock: one that the robot does not know. Its arm counts as 0."""
+
 
 class Odometry:
     """All S stances of all robots, robot after robot, in time order; the final one comes last."""
@@ -79,16 +82,32 @@ class Odometry:
 
         Args:
             stance: Stances, shape (n,).
-            dock: Dock of each, or CENTER, shape (n,).
+            dock: Dock of each, CENTER or UNKNOWN, shape (n,).
 
         Returns:
             Arms [R] and the variance of each of their coordinates [R^2], both of shape (n, 3).
         """
-        offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
+        offset = self._offset(stance, dock)
         at: Reals = self.shift[stance] + offset
         variance = self.walked[stance] + self._turned(stance, offset - self.held[stance])
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
+
+    def candidates(self, stance: Ints, dock: Ints) -> tuple[Reals, Reals]:
+        """Compute `arms` of all docks that each may be: every one if UNKNOWN, else itself.
+
+        Returns:
+            Arms [R] and the variance of each of their coordinates [R^2], (n, docks, 3) both.
+        """
+        docks = self.arm.shape[1]
+        every = np.where(dock[:, None] == UNKNOWN, np.arange(docks), dock[:, None])
+        at, variance = self.arms(np.repeat(stance, docks), every.ravel())
+        return at.reshape(-1, docks, 3), variance.reshape(-1, docks, 3)
+
+    def _offset(self, stance: Ints, dock: Ints) -> Reals:
+        """Vectors from centers to docks, 0 of CENTER and UNKNOWN [R], shape (n, 3)."""
+        at_dock = self.arm[stance, np.maximum(dock, CENTER)]
+        return np.where((dock < 0)[:, None], 0.0, at_dock)
 
     def variance_along(
         self, axis: Reals, stance: Ints, dock: Ints, beyond: Reals | float = 0.0
@@ -133,7 +152,7 @@ class Odometry:
         start = np.cumsum(count) - count
         of_part = np.arange(len(which)) - (start - stance)[which]
         part = self.reached[of_part]
-        offset = np.where((dock == CENTER)[:, None], 0.0, self.arm[stance, dock])
+        offset = self._offset(stance, dock)
         part[start] = offset + beyond - self.held[stance]
         return which, of_part, part
 

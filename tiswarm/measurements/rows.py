@@ -19,13 +19,13 @@ class Distances(NamedTuple):
     """Stance of robot i at which its dock was there, shape (C,)."""
 
     dock: Ints
-    """Dock a, or CENTER, shape (C,)."""
+    """Dock a, CENTER or UNKNOWN, shape (C,)."""
 
     other_stance: Ints
     """Stance of robot j, shape (C,)."""
 
     other_dock: Ints
-    """Dock b, or CENTER, shape (C,)."""
+    """Dock b, CENTER or UNKNOWN, shape (C,)."""
 
     length: Reals
     """Measured distance [R], shape (C,)."""

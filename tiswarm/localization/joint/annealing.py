@@ -394,6 +394,11 @@ def _contact_arrays(
     variance = np.concatenate([e.variance[e.link] for e in problems])
     total = np.concatenate([e.by_link(e.variance) for e in problems])
     across = np.where(is_offset, 0.5 * (total - variance), 0.0)
+    is_touch = np.concatenate([e.is_touch for e in problems])
+    arms = np.concatenate([e.touch_arms for e in problems])
+    touch = np.full((2, len(robot)), -1)
+    touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
+    measures = np.repeat([1, 0], len(robot))
     both = np.concatenate([robot, other])
     order = np.argsort(both, kind="stable")
     return Contacts(
@@ -407,8 +412,10 @@ def _contact_arrays(
         variance=_upload(memory, np.tile(variance, 2)[order], 1.0),
         across=_upload(memory, np.tile(across, 2)[order]),
         vector=_upload(memory, np.concatenate([vector, -vector])[order]),
-        measures=_upload(memory, np.repeat([1, 0], len(robot))[order]),
+        source=_upload(memory, np.column_stack([measures, touch.ravel()])[order]),
         has_offsets=bool(is_offset.any()),
+        candidates=_upload(memory, np.concatenate([arms, np.roll(arms, 3, axis=2)])),
+        has_touches=bool(len(arms)),
     )
 
 

@@ -84,11 +84,19 @@ class Contacts(NamedTuple):
     vector: Reals2
     """Measured vector from the robot's dock to the partner's, as sensed [R], shape (K, 3)."""
 
-    measures: Ints1
-    """Whether the robot measured the vector, not its partner, shape (K,)."""
+    source: Ints2
+    """Whether the robot measured the vector, not its partner; and the row of a touch in
+    `candidates`, -1 of other entries. A kernel takes no more arrays. Shape (K, 2)."""
 
     has_offsets: bool
     """Whether any entry is an offset."""
+
+    candidates: Reals3
+    """Arms of the docks that may be those of each touch, as sensed: the robot's and the partner's
+    [R], shape (H, docks, 6)."""
+
+    has_touches: bool
+    """Whether any entry is a touch."""
 
 
 class Priors(NamedTuple):

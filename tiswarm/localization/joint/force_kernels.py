@@ -80,7 +80,7 @@ def _pull_of_offset(
     lever = arm
     if ti.static(turning):
         owner = partner
-        if contacts.measures[slot] == 1:
+        if contacts.source[slot, 0] == 1:
             owner, lever = r, arm - apart
         level = _turned(vector[0], vector[1], swarm.heading, owner)
         vector[0], vector[1] = level[0], level[1]
@@ -98,9 +98,51 @@ def _pull_of_offset(
 
 
 @ti.func
+def _nearest_docks(
+    r, partner, slot, between, docks: Static, turning: Static, contacts: Ref, swarm: Ref
+):
+    """Find which docks of copy r and its partner touch: those whose distance is nearest to D.
+
+    Of equally near pairs the first is taken.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the touch.
+        between: From the partner's center to the robot's [R].
+        docks: Docks of a robot.
+        turning: Whether any robot turns.
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        From the partner's dock to the robot's, and the arm of the robot's dock [R].
+    """
+    row = contacts.source[slot, 1]
+    nearest, arm = between, between
+    least = 1.0 / _TINY
+    for k in range(docks):
+        own = ti.Vector([contacts.candidates[row, k, c] for c in range(3)])
+        if ti.static(turning):
+            level = _turned(own[0], own[1], swarm.heading, r)
+            own[0], own[1] = level[0], level[1]
+        for m in range(docks):
+            its = ti.Vector([contacts.candidates[row, m, 3 + c] for c in range(3)])
+            if ti.static(turning):
+                level = _turned(its[0], its[1], swarm.heading, partner)
+                its[0], its[1] = level[0], level[1]
+            apart = between + own - its
+            off = ti.abs(apart.norm() - contacts.length[slot])
+            if off < least:
+                least, nearest, arm = off, apart, own
+    return nearest, arm
+
+
+@ti.func
 def _pull_of_contacts(
     r,
     i,
+    docks: Static,
     turning: Static,
     slope,
     step: Ref,
@@ -123,6 +165,8 @@ def _pull_of_contacts(
     energy -sigma^2 `extension` times that distance, which only the direction between the docks
     decides. The push is perpendicular to the contact: along it, it would lengthen uncertain
     contacts. Where a contact gives way, so does the push.
+
+    The docks of a touch are those that are nearest to D apart at this step.
     """
     square = step.sigma * step.sigma
     base = r - i
@@ -143,6 +187,12 @@ def _pull_of_contacts(
             its = _turned(its_x, its_y, swarm.heading, partner)
             apart[0] += arm[0] - its[0] - x + its_x
             apart[1] += arm[1] - its[1] - y + its_y
+        if ti.static(contacts.has_touches):
+            if contacts.source[slot, 1] >= 0:
+                apart, arm = _nearest_docks(
+                    r, partner, slot, between, docks, turning, contacts, swarm
+                )
+                arm[2] = 0.0
         length = ti.max(apart.norm(), _TINY)
         measured = contacts.length[slot]
         residual = length - measured
@@ -231,7 +281,7 @@ def pull_robot(
     width = robots.non_overlap[i] * SPACING * step.growth
     slope = 0.5 / ti.max(width * width, _TINY)
     pull, stiffness, inertia = _pull_of_contacts(
-        r, i, turning, slope, step, robots, contacts, priors, swarm
+        r, i, docks, turning, slope, step, robots, contacts, priors, swarm
     )
     if robots.non_overlap[i] == 1:
         push, hardness, lag = _push_of_overlaps(r, docks, slope, grid, rows, swarm)

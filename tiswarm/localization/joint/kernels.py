@@ -221,8 +221,10 @@ def take_steps(
     variance: Reals1,
     across: Reals1,
     vector: Reals2,
-    measures: Ints1,
+    source: Ints2,
     has_offsets: Static,
+    candidates: Reals3,
+    has_touches: Static,
     # Priors
     plane_start: Ints1,
     point: Reals2,
@@ -299,7 +301,7 @@ def take_steps(
     contacts = ti.static(
         Contacts(
             contact_start, partner, is_final, extension, contact_shift, lever, contact_length,
-            variance, across, vector, measures, has_offsets,
+            variance, across, vector, source, has_offsets, candidates, has_touches,
         )
     )  # fmt: skip
     priors = ti.static(Priors(plane_start, point, direction, precision, crowd, walk, yaw_precision))

@@ -4,7 +4,7 @@ from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, Verdict, deviation, distinct, failed, judge
 from tiswarm.localization.joint.initialization import place_disconnected
@@ -22,8 +22,9 @@ def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     chains, steps = params.chains_for(log.robot_count), params.steps_for(log.robot_count)
     parts = [part for part in (log, log.stances) if part is not None]
     is_directed = "directions" in params.cues and any(len(part.directions) for part in parts)
+    has_touches = "touches" in params.cues and any(len(part.touches) for part in parts)
     docks = len(log.dock_offset_body)
-    return (docks, is_directed, params.seed, chains, steps, params.hold_steps)
+    return (docks, is_directed, has_touches, params.seed, chains, steps, params.hold_steps)
 
 
 def localize_batch(
@@ -54,9 +55,11 @@ def _estimate(
     position, yaw = mean.mean(axis=0), annealed.mean_yaw[converged].mean(axis=0)
     sd = deviation(problem, annealed.mean, annealed.within, converged, annealed.sigma)
     if params.refines(log.robot_count) and is_of_use(problem) and convergence.converged:
-        inlier = ~verdict.outlier | (not params.robust)
-        curved = _curved(problem, annealed)[inlier[: len(problem.variance)]]
-        position, yaw, sd = refine(problem, position, yaw, sd, problem.rows.select(inlier), curved)
+        used = ~verdict.outlier | (not params.robust)
+        used[problem.rows.touch] &= _agreed(problem, annealed, converged)
+        curved = _curved(problem, annealed)[used[: len(problem.variance)]]
+        rows = problem.rows.select(used).associated(position, yaw)
+        position, yaw, sd = refine(problem, position, yaw, sd, rows, curved)
     # Chains agree where they place disconnected parts, but nothing measures it.
     sd = np.sqrt(sd**2 + square[converged].mean(axis=0))
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
@@ -100,6 +103,16 @@ def _restarted(
         restarted += int(has_failed.sum())
         has_failed = failed(problem, annealed)
     return annealed, judge(problem, annealed, has_failed, restarted)
+
+
+def _agreed(problem: Problem, annealed: Annealed, converged: Bools) -> Bools:
+    """Find touches whose docks are the same in all converged chains, shape (T,).
+
+    The mean of chains that differ has neither docks at the right distance.
+    """
+    pair = problem.rows.association(annealed.mean[converged], annealed.mean_yaw[converged])
+    is_agreed: Bools = (pair == pair[0]).all(axis=0)
+    return is_agreed
 
 
 def _curved(problem: Problem, annealed: Annealed) -> Reals:

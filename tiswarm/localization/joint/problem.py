@@ -122,6 +122,17 @@ class Problem:
         return is_offset
 
     @property
+    def is_touch(self) -> Bools:
+        """Which links are touches, shape (C,)."""
+        return np.isin(self.link, self.rows.touch)
+
+    @property
+    def touch_arms(self) -> Reals:
+        """Arms of the docks that may be those of each touch, and the others [R], (T, docks, 6)."""
+        (own, _), (its, _) = self.rows.touch_arms
+        return np.concatenate([own, its], axis=2)
+
+    @property
     def robot(self) -> Ints:
         """Robot that sensed each link, shape (C,)."""
         return self.rows.robot[self.link]
@@ -271,6 +282,10 @@ class Problem:
             own, its = np.split(self.lever, 2, axis=1)
             level = np.linalg.norm(own, axis=1) + np.linalg.norm(its, axis=1)
             fixed = np.hypot(level, self.shift[:, 2])
+        if len(self.rows.touch):
+            (own, _), (its, _) = self.rows.touch_arms
+            farthest = [np.linalg.norm(arm, axis=2).max(axis=1) for arm in (own, its)]
+            fixed[self.is_touch] = farthest[0] + farthest[1]
         variance = self.by_link(self.variance)
         longest = fixed + self.length + ALLOWED_SD * np.sqrt(variance + sigma**2)
         counts = slice(None) if inlier is None else inlier
