@@ -7,7 +7,6 @@ import pytest
 
 import tiswarm
 from tests.runs import REPOSITORY
-from tiswarm.compute import backend
 from tiswarm.localization.params import (
     BackPropagation,
     JointParams,
@@ -86,17 +85,15 @@ def test_robots_are_planar_up_to_the_first_that_is_not(tower):
     assert not in_plane(replace(log, fixes=log.fixes[1:])).any()
 
 
-@pytest.mark.parametrize("precision", ["f64", "f32"])
 @pytest.mark.parametrize("robots", [25, 7])
-def test_planar_robots_that_join_are_placed_as_in_the_whole_log(tower, tmp_path, robots, precision):
+def test_planar_robots_that_join_are_placed_as_in_the_whole_log(tower, tmp_path, robots):
     """The same bytes as offline, also where only the first robots are planar."""
     log = _moved(observe(tower, NOISY), 0.3)
     path = tmp_path / "sensing.jsonl"
     write_sensing_log(replace(log, fixes=log.fixes[:robots]), path)
     settings = {"iterations": 60, "initial_offset_axis": "body"}
-    whole = tiswarm.localize(path, "virtual-force", precision=precision, **settings)
+    whole = tiswarm.localize(path, "virtual-force", **settings)
     header, *lines = path.read_text().splitlines()
-    backend.start(precision=precision)
 
     localizer = tiswarm.Localizer(header, FORCE)
     joined = [localizer.join(line) for line in lines]
