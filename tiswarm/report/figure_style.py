@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Reals
+from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,6 +148,21 @@ def add_note(figure: "Figure", *notes: str) -> None:
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0.0, line, 1.0, 1.0 - line))
     figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
+
+
+def add_key(
+    figure: "Figure", axes: "Axes", words: str, structures: int, loc: str = "outside upper center"
+) -> None:
+    """Add the legend of the lines of a panel, under what they mean and the number of structures."""
+    figure.legend(
+        *axes.get_legend_handles_labels(), loc=loc, ncols=4,
+        title=f"{words}, {counted(structures, 'structure')}", title_fontsize=7.0,
+    )  # fmt: skip
+
+
+def left_out(points: int, file: str) -> str:
+    """Write a note on the sweep points that a figure lacks; empty if it has all."""
+    return f"{counted(points, 'more sweep point')} in {file}" if points else ""
 
 
 def png(figure: "Figure") -> bytes:

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.aliases import Reals
-from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, marker_style, new_panels, shortened
 from tiswarm.report.headline import FEWEST_FOR_CI
@@ -52,13 +51,9 @@ def draw_suites(run: RunData) -> "Figure":
         axes.set_title(shortened(title), fontsize=8.0)
         axes.set_xlabel("Price of 100 robots [USD]")
     panels[0].set_ylabel("RMSE of all robots [R]")
-    number = counted(int(table["cases"].max()), "structure")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4,
-        title=f"mean{' and 95 % CI' * bool(table[_HALF].any())}, {number}", title_fontsize=7.0,
-    )  # fmt: skip
-    left = len(points) - len(shown)
-    more = f"{counted(left, 'more sweep point')} in suites.csv" if left else ""
+    words = "mean and 95 % CI" if table[_HALF].any() else "mean"
+    figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
+    more = figure_style.left_out(len(points) - len(shown), "suites.csv")
     figure_style.add_note(figure, more, run.note)
     return figure
 

@@ -160,13 +160,9 @@ def draw_rounds(run: RunData) -> "Figure":
         axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
     panels[0].set(ylabel="RMSE [R]", xlim=(0.7 * steps.min(), 1.4 * steps.max()))
-    number = counted(int(table["cases"].max()), "structure")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=_MOST_COLUMNS,
-        title=f"robots moved in a round; mean and 95 % CI, {number}", title_fontsize=7.0,
-    )  # fmt: skip
-    left = len(points) - len(shown)
-    more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
+    words = "robots moved in a round; mean and 95 % CI"
+    figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
+    more = figure_style.left_out(len(points) - len(shown), "table.csv")
     figure_style.add_note(figure, "numbers: joins between two rounds", more, run.note)
     return figure
 
@@ -275,13 +271,10 @@ def draw_shape(run: RunData) -> "Figure":
         axes.set(xscale="linear", xlim=(-0.04 * top, 1.08 * top))  # there may be no floppy mode
     for axes in panels:
         axes.tick_params(axis="x", labelsize=6.0)
-    number = counted(int(table["cases"].max()), "structure")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=_MOST_COLUMNS,
-        title=f"{', '.join(map(str, words))}; mean and 95 % CI, {number}", title_fontsize=7.0,
-    )  # fmt: skip
-    left = len(points) - len(shown)
-    more = f"{counted(left, 'more sweep point')} in table.csv" if left else ""
+    meaning = f"{', '.join(map(str, words))}; mean and 95 % CI"
+    structures = int(table["cases"].max())
+    figure_style.add_key(figure, panels[0], meaning, structures, loc="outside upper right")
+    more = figure_style.left_out(len(points) - len(shown), "table.csv")
     figure_style.add_note(figure, more, run.note)
     return figure
 
