@@ -117,3 +117,15 @@ def test_chains_start_hotter_where_ranges_alone_tie_robots(towers, touch, sigma)
     found = [start_sigma(pose_problem(ranged, params), params) for params in settings]
 
     assert found == sigma
+
+
+def test_a_robot_on_a_beam_is_near_those_that_joined_before(towers):
+    """Two planes of one lighthouse leave a line; `joint` takes its point near earlier robots."""
+    params = SensingParams(suite="coachbot-v2", beacons=((100.0, 100.0, 90.0),))
+
+    found = localize(observe(towers[0], params), METHODS[0])
+
+    away = np.linalg.norm(found.position - towers[0].position, axis=1)
+    size = np.linalg.norm(towers[0].position - towers[0].position.mean(axis=0), axis=1)
+    assert found.disconnected[1:].all()
+    assert (away**2).mean() < 2.0 * (size**2).mean()

@@ -146,6 +146,34 @@ def test_a_chain_of_directions_locates_a_tower(towers):
         assert (error[found.located] ** 2).mean() ** 0.5 < 0.5
 
 
+def test_errors_that_partners_share_do_not_average_out():
+    """A robot that twelve partners of sd 0.3 R tie exactly is as uncertain as each of them."""
+    truth = np.random.default_rng(0).uniform(-6.0, 6.0, (14, 3))
+    partners = np.arange(1, 13)
+    log = fixed(swarm(truth), truth, partners, sd=0.3)
+    reach = np.linalg.norm(truth[13] - truth[partners], axis=1)
+    ranges = np.column_stack([np.full(12, 13), partners, reach, np.full(12, SHARP)])
+
+    found = localize(dataclasses.replace(log, ranges=ranges), HOPS)
+
+    np.testing.assert_allclose(found.sd[1:13], 0.3 * 3**0.5, rtol=0.1)
+    np.testing.assert_allclose(found.sd[13], 0.3 * 3**0.5, rtol=0.1)
+
+
+def test_intervals_of_directions_hold_about_as_many_robots_as_they_should(towers):
+    """Robots that directions tie to several partners count on them all being off alike."""
+    params = SensingParams(suite="freesn", tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+
+    found = [localize(observe(tower, params), HopByHopParams()) for tower in towers]
+
+    away = [
+        np.linalg.norm(f.position - t.position, axis=1) for f, t in zip(found, towers, strict=True)
+    ]
+    ratio = np.concatenate([a[1:] / f.sd[1:] for a, f in zip(away, found, strict=True)])
+    assert 0.3 < (ratio < 0.85).mean() < 0.7
+    assert (ratio < 1.6).mean() > 0.8
+
+
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_exact_ranges_give_exact_positions(seed):

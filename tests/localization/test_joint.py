@@ -442,8 +442,8 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     chain = np.random.default_rng(0).normal(0.0, 5.0, (2, before + 6, 3))
     part = np.pad([0, 0, 2, 0, 1, 2], (before, 0))
     untied = part > 0
-    unobserved = untied[:, None] & np.array([True, True, False])
-    known = SimpleNamespace(part=part, untied=untied, unobserved=unobserved)
+    loose = untied[:, None, None] * np.diag([1.0, 1.0, 0.0])
+    known = SimpleNamespace(part=part, untied=untied, loose=loose)
 
     put, square = initialization.place_disconnected(chain, known)
 

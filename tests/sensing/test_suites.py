@@ -89,6 +89,7 @@ def test_without_a_compass_only_the_anchor_knows_its_orientation(towers):
 
     np.testing.assert_array_equal(log.orientation_wxyz[0], towers[0].orientation_wxyz[0])
     assert np.isnan(log.orientation_wxyz[1:]).all()
+    assert (log.noise.tilt_deg, log.noise.yaw_deg, log.noise.yaw_bias_deg) == (0.0, 0.0, None)
 
 
 def test_every_number_has_a_source():
@@ -148,7 +149,7 @@ def test_a_suite_sets_defaults_that_keys_override(tmp_path):
         ("{suite: zooids, beacons: [[0, 0, a]]}", "sensing.beacons[0][2]", "valid number"),
         ("{suite: zooids, beacons: [[0, 0]]}", "sensing.beacons[0][2]", "is missing"),
         ("{suite: zooids, fix_bias: 3}", "sensing", "set beacon_kind to sweep"),
-        ("{compass: false}", "sensing", "set stances to false"),
+        ("{compass: false}", "sensing", "set both to false"),
         ("{fix_noise: 0}", "sensing.fix_noise", "0.000001"),
     ],
 )

@@ -14,8 +14,8 @@ all robots that are placed:
    point nearby that fits its rows. With ranges it starts in the middle of its partners.
 3. A robot without rows to others starts at the mean of all that are placed.
 
-The variance of robots already placed enters the weights. We neglect that their errors are
-correlated, and so `sd` is too small where many robots share an error. Yaw is taken as sensed.
+The variance of robots already placed enters the weights as if their errors were independent. `sd`
+takes the partners of a robot to be off by the same vector. Yaw is taken as sensed.
 Lengths in R.
 """
 
@@ -93,7 +93,7 @@ def _localize(log: SensingLog, params: HopByHopParams) -> Estimate:
         robot_id=log.robot_id,
         position=position * unit_length,
         disconnected=disconnected(rows),
-        sd=np.sqrt(np.trace(swarm.covariance[:-1], axis1=1, axis2=2)) * unit_length,
+        sd=np.sqrt(np.trace(swarm.shared_covariance[:-1], axis1=1, axis2=2)) * unit_length,
         undetermined=swarm.undetermined,
         iteration=np.zeros(1, np.int64),
         trace=position[None] * unit_length,
@@ -113,6 +113,7 @@ class _Swarm:
         self.position = np.zeros((self.robots + 1, 3))
         self.position[0] = log.anchor_position / log.dock_radius
         self.covariance = np.zeros((self.robots + 1, 3, 3))
+        self.shared_covariance = np.zeros((self.robots + 1, 3, 3))
         self.is_located = np.isin(np.arange(self.robots + 1), [0, self.robots])
         self.is_placed = self.is_located.copy()
         self.undetermined = np.zeros((self.robots, 3), np.bool_)
@@ -201,7 +202,10 @@ class _Swarm:
         odds = np.exp(-0.5 * np.minimum(np.abs(cost[:, 1] - cost[:, 0]), _MOST))
         mirrored = (odds / (1.0 + odds))[:, None, None] * outer(apart)
         self.position[robots] = position
-        self.covariance[robots] = rows.covariance(position, prior) + mirrored
+        found = rows.covariance(position, prior, self.shared_covariance)
+        self.covariance[robots], self.shared_covariance[robots] = (
+            each + mirrored for each in found
+        )
         is_ambiguous = misfit[every, 1 - chosen] < misfit[every, chosen] + _CERTAIN
         is_open: Bools = is_ambiguous[:, None] & differs
         return is_open | rows.open_axes(position, _INFORMATION * least)

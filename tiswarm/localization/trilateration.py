@@ -231,17 +231,33 @@ class Trilateration:
         bounded: Reals = vector / np.maximum(length(vector)[..., None] / self.bound, 1.0)
         return bounded
 
-    def covariance(self, point: Reals, prior: Reals) -> Reals:
-        """Compute the covariance of centers (n, 3) with a prior of some information (n,) [R^-2].
+    def covariance(self, point: Reals, prior: Reals, shared: Reals) -> tuple[Reals, Reals]:
+        """Compute the covariance of centers, with independent and with equal errors of partners.
+
+        Partners owe their errors to much the same rows, which therefore do not average out.
+
+        Args:
+            point: Centers [R], shape (n, 3).
+            prior: Information of a prior [R^-2], shape (n,).
+            shared: Covariance of each robot's partners, and 0 for the world [R^2], (N + 1, 3, 3).
 
         Returns:
-            Covariance [R^2], shape (n, 3, 3).
+            Covariance if partners' errors are independent, which rows are weighted by, and if
+            partners are off by the same vector [R^2], both of shape (n, 3, 3).
         """
         normal = self.residual(point[:, None])[0][:, 0]
-        information = self.sum(self.precision[:, None, None] * outer(normal))
+        weighted = self.precision[:, None, None] * outer(normal)
+        information = self.sum(weighted)
         least = np.maximum(prior, _LEAST * np.trace(information, axis1=1, axis2=2))
-        inverse = np.linalg.inv(information + least[:, None, None] * np.eye(3))
-        return np.asarray(inverse, np.float64)
+        of_prior = least[:, None, None] * np.eye(3)
+        inverse = np.linalg.inv(information + of_prior)
+        own = np.where(self.precision > 0.0, self.ties.variance, 0.0) * self.precision
+        noise = self.sum(own[:, None, None] * weighted) + of_prior
+        is_tied = self.ties.partner < len(shared) - 1
+        tied = (self.precision * is_tied)[:, None, None]
+        mean = self.sum(tied * shared[self.ties.partner]) / np.maximum(self.sum(tied), _TINY)
+        moved = inverse @ self.sum(is_tied[:, None, None] * weighted)
+        return inverse, inverse @ noise @ inverse + moved @ mean @ moved.swapaxes(1, 2)
 
     def open_axes(self, point: Reals, least: Reals) -> Bools:
         """Find coordinates along which rows alone give less than some information [R^-2].

@@ -57,14 +57,26 @@ def disconnected(rows: Measurements) -> Bools:
 
     A part is tied by the anchor, or by measured coordinates whose directions span space.
     """
+    is_untied: Bools = np.any(untied_directions(rows), axis=(1, 2))
+    return is_untied
+
+
+def untied_directions(rows: Measurements) -> Reals:
+    """Find the directions in which nothing ties each robot's part to the world.
+
+    Returns:
+        Projector onto these directions, 0 for robots of parts that are tied, shape (N, 3, 3).
+    """
     part = parts(rows)
     direction = rows.places.direction
     span = np.zeros((part.max() + 1, 3, 3))
     of_row = part[rows.robot[len(rows.other) :]]
     np.add.at(span, of_row, direction[:, :, None] * direction[:, None, :])
-    is_tied: Bools = np.linalg.matrix_rank(span) == span.shape[1]
-    is_tied[part[0]] = True
-    return np.logical_not(is_tied[part])
+    square, axis = np.linalg.eigh(span)
+    is_open = square <= 3.0 * np.finfo(np.float64).eps * square[:, 2:]
+    is_open[part[0]] = False
+    loose: Reals = (axis * is_open[:, None]) @ axis.swapaxes(1, 2)
+    return loose[part]
 
 
 def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:

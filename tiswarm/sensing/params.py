@@ -1,6 +1,6 @@
 """Settings of what robots sense, and with which noise."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict, model_validator
@@ -118,8 +118,8 @@ class SensingParams:
 
     def __post_init__(self) -> None:
         """Refuse settings without effect, and stances that no compass leads through."""
-        if self.stances and not (self.compass or self.touch):
-            raise ValueError("stances need a compass; set stances to false")
+        if not self.senses("compass") and (self.stances or self.heights):
+            raise ValueError("stances and heights need a compass; set both to false")
         if self.fix_bias and self.beacon_kind == "plan":
             raise ValueError(
                 "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
@@ -143,7 +143,10 @@ class SensingParams:
 
     @property
     def noise(self) -> SensingNoise:
-        """Noise as the header of a log states it."""
+        """Noise as the header of a log states it; known orientations have none."""
         names = {field.name.replace("_noise", ""): field.name for field in fields(self)}
         stated = {field.name for field in fields(SensingNoise)} & set(names)
-        return SensingNoise(**{key: getattr(self, names[key]) for key in stated})
+        noise = SensingNoise(**{key: getattr(self, names[key]) for key in stated})
+        if self.senses("compass"):
+            return noise
+        return replace(noise, tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=None)

@@ -106,9 +106,9 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
         weight = np.exp(np.arange(1 - earlier.shape[1], 1) / AnnealSchedule.join_memory)
         weight /= weight.sum()
         place = weight @ earlier
-        away = (earlier - place[:, None]) * problem.unobserved[first]
+        away = (earlier - place[:, None]) @ problem.loose[first]
         part = problem.part == problem.part[first]
-        placed[:, part] += ((place - placed[:, first]) * problem.unobserved[first])[:, None]
+        placed[:, part] += ((place - placed[:, first]) @ problem.loose[first])[:, None]
         # The earlier ones may be of disconnected parts, too.
         uncertain = AnnealSchedule.join_variance * (away**2).sum(axis=2) + square[:, window]
         square[:, part] = (uncertain @ weight)[:, None]

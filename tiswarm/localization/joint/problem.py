@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
-from tiswarm.measurements.contacts import disconnected, parts, reach
+from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import Odometry
@@ -90,9 +90,9 @@ class Problem:
     """Part of `place` which turns with the robot, x and y to be subtracted; 0 where yaw is taken as
     sensed [R], shape (N, 2)."""
 
-    unobserved: Bools
-    """Coordinates of disconnected parts that no measurement ties to the anchor, shape (N, 3). The
-    first robot of such a part is held at a place of its own, far from all other parts."""
+    loose: Reals
+    """Projector onto directions in which no measurement ties a robot's part to the anchor, (N, 3,
+    3). The first robot of such a part is held at a place of its own, far from all other parts."""
 
     part: NDArray[np.int32]
     """Connected part of the contact graph that each robot is in, shape (N,)."""
@@ -103,11 +103,20 @@ class Problem:
     connections: Connections | None
     """What the orientations were chained by; None where they were sensed."""
 
-    untied: Bools
-    """Robots of parts that nothing ties to the world, shape (N,)."""
-
     yaw_precision: float
     """Precision of a bias of yaw that is solved for [rad^-2], 0 if none is."""
+
+    @property
+    def untied(self) -> Bools:
+        """Robots of parts that nothing ties to the world, shape (N,)."""
+        is_untied: Bools = np.any(self.loose, axis=(1, 2))
+        return is_untied
+
+    @property
+    def unobserved(self) -> Bools:
+        """Coordinates that nothing ties to the anchor, shape (N, 3)."""
+        is_loose: Bools = np.diagonal(self.loose, axis1=1, axis2=2) > 1.0 - _PERPENDICULAR
+        return is_loose
 
     @property
     def link(self) -> Ints:
@@ -326,23 +335,17 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
     rows = Measurements.gather(odometry, [rows.distances], every_place, [rows.offsets])
-    part, untied = parts(rows), disconnected(rows)
-    measured = np.zeros((part.max() + 1, 3), np.bool_)
-    np.logical_or.at(measured, part, weight > 0.0)
-    is_fixed = np.abs(fixed.places.direction) > _PERPENDICULAR
-    np.logical_or.at(measured, part[fixed.robot], is_fixed)
     problem = Problem(
         rows=rows,
         inconsistent=inconsistent,
         variance=variance[:contacts],
         place=place - arm + np.pad(walk, ((0, 0), (0, 1))),
         precision=weight,
-        unobserved=untied[:, None] & ~measured[part],
+        loose=untied_directions(rows),
         walk=walk,
-        part=part,
+        part=parts(rows),
         fixes=_fixed_planes(fixed, is_solved=is_solved),
         connections=None if log.orientation_sd is None else connections_of(log),
-        untied=untied,
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
     return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
@@ -399,8 +402,21 @@ def _separated(problem: Problem, anchor: Reals, sd: float) -> Problem:
     width = size[problem.part[row]] + _CLEARANCE
     place, precision = problem.place.copy(), problem.precision.copy()
     middle = anchor[0] + np.cumsum(width[1:] + width[:-1])
+    held = [problem.fixes]
     for i, x in zip(first.tolist(), middle.tolist(), strict=True):
-        free = problem.unobserved[i]
-        place[i, free] = np.array([x, anchor[1], anchor[2]])[free]
+        free, target = problem.unobserved[i], np.array([x, anchor[1], anchor[2]])
+        place[i, free] = target[free]
         precision[i, free] = sd**-2
-    return replace(problem, place=place, precision=precision)
+        square, axis = np.linalg.eigh(problem.loose[i] - np.diag(free * 1.0))
+        oblique = axis.T[np.rint(square) > 0]
+        held.append(
+            Planes(
+                robot=np.full(len(oblique), i),
+                direction=oblique,
+                point=oblique * (oblique @ target)[:, None],
+                precision=np.full(len(oblique), sd**-2),
+                walk=np.zeros((len(oblique), 2)),
+                crowd=np.ones(len(oblique)),
+            )
+        )
+    return replace(problem, place=place, precision=precision, fixes=Planes.joined(held))
