@@ -28,7 +28,7 @@ from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
 from tiswarm.inspection import Inspection, convergence_warning, explain_estimate, inspect
 from tiswarm.localization import registry
-from tiswarm.params import AnyArch, AnyPrecision
+from tiswarm.params import AnyArch, AnyFormat, AnyPrecision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_file import read_sensing_log
@@ -390,7 +390,7 @@ def render(
 
 def export(
     source: Run | SensingLog | File,
-    form: Literal["csv", "gltf", "parquet", "ply"] = "gltf",
+    form: AnyFormat = "gltf",
     estimate: Estimate | File | None = None,
     truth: File | None = None,
     *,

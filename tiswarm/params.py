@@ -1,4 +1,4 @@
-"""Base configuration of all parameter classes, and options of the backend.
+"""Base configuration of all parameter classes, and options that commands and calls share.
 
 A parameter is defined once, in the room that uses it, as a frozen dataclass:
 
@@ -29,3 +29,6 @@ AnyPrecision = Literal["auto", Precision]
 
 ARCHS: tuple[Arch, ...] = get_args(Arch)
 """All compute devices."""
+
+AnyFormat = Literal["csv", "gltf", "gsd", "parquet", "ply", "pyfg", "tum"]
+"""File format of an export."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
@@ -11,6 +11,7 @@ from tiswarm.cli.app import Animate, Movie, Open, Pdf, Quiet, RunFolderPath, app
 from tiswarm.cli.log import EstimateTable, Truth, read_estimated
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
+from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 
 _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")]
@@ -93,9 +94,7 @@ def compare(
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
     source: _RunOrLog,
-    form: Annotated[
-        Literal["csv", "gltf", "parquet", "ply"], Option("--format", help="File format.")
-    ] = "gltf",
+    form: Annotated[AnyFormat, Option("--format", help="File format.")] = "gltf",
     estimate: EstimateTable = None,
     truth: Truth = None,
     out: Annotated[

@@ -1,22 +1,23 @@
-"""Exports structures and estimates: as tables, or as solids and lines in space."""
+"""Exports structures and estimates: as tables, solids in space, particles or a factor graph."""
 
 import io
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.interop.factor_graph import encode_factor_graph
+from tiswarm.interop.particles import encode_gsd
+from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import TRUE_SIZE, Robots, build_scene, capsule_normals
 from tiswarm.report.swarm_view import POSE, SwarmView
-
-Format = Literal["csv", "gltf", "parquet", "ply"]
 
 _SIDES = 10  # of a dock sphere's equator: a compromise of roundness and file size
 _EDGE_GRAY = (51, 51, 51, 255)  # color of contacts: red, green, blue, opacity
@@ -25,7 +26,7 @@ _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Turns our z axis into the y axis, which is up in glTF."""
 
 
-def export_view(view: SwarmView, form: Format, out: Path, progress: Progress) -> None:
+def export_view(view: SwarmView, form: AnyFormat, out: Path, progress: Progress) -> None:
     """Write the structure, if the truth is known, the estimate and the contacts.
 
     Raises:
@@ -39,6 +40,12 @@ def export_view(view: SwarmView, form: Format, out: Path, progress: Progress) ->
         for name, shape in _shapes(view).items():
             normals = {"vertex_normal": True} if name != "contacts" else {}
             files[f"{name}.ply"] = shape.export(file_type="ply", **normals)
+    elif form == "gsd":
+        files = encode_gsd(view)
+    elif form == "pyfg":
+        files["case.pyfg"] = encode_factor_graph(view)
+    elif form == "tum":
+        files = {f"{name}.tum": _trajectory(table) for name, table in _pose_tables(view).items()}
     else:
         files = {f"{name}.{form}": _encoded(t, form) for name, t in _tables(view).items()}
     make_folder(out)
@@ -112,21 +119,40 @@ def _tables(view: SwarmView) -> dict[str, pd.DataFrame]:
     contacts = pd.DataFrame(
         {"robot": view.robot[j], "dock": b, "other_robot": view.robot[i], "other_dock": a}
     )
-    places, turns = [f"{axis}_{unit}" for axis in "xyz"], POSE[3:]
-    contacts[places] = (dock[i, a] + dock[j, b]) / 2.0 * radius
-    poses = {"structure": view.pose} if view.has_truth else {}
-    tables = {"contacts": contacts}
-    for name, pose in {**poses, "estimate": view.estimated_pose}.items():
-        table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
-        table[places], table[turns] = pose[:, :3] * radius, pose[:, 3:]
-        tables[name] = table
+    contacts[_places(unit)] = (dock[i, a] + dock[j, b]) / 2.0 * radius
+    tables = {"contacts": contacts, **_pose_tables(view)}
     for name, values in [("error", view.error), ("sd", view.sd)]:
         if np.isfinite(values).any():
             tables["estimate"][f"{name}_{unit}"] = values * radius
     return tables
 
 
-def _encoded(table: pd.DataFrame, form: Format) -> bytes:
+def _pose_tables(view: SwarmView) -> dict[str, pd.DataFrame]:
+    """Tabulate the poses of the structure, if the truth is known, and of the estimate."""
+    places = _places(view.log.length_unit)
+    poses = {"structure": view.pose} if view.has_truth else {}
+    tables = {}
+    for name, pose in {**poses, "estimate": view.estimated_pose}.items():
+        table = pd.DataFrame({"robot": view.robot, "join": np.arange(len(view.robot))})
+        table[places], table[POSE[3:]] = pose[:, :3] * view.log.dock_radius, pose[:, 3:]
+        tables[name] = table
+    return tables
+
+
+def _places(unit: str) -> list[str]:
+    return [f"{axis}_{unit}" for axis in "xyz"]
+
+
+def _trajectory(poses: pd.DataFrame) -> bytes:
+    """Encode poses as TUM RGB-D does, so that evo reads them: time x y z qx qy qz qw.
+
+    The time is the join index. Robots whose pose is unknown have no line.
+    """
+    table = poses[[*poses.columns[1:5], "qx", "qy", "qz", "qw"]].dropna()
+    return table.to_csv(index=False, header=False, sep=" ", lineterminator="\n").encode()
+
+
+def _encoded(table: pd.DataFrame, form: AnyFormat) -> bytes:
     if form == "csv":
         return table.to_csv(index=False, lineterminator="\n").encode()
     try:

@@ -1,0 +1,189 @@
+"""Formats of other programs are read back with their own libraries, or by their published rules."""
+
+import sys
+from dataclasses import replace
+
+import gsd.hoomd
+import gtsam
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.interop.exports import export_view
+from tiswarm.progress import Progress
+from tiswarm.records.estimate import Estimate
+from tiswarm.report.swarm_view import view_log
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing.observation import observe
+from tiswarm.sensing.params import SensingParams
+
+
+@pytest.fixture(scope="module")
+def view(towers):
+    """A tower of 30 robots in cm, its exact log, and an estimate that is 0.25 cm off."""
+    log = observe(towers[0], SensingParams())
+    true = towers[0].position
+    estimate = Estimate(
+        robot_id=log.robot_id,
+        position=true + np.array([0.25, 0.0, 0.0]),
+        disconnected=np.zeros(30, bool),
+        sd=np.ones(30),
+        iteration=np.zeros(1, int),
+        trace=true[None],
+        residual=np.zeros(1),
+    )
+    return view_log(replace(log, length_unit="cm"), estimate, true)
+
+
+@pytest.fixture(scope="module")
+def exported(view, tmp_path_factory):
+    """Folder with the view in the three formats."""
+    out = tmp_path_factory.mktemp("foreign")
+    for form in ("gsd", "pyfg", "tum"):
+        export_view(view, form, out, Progress())
+    return out
+
+
+def test_gsd_shows_the_growth(view, exported):
+    """A frame for each join has the robots so far, their contacts as bonds and their errors."""
+    with gsd.hoomd.open(exported / "structure.gsd") as file:
+        frames = list(file)
+
+    assert [frame.configuration.step for frame in frames] == list(range(1, 31))
+    for count, frame in enumerate(frames, start=1):
+        assert len(frame.particles.position) == count
+        np.testing.assert_allclose(frame.particles.position, view.pose[:count, :3], atol=1e-5)
+        np.testing.assert_allclose(frame.particles.orientation, view.pose[:count, 3:], atol=1e-6)
+        contacts = view.log.contacts[view.log.contacts[:, 2] < count]
+        assert {*map(tuple, frame.bonds.group.tolist())} == {
+            (i, j) for i, _, j, _ in contacts.tolist()
+        }
+        half = np.array(frame.configuration.box[:3]) / 2.0
+        assert (np.abs(frame.particles.position) < half).all()
+    np.testing.assert_allclose(frames[-1].log["particles/error"], 0.25, atol=1e-9)
+    np.testing.assert_array_equal(frames[-1].log["particles/sd"], 1.0)
+    np.testing.assert_array_equal(frames[-1].log["particles/robot"], view.robot)
+
+
+def test_gsd_has_the_docks_of_a_robot(view, exported):
+    """The shape is a union of the dock spheres in the body frame."""
+    with gsd.hoomd.open(exported / "estimate.gsd") as file:
+        (shape,) = file[-1].particles.type_shapes
+
+    assert shape["type"] == "SphereUnion"
+    assert shape["diameters"] == [2.0, 2.0, 2.0]
+    np.testing.assert_allclose(shape["centers"], RobotGeometry().dock_offset_body)
+
+
+def test_gsd_without_its_library_says_what_to_install(view, tmp_path, monkeypatch):
+    """One line names the extra, and nothing is written."""
+    monkeypatch.setitem(sys.modules, "gsd.hoomd", None)
+
+    with pytest.raises(EnvironmentTroubleError, match=r"pip install 'tiswarm\[gsd\]'"):
+        export_view(view, "gsd", tmp_path / "out", Progress())
+
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
+    """No format gets a NaN; contacts of the robot go with it."""
+    pose = view.estimated_pose.copy()
+    pose[7] = np.nan
+    some = replace(view, pose=np.full_like(pose, np.nan), estimated_pose=pose)
+
+    for form in ("gsd", "pyfg", "tum"):
+        export_view(some, form, tmp_path, Progress())
+
+    with gsd.hoomd.open(tmp_path / "estimate.gsd") as file:
+        last = file[-1]
+    assert last.particles.N == 29
+    names = last.log["particles/robot"][last.bonds.group]
+    contacts = view.log.contacts[(view.log.contacts[:, [0, 2]] != 7).all(axis=1)]
+    np.testing.assert_array_equal(
+        np.unique(names, axis=0), np.unique(view.robot[contacts[:, [0, 2]]], axis=0)
+    )
+    lines = (tmp_path / "case.pyfg").read_text().splitlines()
+    assert not any("nan" in line or " A7 " in line or " L22 " in line for line in lines)
+    assert len(np.loadtxt(tmp_path / "estimate.tum")) == 29
+
+
+def test_tum_has_a_pose_a_join(view, exported):
+    """Rows are time, position and quaternion, real part last."""
+    table = np.loadtxt(exported / "structure.tum")
+
+    np.testing.assert_array_equal(table[:, 0], np.arange(30))
+    np.testing.assert_array_equal(table[:, 1:4], view.pose[:, :3])
+    np.testing.assert_allclose(
+        Rotation.from_quat(table[:, 4:]).as_matrix(),
+        Rotation.from_quat(view.pose[:, 3:], scalar_first=True).as_matrix(),
+        atol=1e-12,
+    )
+
+
+def _graph(path):
+    """Read PyFG by its grammar into factors and values of gtsam."""
+    factors, values, kinds = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+    key = {"A": gtsam.symbol_shorthand.X, "L": gtsam.symbol_shorthand.L}
+
+    def named(name):
+        return key[name[0]](int(name[1:]))
+
+    def pose(numbers):
+        x, y, z, qx, qy, qz, qw = map(float, numbers)
+        return gtsam.Pose3(gtsam.Rot3.Quaternion(qw, qx, qy, qz), [x, y, z])
+
+    def noise(upper, size, order):
+        covariance = np.zeros((size, size))
+        covariance[np.triu_indices(size)] = np.array(upper, float)
+        covariance = np.maximum(covariance, covariance.T)[np.ix_(order, order)]
+        return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+    rotation_first = [3, 4, 5, 0, 1, 2]
+    for line in path.read_text().splitlines():
+        kind, *words = line.split(" ")
+        kinds.append(kind)
+        if kind == "VERTEX_SE3:QUAT":
+            values.insert(named(words[1]), pose(words[2:]))
+        elif kind == "VERTEX_XYZ":
+            values.insert(named(words[0]), np.array(words[1:], float))
+        elif kind == "VERTEX_SE3:QUAT:PRIOR":
+            spread = noise(words[9:], 6, rotation_first)
+            factors.add(gtsam.PriorFactorPose3(named(words[1]), pose(words[2:9]), spread))
+        elif kind == "EDGE_SE3_XYZ":
+            # gtsam has no such factor in Python: bearing and range together say the same
+            arm, start, end = np.array(words[3:6], float), named(words[1]), named(words[2])
+            model = gtsam.noiseModel.Isotropic.Sigma(3, float(words[6]) ** 0.5)
+            length = np.linalg.norm(arm)
+            made = gtsam.BearingRangeFactor3D(start, end, gtsam.Unit3(arm), length, model)
+            factors.add(made)
+        else:
+            assert kind == "EDGE_RANGE"
+            factor = gtsam.RangeFactor3 if words[1][0] == "L" else gtsam.RangeFactorPose3
+            model = gtsam.noiseModel.Isotropic.Sigma(1, float(words[4]) ** 0.5)
+            factors.add(factor(named(words[1]), named(words[2]), float(words[3]), model))
+    return factors, values, kinds
+
+
+def test_pyfg_is_solved_by_gtsam(view, tmp_path):
+    """An exact log agrees with the truth, and pulls an estimate that is shifted back to it."""
+    shaken = np.random.default_rng(0).normal(0.0, 0.02, (30, 3))
+    ranges = np.array([[1.0, 0.0, np.linalg.norm(view.pose[1, :3] - view.pose[0, :3]), 0.1]])
+    log = replace(view.log, ranges=ranges)
+    measured = replace(view, read_log=lambda: log)
+    export_view(measured, "pyfg", tmp_path / "true", Progress())
+    pose = view.pose + np.hstack([shaken, np.zeros((30, 4))])
+    export_view(replace(measured, pose=pose), "pyfg", tmp_path / "shaken", Progress())
+
+    factors, values, kinds = _graph(tmp_path / "true" / "case.pyfg")
+    _, start, _ = _graph(tmp_path / "shaken" / "case.pyfg")
+
+    assert kinds[0] == "VERTEX_SE3:QUAT"  # readers take the dimension from the first line
+    assert kinds.count("VERTEX_XYZ") == kinds.count("EDGE_SE3_XYZ") == 90
+    assert kinds.count("VERTEX_SE3:QUAT:PRIOR") == 30
+    assert kinds.count("EDGE_RANGE") == len(view.log.contacts) + 1
+    priors = 30.0 * 3.0 * (50.0 / 1e6) ** 2  # towers are lower than 50 R; position priors give way
+    assert factors.error(values) < priors + 1e-6
+    assert factors.error(start) > 1e3
+    solved = gtsam.LevenbergMarquardtOptimizer(factors, start).optimize()
+    assert factors.error(solved) < 1e-2
