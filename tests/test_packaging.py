@@ -23,6 +23,7 @@ PINS = (REPOSITORY / "constraints.txt").read_text().splitlines()
 
 IMPORTED_AS = {  # modules that are not named after what brings them
     "PIL": "pillow",
+    "backports": "backports.zstd",
     "mpl_toolkits": "matplotlib",
     "pydantic_core": "pydantic",
     "yaml": "pyyaml",
@@ -50,7 +51,8 @@ def _imported() -> set[str]:
                 modules |= {alias.name.partition(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 modules.add(node.module.partition(".")[0])
-    return modules - sys.stdlib_module_names - {"tiswarm"}
+    newer = {"compression"}  # of Python 3.14
+    return modules - sys.stdlib_module_names - newer - {"tiswarm"}
 
 
 def _handed_out() -> list[Path]:

@@ -58,8 +58,9 @@ _LACKING = (
 
 
 def inspect(path: Path) -> Inspection:
-    """Inspect a scenario, or a sensing log if the name ends in .jsonl."""
-    return _inspect_log(path) if path.suffix == ".jsonl" else _inspect_scenario(path)
+    """Inspect a scenario, or a sensing log if the name ends in .jsonl or .jsonl.zst."""
+    is_log = path.name.endswith((".jsonl", ".jsonl.zst"))
+    return _inspect_log(path) if is_log else _inspect_scenario(path)
 
 
 def convergence_warning(log: SensingLog, estimate: Estimate) -> str:

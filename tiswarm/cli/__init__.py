@@ -24,7 +24,7 @@ __all__ = ["main"]
 
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
 def check(
-    files: Annotated[list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl).")],
+    files: Annotated[list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl, .jsonl.zst).")],
 ) -> None:
     """Check scenarios and sensing logs for mistakes."""
     from tiswarm.inspection import inspect

@@ -1,13 +1,17 @@
-"""Reads text and tables with errors by line, and writes files that appear whole or not at all."""
+"""Reads text and tables with errors by line, and writes files that appear whole or not at all.
+
+Files whose names end in `.zst` are compressed by Zstandard, piece by piece.
+"""
 
 import csv
 import json
 import os
 import secrets
 import stat
+import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -19,6 +23,11 @@ from pydantic import TypeAdapter
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import EnvironmentTroubleError, InputError
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 _Content = TypeVar("_Content")
 
@@ -39,11 +48,12 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield each line with its number, counted from 1; only one line is in memory at a time.
 
     Raises:
-        InputError: the file cannot be read, is not UTF-8, or has a line of more than 64 MiB.
+        InputError: the file cannot be read or decompressed, is not UTF-8, or has a line of more
+            than 64 MiB.
     """
+    number = 0
     try:
-        with path.open("rb") as file:
-            number = 0
+        with zstd.ZstdFile(path) if path.suffix == ".zst" else path.open("rb") as file:
             while raw := file.readline(MAX_LINE_BYTES + 1):
                 number += 1
                 if number == 1:
@@ -54,6 +64,13 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
                 yield number, decode(raw, path, number)
     except OSError as error:
         raise unreadable(path, error) from error
+    except EOFError as error:
+        problem = "the compressed file ends in the middle; copy it again"
+        raise InputError(problem, path=path, line=number + 1) from error
+    except zstd.ZstdError as error:
+        reason = str(error).rpartition(": ")[2]
+        problem = f"not a whole Zstandard file ({reason}); compress or copy it again"
+        raise InputError(problem, path=path, line=number + 1) from error
 
 
 def decode(raw: bytes, path: Path, first_line: int = 1) -> str:
@@ -198,7 +215,8 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         with temporary.open("xb") as file:
-            yield file
+            with _compressing(file) if path.suffix == ".zst" else nullcontext(file) as content:
+                yield content
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
@@ -215,6 +233,11 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):  # still there only if something failed
             temporary.unlink(missing_ok=True)
+
+
+def _compressing(file: BinaryIO) -> Any:  # noqa: ANN401 - a file in all but its type
+    """Compress what is written to the result, with a checksum that reveals damage."""
+    return zstd.ZstdFile(file, "wb", options={zstd.CompressionParameter.checksum_flag: 1})
 
 
 def write_bytes(path: Path, data: bytes) -> None:
