@@ -10,6 +10,7 @@ from typing import Any
 import rich.progress
 from rich.console import Console
 
+from tiswarm.errors import InputError, TiswarmError
 from tiswarm.progress import Advance, Progress, ignore
 
 _LINE_EVERY_S = 30.0
@@ -20,6 +21,12 @@ _CELL_EVERY_S = 0.25
 
 _BAR = 30
 """Characters of a bar in a notebook."""
+
+_EXCERPT = 72
+"""Characters of a line of a file that are shown below an error."""
+
+_AFTER = 12
+"""Characters from the mistake on that are shown of a long line."""
 
 
 class ConsoleProgress(Progress):
@@ -128,6 +135,23 @@ def _summary(name: str, total: int, begun: float) -> str:
     return f"{name}: {total} in {time.perf_counter() - begun:.1f} s"
 
 
-def fail(message: str) -> None:
-    """Print the one line of an error."""
-    sys.stderr.write(f"tiswarm: error: {message}\n")
+def fail(error: TiswarmError | str) -> None:
+    """Print the one line of an error and, on a terminal, the mistake in its file."""
+    if isinstance(error, TiswarmError):
+        error = error.as_option()
+    sys.stderr.write(f"tiswarm: error: {error}\n")
+    if isinstance(error, InputError) and sys.stderr.isatty():
+        sys.stderr.write(_excerpt(error))
+
+
+def _excerpt(error: InputError) -> str:
+    """Show the line of a mistake and a caret below it; nothing where the column is unknown."""
+    if error.path is None or error.line is None or error.column is None:
+        return ""
+    try:
+        line = error.path.read_text(errors="replace").splitlines()[error.line - 1]
+    except (OSError, IndexError):  # the file has changed
+        return ""
+    start = max(0, error.column - _EXCERPT + _AFTER)
+    shown = "".join(c if c.isprintable() else "?" for c in line[start : start + _EXCERPT])
+    return f"    {shown}\n    {'^':>{error.column - start}}\n"

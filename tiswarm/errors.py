@@ -35,6 +35,7 @@ class InputError(TiswarmError):
         *,
         path: Path | None = None,
         line: int | None = None,
+        column: int | None = None,
         argument: str = "",
         key: str = "",
     ) -> None:
@@ -44,6 +45,7 @@ class InputError(TiswarmError):
             problem: What is wrong, a semicolon, and how to fix it.
             path: File at fault.
             line: Line in the file, counted from 1.
+            column: Column in the line, counted from 1; not part of the message.
             argument: Argument of a function at fault.
             key: Dotted key at fault.
         """
@@ -52,6 +54,7 @@ class InputError(TiswarmError):
         self.problem = problem
         self.path = path
         self.line = line
+        self.column = column
         self.argument = argument
         self.key = key
 
@@ -60,7 +63,9 @@ class InputError(TiswarmError):
         if not self.argument:
             return self
         option = f"--set {self.key}" if self.argument == "overrides" else f"--{self.argument}"
-        return InputError(self.problem, path=self.path, line=self.line, key=option)
+        return InputError(
+            self.problem, path=self.path, line=self.line, column=self.column, key=option
+        )
 
 
 class EnvironmentTroubleError(TiswarmError):

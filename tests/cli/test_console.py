@@ -1,16 +1,21 @@
 """Logs of long jobs show how work goes on."""
 
 import itertools
+import re
 import sys
 from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from tiswarm import console
+from tiswarm.errors import InputError
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.progress import by_share
+from tiswarm.scenario.expansion import find_mistakes
+from tiswarm.scenario.yaml_source import read_yaml
 from tiswarm.sensing import SensingParams, observe
 
 
@@ -78,3 +83,78 @@ def test_joint_reports_while_it_anneals(towers):
     assert sum(steps) == 30
     assert np.count_nonzero(steps) > 10
     np.testing.assert_array_equal(found.position, localize(log, params).position)
+
+
+WRONG = "name: x\nrobots: 5\nstructure: {kind: tower, goal_height: tall}\nseedz: 3\n"
+
+
+@pytest.fixture
+def mistakes(tmp_path):
+    """The mistakes of a scenario: a wrong value, an unknown key."""
+    path = tmp_path / "wrong.yaml"
+    path.write_text(WRONG)
+    return find_mistakes(path)
+
+
+def test_without_a_terminal_an_error_is_one_line(mistakes, capsys):
+    """Logs and pipes get `file:line: key: problem`, as ever."""
+    for mistake in mistakes:
+        console.fail(mistake)
+
+    lines = capsys.readouterr().err.splitlines()
+    assert [re.sub(".*wrong.yaml", "", line)[:26] for line in lines] == [
+        ":3: structure.goal_height:",
+        ":4: seedz: unknown key; di",
+    ]
+
+
+def test_a_terminal_shows_the_mistake_in_its_file(mistakes, capsys, monkeypatch):
+    """A caret stands below a wrong value, or below a key that does not exist."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for mistake in mistakes:
+        console.fail(mistake)
+
+    _, wrong, caret, _, unknown, below = capsys.readouterr().err.splitlines()
+    assert wrong == "    structure: {kind: tower, goal_height: tall}"
+    assert caret.index("^") == wrong.index("tall")
+    assert unknown == "    seedz: 3"
+    assert below == "    ^"
+
+
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [
+        ("name: x\nstructure: {kind: tower\n", ""),  # the brace is missed at the end of the file
+        ("a: 1\nb: " + "x" * 500 + "\na: 2\n", "a: 2"),
+        ("a: \x1b[2J\n", ""),  # no column
+        ("'" + "é" * 200 + "': &anchor 1\n", "&anchor"),
+        ("a:\n\tb: 1\n", "?b: 1"),
+    ],
+)
+def test_excerpts_are_short_and_printable(tmp_path, capsys, monkeypatch, text, at):
+    """Neither a long line nor a control character spoils the terminal."""
+    path = tmp_path / "wrong.yaml"
+    path.write_text(text)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+
+    with pytest.raises(InputError) as refusal:
+        read_yaml(path)
+    console.fail(refusal.value)
+
+    _, *excerpt = capsys.readouterr().err.splitlines()
+    assert all(line.isprintable() and len(line) <= 80 for line in excerpt)
+    if at:
+        line, caret = excerpt
+        assert line[caret.index("^") :].startswith(at)
+    else:
+        assert excerpt == []
+
+
+def test_an_error_without_its_file_is_one_line(mistakes, capsys, monkeypatch):
+    """The file may be gone by now."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    mistakes[0].path.unlink()
+
+    console.fail(mistakes[0])
+
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -36,7 +36,7 @@ def check(
         if not finding.mistakes:
             typer.echo(f"{path}: {finding.summary}")
     for mistake in mistakes[:-1]:
-        fail(str(mistake.as_option()))
+        fail(mistake)
     if mistakes:
         raise mistakes[-1]
 

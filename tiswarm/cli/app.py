@@ -110,7 +110,7 @@ def _status(arguments: list[str]) -> int:
         with naming_shortage():
             status: Any = app(arguments, standalone_mode=False)
     except TiswarmError as error:
-        fail(str(error.as_option()))
+        fail(error)
         return error.exit_status
     except TyperException as error:
         fail(" ".join(error.format_message().split()))

@@ -71,8 +71,9 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
         raise first
     problem = f"{first.problem} (and {counted(more, 'more mistake')})"
     raise InputError(
-        problem, path=first.path, line=first.line, argument=first.argument, key=first.key
-    )
+        problem, path=first.path, line=first.line, column=first.column,
+        argument=first.argument, key=first.key,
+    )  # fmt: skip
 
 
 def find_mistakes(path: Path, overrides: Sequence[str] = ()) -> list[InputError]:
@@ -97,10 +98,10 @@ def variants(scenario: Scenario) -> list[Variant]:
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
     read = read_yaml(path)
     data = renamed(read.data)
-    source = YamlSource(data, {renamed_path(at): line for at, line in read.lines.items()})
+    source = YamlSource(data, {renamed_path(at): place for at, place in read.places.items()})
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
-        raise InputError(problem, path=path, line=source.line_of(()))
+        raise InputError(problem, path=path, line=source.place_of(()).line)
     settings = [parse_setting(text) for text in overrides]
     for setting in settings:
         if problem := set_key(data, setting.path, setting.value):
@@ -157,7 +158,7 @@ def _missing_keys(
     ]:
         for mistake in mistakes:
             missing += _keys(mistake, section)
-            lines.add(source.line_of(mistake.path))
+            lines.add(source.place_of(mistake.path).line)
         for part, key in {mistake.path[:2] for mistake in mistakes}:
             del kept[str(part)][key]
         if not kept.get("conditions", True):
@@ -208,8 +209,11 @@ def _placed(
 ) -> InputError:
     if culprit := find_culprit(mistake, settings):
         return culprit.error(mistake.problem)
-    line = source.line_of(mistake.path)
-    return InputError(mistake.problem, path=path, line=line, key=dotted(mistake.path))
+    place = source.place_of(mistake.path)
+    column = place.column if mistake.about_key else place.value_column
+    return InputError(
+        mistake.problem, path=path, line=place.line, column=column, key=dotted(mistake.path)
+    )
 
 
 class _Change(NamedTuple):

@@ -1,4 +1,4 @@
-"""YAML text to plain data, with the line of each value.
+"""YAML text to plain data, with the place of each value.
 
 Scalars follow the core schema of YAML 1.2: `1e-3` is a number; `no`, `on` and `12:30` are text;
 `010` is ten. Anchors, aliases, tags and very large files are refused.
@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -31,19 +31,28 @@ _CONSTRUCTORS: dict[str, Callable[[str], object]] = {
 """How plain scalars become values, by their pattern; all others are text."""
 
 
+class Place(NamedTuple):
+    """Where a key or a list entry starts, and its value; all counted from 1."""
+
+    line: int
+    column: int
+    value_column: int  # of the key if the value starts on another line
+
+
 @dataclass(frozen=True)
 class YamlSource:
-    """Plain data and the lines it comes from."""
+    """Plain data and the places it comes from."""
 
     data: Any  # dicts with text keys, lists, text, numbers, booleans and None
-    lines: dict[tuple[Part, ...], int]  # line of each key and list entry, by its path
+    places: dict[tuple[Part, ...], Place]  # of each key and list entry, by its path
 
-    def line_of(self, path: Sequence[Part]) -> int:
-        """Return the line of a value, or of the section that lacks it."""
+    def place_of(self, path: Sequence[Part]) -> Place:
+        """Return the place of a value, or of the section that lacks it."""
         parts = tuple(path)
-        while parts not in self.lines:
+        while parts not in self.places:
             parts = parts[:-1]
-        return self.lines[parts]
+        place = self.places[parts]
+        return place if parts == tuple(path) else place._replace(value_column=place.column)
 
 
 def read_yaml(path: Path) -> YamlSource:
@@ -64,14 +73,16 @@ def parse_yaml(text: str, path: Path | None = None) -> YamlSource:
 
     Text that is empty or not YAML as scenarios use it raises InputError.
     """
-    lines: dict[tuple[Part, ...], int] = {(): 1}
+    places: dict[tuple[Part, ...], Place] = {(): Place(1, 1, 1)}
     try:
         root = _compose(text)
-        data = _value(root, (), lines)
+        data = _value(root, (), places)
     except InputError as error:
-        line = None if path is None else error.line
-        raise InputError(error.problem, path=path, line=line, key=error.key) from error
-    return YamlSource(data, lines)
+        line, column = (None, None) if path is None else (error.line, error.column)
+        raise InputError(
+            error.problem, path=path, line=line, column=column, key=error.key
+        ) from error
+    return YamlSource(data, places)
 
 
 def plain_scalar(text: str) -> object:
@@ -102,7 +113,7 @@ class _Loader(yaml.SafeLoader):
         elif self.nodes > _MAX_NODES:
             problem = f"more than {_MAX_NODES} values; is this a scenario?"
         if problem:
-            raise InputError(problem, line=event.start_mark.line + 1)
+            raise _mistake(problem, event.start_mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -115,7 +126,9 @@ def _compose(text: str) -> yaml.Node:
         node = loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        raise InputError(_syntax(error), line=mark.line + 1 if mark else 1) from error
+        if mark is None:
+            raise InputError(_syntax(error), line=1) from error
+        raise _mistake(_syntax(error), mark) from error
     except yaml.reader.ReaderError as error:
         problem = "contains a character that is not allowed in text files; delete it"
         line = text.count("\n", 0, error.position) + 1
@@ -137,11 +150,11 @@ def _syntax(error: yaml.MarkedYAMLError) -> str:
     return f"not YAML: {found}; check indentation, colons and quotes"
 
 
-def _value(node: yaml.Node, at: tuple[Part, ...], lines: dict[tuple[Part, ...], int]) -> object:
-    """Convert a node to plain data, and note its lines."""
-    lines.setdefault(at, _line(node))
+def _value(node: yaml.Node, at: tuple[Part, ...], places: dict[tuple[Part, ...], Place]) -> object:
+    """Convert a node to plain data, and note its places."""
+    places.setdefault(at, _place(node, node))
     if isinstance(node, yaml.SequenceNode):
-        return [_value(entry, (*at, n), lines) for n, entry in enumerate(node.value)]
+        return [_value(entry, (*at, n), places) for n, entry in enumerate(node.value)]
     if not isinstance(node, yaml.MappingNode):
         text = _text(node, at)
         is_plain = isinstance(node, yaml.ScalarNode) and node.style is None
@@ -150,14 +163,14 @@ def _value(node: yaml.Node, at: tuple[Part, ...], lines: dict[tuple[Part, ...], 
     for key_node, value_node in node.value:
         if not isinstance(key_node, yaml.ScalarNode):
             problem = "a key must be text; write `key: value`"
-            raise InputError(problem, line=_line(key_node), key=dotted(at))
+            raise _mistake(problem, key_node.start_mark, at)
         key = _text(key_node, at)
         here = (*at, key)
         if key in entries:
-            problem = f"the key stands on line {lines[here]} too; keep one"
-            raise InputError(problem, line=_line(key_node), key=dotted(here))
-        lines[here] = _line(key_node)
-        entries[key] = _value(value_node, here, lines)
+            problem = f"the key stands on line {places[here].line} too; keep one"
+            raise _mistake(problem, key_node.start_mark, here)
+        places[here] = _place(key_node, value_node)
+        entries[key] = _value(value_node, here, places)
     return entries
 
 
@@ -165,9 +178,15 @@ def _text(node: yaml.Node, at: tuple[Part, ...]) -> str:
     text = str(node.value)
     if any("\ud800" <= letter <= "\udfff" for letter in text):
         problem = "half a character (a lone surrogate); correct the escape"
-        raise InputError(problem, line=_line(node), key=dotted(at))
+        raise _mistake(problem, node.start_mark, at)
     return text
 
 
-def _line(node: yaml.Node) -> int:
-    return node.start_mark.line + 1
+def _place(key: yaml.Node, value: yaml.Node) -> Place:
+    start, end = key.start_mark, value.start_mark
+    value_column = end.column if end.line == start.line else start.column
+    return Place(start.line + 1, start.column + 1, value_column + 1)
+
+
+def _mistake(problem: str, mark: yaml.Mark, at: tuple[Part, ...] = ()) -> InputError:
+    return InputError(problem, line=mark.line + 1, column=mark.column + 1, key=dotted(at))
