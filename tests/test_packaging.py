@@ -2,12 +2,16 @@
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
+import venv
+import zipfile
 from importlib import metadata
 from pathlib import Path
 
 import pytest
+import yaml
 
 import tiswarm
 from tiswarm.compute import lang
@@ -56,7 +60,7 @@ def _imported() -> set[str]:
 
 
 def _handed_out() -> list[Path]:
-    folders = (".ci", "benchmarks", "docs", "scenarios", "tests", "tiswarm")
+    folders = (".ci", ".github", "benchmarks", "docs", "scenarios", "tests", "tiswarm")
     files = [file for folder in folders for file in (REPOSITORY / folder).rglob("*")]
     files += [file for file in REPOSITORY.iterdir() if file.name not in {".coverage", ".git"}]
     return [file for file in files if file.is_file() and "__pycache__" not in file.parts]
@@ -83,6 +87,15 @@ def test_types_are_handed_out():
 def test_the_version_is_said_once():
     """What is installed carries the version that the package states."""
     assert metadata.version("tiswarm") == tiswarm.__version__
+
+
+def test_the_citation_names_this_version():
+    """Whoever cites it names what they used."""
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+
+    assert citation["version"] == tiswarm.__version__
+    assert citation["license"] == PROJECT["license"]
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
 
 
 def test_constraints_are_pins():
@@ -127,3 +140,71 @@ def test_the_example_of_the_readme_runs():
     done = subprocess.run([sys.executable, "-c", example[1]], check=False, cwd=REPOSITORY)
 
     assert done.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Build the wheel from a copy, so that leftovers of earlier builds are not in it."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("tiswarm", "scenarios"):
+        left = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(REPOSITORY / name, source / name, symlinks=True, ignore=left)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(REPOSITORY / name, source / name)
+    _pip("wheel", source, "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", out)
+    return next(out.iterdir())
+
+
+def _pip(*arguments: object) -> None:
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    subprocess.run([*command, *map(str, arguments)], check=True)
+
+
+def _run(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run tiswarm of an environment, in its folder: the checkout must not help."""
+    command, folder = python.with_name("tiswarm"), python.parents[1]
+    return subprocess.run(
+        [command, *arguments], check=False, cwd=folder, capture_output=True, text=True
+    )
+
+
+def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
+    """An empty environment that sees the installed libraries runs a scenario that ships."""
+    venv.create(tmp_path / "env")
+    python = tmp_path / "env" / "bin" / "python"
+    _pip("--python", python, "install", "--no-deps", "--no-index", wheel)
+    [site] = (tmp_path / "env" / "lib").glob("python*/site-packages")
+    libraries = [folder for folder in sys.path if folder.endswith("site-packages")]
+    (site / "libraries.pth").write_text("\n".join(libraries))
+
+    found = subprocess.run(
+        [python, "-c", "import tiswarm; print(tiswarm.__file__)"],
+        check=True, cwd=tmp_path, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    listed = _run(python, "scenarios")
+    planned = _run(python, "run", "tower", "--plan")
+
+    assert found.startswith(str(site))
+    assert listed.returncode == 0, listed.stderr
+    names = [line.split()[0] for line in listed.stdout.splitlines()]
+    assert names == sorted(path.stem for path in (REPOSITORY / "scenarios").glob("*.yaml"))
+    assert planned.returncode == 0, planned.stderr
+    with zipfile.ZipFile(wheel) as content:
+        held = {name for name in content.namelist() if "/templates/" in name}
+    assert held == {
+        f"tiswarm/report/templates/{path.name}"
+        for path in (REPOSITORY / "tiswarm" / "report" / "templates").iterdir()
+    }
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_with_its_dependencies(wheel, tmp_path):
+    """A new environment gets what is pinned, and a small run draws its page."""
+    venv.create(tmp_path / "env", with_pip=True)
+    python = tmp_path / "env" / "bin" / "python"
+    _pip("--python", python, "install", "--constraint", REPOSITORY / "constraints.txt", wheel)
+
+    done = _run(python, "run", "tower", "--set", "robots=10", "--set", "seeds=1")
+
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "env").glob("reports/tower-*/report.html"))

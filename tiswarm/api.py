@@ -194,7 +194,7 @@ def run(
     Cases that an earlier call finished are not computed again. A warning names failed cases.
 
     Args:
-        scenario: YAML file.
+        scenario: YAML file, or the name of a shipped scenario.
         overrides: Values by dotted key that replace the file's.
         out: Parent of the run folder.
         arch: Compute device of `joint`, as for `localize`.

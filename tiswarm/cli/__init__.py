@@ -41,6 +41,23 @@ def check(
         raise mistakes[-1]
 
 
+@app.command(epilog="Example: tiswarm scenarios tower > my-tower.yaml")
+def scenarios(
+    name: Annotated[
+        str | None, Argument(help="Scenario to print (default: list all).", show_default=False)
+    ] = None,
+) -> None:
+    """List the scenarios that come with tiswarm, or print one."""
+    from tiswarm.scenario.shipped import describe_scenarios, shipped_scenarios
+
+    if name is None:
+        typer.echo("\n".join(describe_scenarios()))
+    elif path := shipped_scenarios().get(name):
+        typer.echo(path.read_text(), nl=False)
+    else:
+        raise InputError("there is no such scenario; tiswarm scenarios lists all", key=name)
+
+
 @app.command(epilog="Example: tiswarm schema > scenario.schema.json")
 def schema(
     *, of_log: Annotated[bool, Option("--log", help="Of a line of a sensing log instead.")] = False

@@ -23,10 +23,14 @@ from tiswarm.console import ConsoleProgress
 from tiswarm.errors import CasesFailedError, InputError
 from tiswarm.records.messages import counted
 
+ScenarioFile = Annotated[
+    Path, Argument(metavar="SCENARIO", help="Scenario file, or name of a shipped one.")
+]
+
 
 @app.command(epilog="Example: tiswarm run scenarios/tower.yaml --set robots=20 --set seeds=2")
 def run(
-    scenario: Annotated[Path, Argument(help="Scenario file.")],
+    scenario: ScenarioFile,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Parent of the run folder.")] = Path("reports"),
     arch: OneArch = "cpu",
@@ -101,7 +105,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 @app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")
 def tune(
-    scenario: Annotated[Path, Argument(help="Scenario file.")],
+    scenario: ScenarioFile,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     trials: Annotated[
         int, Option(min=1, help="Trials, including those already in the record.")

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from tiswarm.errors import InputError
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
+from tiswarm.scenario.shipped import find_scenario
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     DISCRIMINATORS,
@@ -57,7 +58,7 @@ def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read and check a scenario with all its conditions and swept values.
 
     Args:
-        path: YAML file.
+        path: YAML file, or the name of a shipped scenario.
         overrides: Texts `KEY=VALUE`: a dotted key and a YAML value that replaces the file's.
 
     Raises:
@@ -96,6 +97,7 @@ def variants(scenario: Scenario) -> list[Variant]:
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
+    path = find_scenario(path)
     read = read_yaml(path)
     data = renamed(read.data)
     source = YamlSource(data, {renamed_path(at): place for at, place in read.places.items()})

@@ -1,0 +1,62 @@
+"""Shipped scenarios are found by name, listed and printed."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.runs import REPOSITORY
+from tiswarm.errors import InputError
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.scenario.shipped import describe_scenarios, find_scenario, shipped_scenarios
+
+FILES = [*(REPOSITORY / "scenarios").glob("*.yaml")]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    """No file of the checkout is at hand."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_every_scenario_ships():
+    """The package has them all, with a description each."""
+    assert [*shipped_scenarios()] == sorted(path.stem for path in FILES)
+    assert all(len(line.split(maxsplit=1)) == 2 for line in describe_scenarios())
+
+
+def test_a_name_means_the_shipped_scenario():
+    """The command line and Python both load it."""
+    assert load_scenario(Path("tower")) == load_scenario(REPOSITORY / "scenarios" / "tower.yaml")
+
+
+def test_a_file_of_that_name_goes_first(tmp_path):
+    """Nobody's file is passed over."""
+    mine = tmp_path / "tower"
+    mine.write_text("name: mine\nstructure: {kind: tower}\n")
+
+    assert load_scenario(Path("tower")).name == "mine"
+
+
+@pytest.mark.parametrize("path", ["tower.yaml", "./x/tower", "../tower", "x" * 5000])
+def test_only_bare_names_are_looked_up(path):
+    """A path means what it says, so a typing error in it never runs something else."""
+    with pytest.raises(InputError):
+        load_scenario(Path(path))
+
+
+def test_an_unknown_name_says_where_names_are():
+    """The message leads to the list."""
+    with pytest.raises(InputError, match=r"^towr: .*; tiswarm scenarios lists these$"):
+        find_scenario(Path("towr"))
+
+
+def test_a_scenario_is_printed_as_it_is(tiswarm):
+    """Users start from a copy of it."""
+    listed, printed, unknown = (tiswarm("scenarios", *name) for name in ([], ["tower"], ["towr"]))
+
+    assert listed.stdout.splitlines() == describe_scenarios()
+    assert printed.stdout == (REPOSITORY / "scenarios" / "tower.yaml").read_text()
+    assert unknown.returncode == 2
+    assert unknown.stderr == (
+        "tiswarm: error: towr: there is no such scenario; tiswarm scenarios lists all\n"
+    )

@@ -1,0 +1,38 @@
+"""The scenarios that come with the package, by name."""
+
+import os
+from pathlib import Path
+
+import yaml
+
+from tiswarm.errors import InputError
+
+_FOLDER = Path(__file__).parents[1] / "scenarios"
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """List the files of the scenarios by name, sorted."""
+    return {path.stem: path for path in sorted(_FOLDER.glob("*.yaml"), key=lambda path: path.stem)}
+
+
+def find_scenario(path: Path) -> Path:
+    """Return the path of a file or, if there is none, that of the shipped scenario of this name.
+
+    Raises:
+        InputError: a name without folder and suffix is neither a file nor a shipped scenario.
+    """
+    # Unlike Path.exists, os.path.exists does not raise for names that are too long.
+    if str(path) != path.stem or os.path.exists(path):  # noqa: PTH110
+        return path
+    if found := shipped_scenarios().get(str(path)):
+        return found
+    problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios lists these"
+    raise InputError(problem, path=path)
+
+
+def describe_scenarios() -> list[str]:
+    """List names and descriptions, in lines."""
+    found = shipped_scenarios()
+    width = max(map(len, found), default=0)
+    texts = {name: yaml.safe_load(path.read_text())["description"] for name, path in found.items()}
+    return [f"{name:<{width}}  {text}" for name, text in texts.items()]
