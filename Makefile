@@ -1,6 +1,6 @@
-# `make help` lists what this can do. Needs GNU make, a POSIX shell and Python 3.10 to 3.13.
+# `make help` lists what this can do. Needs GNU make, a POSIX shell and Python 3.10 to 3.14.
 
-# Empty: the newest Python that suits. Otherwise: make run PYTHON=/path/to/python3.12
+# Empty: the newest Python that suits, 3.14 last. Otherwise: make run PYTHON=/path/to/python3.12
 PYTHON =
 SCENARIO = scenarios/tower.yaml
 # What `make gpu` examines: cuda, vulkan or metal. A quick trial of the command itself:
@@ -59,8 +59,8 @@ $(bin)/python: unusable
 $(shell rm -f .venv/.installed .venv/.installed-dev .venv/.system-checked)
 endif
 
-suits = import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
-candidates = $(if $(PYTHON),"$(PYTHON)",python3.13 python3.12 python3.11 python3.10 python3)
+suits = import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
+candidates = $(if $(PYTHON),"$(PYTHON)",python3.13 python3.12 python3.11 python3.10 python3.14 python3)
 
 $(bin)/python:
 	@for python in $(candidates); do \
@@ -70,7 +70,7 @@ $(bin)/python:
 			exit; \
 		fi; \
 	done; \
-	echo "$(if $(PYTHON),$(PYTHON) is not a,found no) Python 3.10 to 3.13 with venv:" \
+	echo "$(if $(PYTHON),$(PYTHON) is not a,found no) Python 3.10 to 3.14 with venv:" \
 		"install python3 and python3-venv, or say make PYTHON=/path/to/python3" >&2; \
 	exit 1
 

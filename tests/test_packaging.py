@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 import tiswarm
 from tiswarm.compute import lang
@@ -112,6 +114,29 @@ def test_every_dependency_is_pinned():
     wanted += pyproject["build-system"]["requires"]
 
     assert _names(wanted) <= _names(PINS)
+
+
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13", "3.14"])
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+def test_each_python_has_one_pin_that_fits(version, machine):
+    """Whatever an installation asks for, one version is pinned, and the requirement allows it."""
+    here = {"python_version": version, "platform_machine": machine, "platform_system": "Linux"}
+    pins: dict[str, list[str]] = {}
+    for pin in map(Requirement, PINS):
+        if pin.marker is None or pin.marker.evaluate(here):
+            pins.setdefault(_normal(pin.name), []).append(str(pin.specifier).removeprefix("=="))
+    wanted = sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"])
+    needed = [
+        each
+        for each in map(Requirement, wanted)
+        if each.marker is None or each.marker.evaluate({**here, "sys_platform": "linux"})
+    ]
+
+    assert {_normal(each.name) for each in needed} & {"taichi", "quadrants"}
+    for each in needed:
+        [pinned] = pins[_normal(each.name)]
+        assert pinned in each.specifier, each.name
+    assert SpecifierSet(PROJECT["requires-python"]).contains(f"{version}.0")
 
 
 def test_every_import_is_a_dependency():
