@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.mechanics import Frame, Loads, MechanicsParams
+from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
 BODY = RobotGeometry().dock_offset_body
 
@@ -40,29 +40,28 @@ class Standing:
         return (self.center[:, None] + self.body @ self.turn.swapaxes(1, 2)).reshape(-1, 3)
 
 
-def build(structure: Standing, params: MechanicsParams | None = None) -> Frame:
-    """Let the robots join one after the other."""
-    frame = Frame(params or MechanicsParams(), structure.body)
-    for j in range(len(structure.center)):
-        join(frame, structure, j)
-    return frame
+def solve(structure: Standing, params: MechanicsParams | None = None, **settings: object) -> Loads:
+    """Loads of a structure, mechanics being as usual except for `settings`."""
+    robots, docks = len(structure.center), len(structure.body)
+    frames = Frames(params or MechanicsParams(**settings), docks=docks, robots=robots)
+    for j in range(robots):
+        join(frames, 0, structure, j)
+    frames.solve([0])
+    return frames.loads(0)
 
 
-def join(frame: Frame, structure: Standing, j: int) -> None:
+def join(frames: Frames, number: int, structure: Standing, j: int) -> None:
     """Let one robot join, the ones before it having done so."""
     docks = len(structure.body)
     own = structure.standing // docks == j
-    frame.join(
+    frames.join(
+        number,
         structure.center[j],
-        structure.turn[j],
+        structure.dock[docks * j : docks * (j + 1)],
         structure.contacts[structure.contacts[:, 1] // docks == j],
-        np.column_stack([structure.standing, structure.foot])[own],
+        structure.standing[own],
+        structure.foot[own],
     )
-
-
-def solve(structure: Standing, **settings: object) -> Loads:
-    """Loads of a structure, mechanics being as usual except for `settings`."""
-    return build(structure, MechanicsParams(**settings)).solve()
 
 
 def grown(history, robots: int | None = None) -> Standing:

@@ -1,7 +1,6 @@
 """Forces in a structure are what statics, a frame package and the published truss say."""
 
 import dataclasses
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from tests import frames, oracle_frames
 from tests.frames import BODY, Standing
 from tiswarm.robot import SHAPES, RobotGeometry
 from tiswarm.world import mechanics
-from tiswarm.world.mechanics import Frame, MechanicsParams, StructureFailure, stiffness
+from tiswarm.world.mechanics import Frames, MechanicsParams, StructureFailure, stiffness
 
 FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 
@@ -89,7 +88,7 @@ def test_other_beams_than_the_usual_agree_too():
     structure = _random_structure(50)
     params = MechanicsParams(link_axial=3e7, contact_axial=5e6, beam_radius=0.2, poisson=0.1)
 
-    actual = frames.build(structure, params).solve()
+    actual = frames.solve(structure, params)
 
     expected = oracle_frames.beam_frame(structure, params)
     for name in FORCES:
@@ -161,7 +160,7 @@ def test_stiffness_of_everything_together_changes_no_force():
         structure = _random_structure(seed)
         for model in MODELS:
             loads = frames.solve(structure, model=model)
-            softer = frames.build(structure, dataclasses.replace(soft, model=model)).solve()
+            softer = frames.solve(structure, dataclasses.replace(soft, model=model))
 
             for name in FORCES:
                 assert _difference(getattr(softer, name), getattr(loads, name)) < 1e-9, name
@@ -312,10 +311,11 @@ def test_the_order_of_joining_does_not_matter(towers, cantilevers, model):
 def test_solving_on_the_way_changes_nothing(cantilevers, model):
     """A frame solved after every join bears at each what one built anew does."""
     structure = frames.grown(cantilevers[0])
-    growing = Frame(MechanicsParams(model=model), BODY)
+    growing = Frames(MechanicsParams(model=model), docks=3, robots=30)
     for count in range(1, 31):
-        frames.join(growing, structure, count - 1)
-        loads = growing.solve()
+        frames.join(growing, 0, structure, count - 1)
+        growing.solve([0])
+        loads = growing.loads(0)
 
         anew = frames.solve(frames.grown(cantilevers[0], count), model=model)
         for name in FORCES:
@@ -349,15 +349,6 @@ def test_what_nothing_holds_is_a_failure(model, seed):
     for structure in (floating, beside):
         with pytest.raises(StructureFailure, match="held by nothing"):
             frames.solve(structure, model=model)
-
-
-def test_want_of_memory_is_no_failure_of_the_structure(monkeypatch):
-    """Growth would end in silence; SuperLU reports both by the same type of error."""
-    trouble = RuntimeError("SUPERLU_MALLOC fails for buf in intCalloc()")
-    monkeypatch.setattr(mechanics, "splu", Mock(side_effect=trouble))
-
-    with pytest.raises(RuntimeError, match="MALLOC"):
-        frames.solve(_random_structure(0), model="flexible")
 
 
 def test_rigid_robots_are_the_limit_of_stiff_ones(towers, cantilevers):

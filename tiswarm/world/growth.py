@@ -14,11 +14,9 @@ ReactiveBuild, DARS 2021).
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend
@@ -28,7 +26,7 @@ from tiswarm.progress import Advance, ignore
 from tiswarm.robot import RobotGeometry
 from tiswarm.world.flip_kernels import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
-from tiswarm.world.mechanics import Frame, StructureFailure
+from tiswarm.world.mechanics import Frames, StructureFailure
 from tiswarm.world.params import RecruitParams, StructureParams
 from tiswarm.world.walks import Spawn, Walks, climb_limits
 
@@ -57,11 +55,10 @@ def grow(
         One history a seed, in that order. Where growth ended early its `ended` says why, and
         what had grown is kept.
     """
-    running = backend.processor()
+    backend.processor()
     batch = _GrowthBatch(params, robots, seeds, robot)
-    with ThreadPoolExecutor(running.threads) as threads:
-        while batch.spawn():
-            on_progress(batch.round(threads))
+    while batch.spawn():
+        on_progress(batch.round())
     return [structure.history() for structure in batch.structures]
 
 
@@ -73,8 +70,13 @@ class _GrowthBatch:
     ) -> None:
         self.robots = robots
         robot = params.robot(robot)
-        self.structures = [GrowingStructure(s, seed, params, robot) for s, seed in enumerate(seeds)]
         count, docks = len(seeds), robot.dock_count * robots
+        self.frames = Frames(
+            params.mechanics, docks=robot.dock_count, robots=robots, structures=count
+        )
+        self.structures = [
+            GrowingStructure(s, seed, params, robot, self.frames) for s, seed in enumerate(seeds)
+        ]
         self.arrays = StructureArrays(
             cells=CellList.allocate(count, docks),
             dock=np.zeros((count, docks, 3)),
@@ -85,6 +87,7 @@ class _GrowthBatch:
         limits = climb_limits(params.climb, robot, params.terrain)
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
+        self.call = np.zeros((count, robots), np.int32)
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
@@ -101,7 +104,7 @@ class _GrowthBatch:
                     self.moving[slot] = True
         return bool(self.moving.any())
 
-    def round(self, threads: ThreadPoolExecutor) -> int:
+    def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
         walks.climb(self.arrays, movers)
@@ -113,14 +116,21 @@ class _GrowthBatch:
             structure = self._climbed_by(slot)
             self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
             if walks.joined[slot] >= 0:
-                structure.join(walks.walk(slot))
+                structure.join(walks.walk(slot), self.arrays.dock[structure.number])
             elif self.moving[slot]:
                 walks.climbers.first_stance[slot] = walks.disturbed[slot]
             elif not wants[slot]:
                 structure.turn_away()
         joined = walks.joined[movers] >= 0
-        grown = set(self.structure_of[movers[joined]].tolist())
-        list(threads.map(self._recruit, sorted(grown)))
+        grown = [self.structures[s] for s in np.unique(self.structure_of[movers[joined]])]
+        due = [structure.number for structure in grown if structure.is_due(self.robots)]
+        self.frames.solve(due)
+        for number in due:
+            self.structures[number].note_loads()
+            call = self.structures[number].call
+            self.call[number, : len(call)] = call
+        relayed = relay(self.call.ravel(), self.frames.joints, docks=walks.docks)
+        self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         for slot in movers:
             self.moving[slot] &= not self._climbed_by(slot).ended
         return int(joined.sum())
@@ -128,23 +138,21 @@ class _GrowthBatch:
     def _climbed_by(self, slot: int) -> "GrowingStructure":
         return self.structures[int(self.structure_of[slot])]
 
-    def _recruit(self, number: int) -> None:
-        """Let the robots of a structure call; factoring its matrix frees other threads."""
-        structure = self.structures[number]
-        is_last = len(structure.walks) == self.robots or bool(structure.ended)
-        relayed = structure.recruit(is_last=is_last)
-        self.arrays.relay[number, : len(relayed)] = relayed
-
 
 class GrowingStructure:
     """One growing structure: who has joined, its loads, and the next spawn."""
 
     def __init__(
-        self, number: int, seed: int, params: StructureParams, robot: RobotGeometry
+        self,
+        number: int,
+        seed: int,
+        params: StructureParams,
+        robot: RobotGeometry,
+        frames: Frames,
     ) -> None:
         self.number, self.seed, self.params, self.robot = number, seed, params, robot
+        self.frames = frames
         self.terrain = params.terrain
-        self.frame = Frame(params.mechanics, robot.dock_offset_body)
         self.docks = robot.dock_count
         self.level = self.terrain.ground_z + robot.dock_radius
         # A robot's center that is farther than this from a dock does not touch it.
@@ -157,6 +165,7 @@ class GrowingStructure:
         self.loads: list[LoadSummary] = []
         self.sides: list[int] = []
         self.sensed: Reals = np.empty(0)
+        self.call: NDArray[np.int32] = np.empty(0, np.int32)
         self.unsolved = self.spawned = self.rejected = 0
         self.crossed = False
         self.ended = ""
@@ -184,7 +193,8 @@ class GrowingStructure:
         self.spawned += 1
         side = (len(self.walks) if self.founding else index) % params.sides
         rim = max(0.0, self.rim[side] + self.robot.dock_radius) if self.walks else 0.0
-        settles = bool(uniform(self.seed, "settle", index, 0) < climb.settle) and not params.plane
+        settles = climb.settle > 0.0 and not params.plane
+        settles = settles and bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
@@ -231,19 +241,23 @@ class GrowingStructure:
                 "raise structure.climb.max_spawns or move the goal"
             )
 
-    def join(self, walk: Walk) -> None:
-        """Make a robot part of the structure."""
+    def join(self, walk: Walk, docks: Reals) -> None:
+        """Make a robot part of the structure; `docks` are the structure's [R], shape (n, 3)."""
         j = len(self.walks)
         self.rejected = 0
         self.walks.append(walk)
-        turn = Rotation.from_quat(walk.orientation_wxyz[-1], scalar_first=True).as_matrix()
         own, other, dock = walk.at_rest(walk.contacts).T
         contacts = np.column_stack([self.docks * other + dock, self.docks * j + own])
         feet = np.concatenate([walk.ground_docks, walk.edge_docks])
-        standing = walk.at_rest(feet)[:, 0]
-        docks = walk.center[-1] + self.robot.dock_offset_body @ turn.T
-        footing = np.column_stack([self.docks * j + standing, self.terrain.foot(docks[standing])])
-        self.frame.join(walk.center[-1], turn, contacts, footing)
+        standing = self.docks * j + walk.at_rest(feet)[:, 0]
+        self.frames.join(
+            self.number,
+            walk.center[-1],
+            docks[self.docks * j : self.docks * (j + 1)],
+            contacts,
+            standing,
+            self.terrain.foot(docks[standing]),
+        )
         self.unsolved += 1
         self.loads.append(LoadSummary())
         if self.params.sides > 1:
@@ -254,30 +268,28 @@ class GrowingStructure:
                 self.crossed = True
                 self.ended = f"the gap is bridged by {j + 1} robots"
 
-    def recruit(self, *, is_last: bool) -> NDArray[np.int32]:
-        """Solve the mechanics if it is due, and spread every call for help anew.
+    def is_due(self, robots: int) -> bool:
+        """Whether its mechanics are due; in any case at the last join, that of so many robots."""
+        is_last = len(self.walks) == robots or bool(self.ended)
+        return is_last or self.unsolved >= self.params.solve_every
 
-        Returns:
-            Call that each dock passes on, shape (docks,); nothing if the structure fails.
-        """
-        if self.unsolved >= self.params.solve_every or (is_last and self.unsolved):
-            try:
-                loads = self.frame.solve()
-            except StructureFailure as failure:
-                self.ended = str(failure)
-                return np.empty(0, np.int32)
-            self.unsolved = 0
-            self.sensed = loads.sensed
-            self.loads[-1] = LoadSummary(
-                peak=loads.peak,
-                sensed_max=float(loads.sensed.max()),
-                calling=int((recruit(loads.sensed, self.params) > 0).sum()),
-                least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
-                imbalance=loads.imbalance,
-            )
-        call = np.zeros(len(self.walks), np.int32)
-        call[: len(self.sensed)] = recruit(self.sensed, self.params)
-        return relay(call, self.frame.joints, docks=self.docks)
+    def note_loads(self) -> None:
+        """Note what the last solve of its mechanics found, and who calls for help."""
+        try:
+            loads = self.frames.loads(self.number)
+        except StructureFailure as failure:
+            self.ended = str(failure)
+            return
+        self.unsolved = 0
+        self.sensed = loads.sensed
+        self.call = recruit(loads.sensed, self.params)
+        self.loads[-1] = LoadSummary(
+            peak=loads.peak,
+            sensed_max=float(loads.sensed.max()),
+            calling=int(np.count_nonzero(self.call)),
+            least_support=float(loads.ground_force[:, 2].min(initial=np.inf)),
+            imbalance=loads.imbalance,
+        )
 
     def history(self) -> History:
         """Return the history of the structure."""

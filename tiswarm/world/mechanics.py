@@ -2,10 +2,9 @@
 
 A robot is a center and n docks joined by beams (its links); docks in contact are joined by a
 beam, and a dock on the ground by one to the fixed ground. Weight acts on the docks, so a robot
-weighs n. The center, which bears no load, is eliminated beforehand, so a robot adds 6 n unknowns:
-the motion of its docks. In the rigid model a robot is one body with 6 unknowns; on average
-FireAntV3 senses as much in towers and some 15 % more in cantilevers, on the same side of F = 10 in
-nine of ten.
+weighs n. A robot adds 6 (n + 1) unknowns: the motion of its center and of its docks. In the rigid
+model a robot is one body with 6 unknowns; on average FireAntV3 senses as much in towers and some
+15 % more in cantilevers, on the same side of F = 10 in nine of ten.
 
 The load that a robot senses in a link follows from the forces on its dock in either model: those
 of the dock's contacts and its weight.
@@ -21,27 +20,44 @@ moments at its first end are
 with P = 1 - e e' and S t = t x e (Przemieniecki, Theory of Matrix Structural Analysis, 1968).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
-from scipy.sparse import bsr_matrix, csc_matrix
-from scipy.sparse.linalg import splu
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.aliases import AnyInts, Reals
+from tiswarm.compute import backend
 from tiswarm.params import STRICT
+from tiswarm.world.elimination_kernels import HALF_COLUMNS, NODE_COLUMNS, EliminationArrays
+from tiswarm.world.frame_kernels import (
+    DOCK_A,
+    DOCK_B,
+    GROUND,
+    NO_DOCK,
+    FrameArrays,
+    LoadArrays,
+    find_loads,
+)
 
-_GROUND = -1
-"""Second dock of a beam that ends in the ground."""
 _MAX_UNBORNE = 1e-6
 """Largest share of the weight that ground forces of a standing structure may miss [1]."""
-_UNHELD = "a part of the structure is held by nothing"
 _SIDE = 6
 """Unknowns of a node."""
-_ROW_BITS = 32
+
+
+class _Joining(NamedTuple):
+    """A robot that joins; see `Frames.join`."""
+
+    structure: int
+    center: Reals
+    docks: Reals
+    contacts: AnyInts
+    standing: AnyInts
+    foot: Reals
 
 
 class StructureFailure(Exception):  # noqa: N818 - the structure fails, not the program
@@ -93,184 +109,211 @@ class Loads:
         return float(max(self.contact_stress.max(initial=0.0), self.ground_stress.max(initial=0.0)))
 
 
-class _BlockMatrix:
-    """A symmetric sparse matrix of 6 x 6 blocks that grows; blocks of one place add up in order."""
+class Frames:
+    """The beams of structures that grow side by side."""
 
-    def __init__(self) -> None:
-        self.place: Ints = np.empty(0, np.int64)
-        self.block: Reals = np.empty((0, _SIDE, _SIDE))
-        self.waiting: list[tuple[Ints, Reals]] = []
-
-    def add(self, nodes: NDArray[np.intp], square: Reals) -> None:
-        """Add square matrices that couple nodes.
-
-        Args:
-            nodes: Nodes of each, shape (n, m).
-            square: The matrices, shape (n, 6 m, 6 m).
-        """
-        n, m = nodes.shape
-        blocks = square.reshape(n, m, _SIDE, m, _SIDE).swapaxes(2, 3).reshape(-1, _SIDE, _SIDE)
-        row = np.repeat(nodes, m, axis=1).ravel()
-        column = np.tile(nodes, (1, m)).ravel()
-        place = (row.astype(np.int64) << _ROW_BITS) | column  # one sortable number
-        self.waiting.append((place, blocks))
-
-    def assemble(self, nodes: int) -> csc_matrix:
-        """Build the matrix over nodes 0 to `nodes` - 1."""
-        place = np.concatenate([self.place, *(place for place, _ in self.waiting)])
-        block = np.concatenate([self.block, *(block for _, block in self.waiting)])
-        order = np.argsort(place, kind="stable")
-        place, block = place[order], block[order]
-        first = np.flatnonzero(np.r_[True, place[1:] != place[:-1]])
-        self.place, self.block = place[first], np.add.reduceat(block, first)
-        self.waiting = []
-        row, column = self.place >> _ROW_BITS, self.place & ((1 << _ROW_BITS) - 1)
-        start = np.searchsorted(row, np.arange(nodes + 1))
-        matrix = bsr_matrix((self.block, column, start), shape=(_SIDE * nodes, _SIDE * nodes))
-        by_row = matrix.tocsr()
-        # The matrix is symmetric, so rows of one format are columns of the other.
-        return csc_matrix((by_row.data, by_row.indices, by_row.indptr), shape=by_row.shape)
-
-
-class Frame:
-    """The beams of one structure; grows by a robot at a time."""
-
-    def __init__(self, params: MechanicsParams, dock_offset_body: Reals) -> None:
+    def __init__(
+        self, params: MechanicsParams, *, docks: int, robots: int, structures: int = 1
+    ) -> None:
+        """Reserve memory for so many structures of so many robots of so many docks."""
         self.params = params
-        self.body = dock_offset_body
-        self.robot = _condensed_robot(dock_offset_body, params)
         self.rigid = params.model == "rigid"
-        self.dock: Reals = np.empty((0, 3))
-        self.arm: Reals = np.empty((0, 3))
-        self.ends: NDArray[np.intp] = np.empty((0, 2), np.intp)
-        self.span: Reals = np.empty((0, 3))
-        self.beams: list[Reals] = []
-        self.blocks = _BlockMatrix()
-        self.waiting: list[tuple[Reals, Reals, NDArray[np.int32], Reals]] = []
+        self.robots = np.zeros(structures, np.int32)
+        self.dock = np.zeros((structures, robots, docks, 3))
+        self.waiting: list[_Joining] = []
+        nodes = robots if self.rigid else (docks + 1) * robots
+        beams = 3 * robots if self.rigid else (docks + 3) * robots
+        self.frame = FrameArrays(
+            node_count=np.zeros(structures, np.int32),
+            beam_count=np.zeros(structures, np.int32),
+            ends=np.empty((structures, beams, 4), np.int32),
+            stiffness=np.empty((structures, beams, 144)),
+            span=np.empty((structures, beams, 3)),
+            arm=np.empty((structures, docks * robots, 3)),
+            weight=np.zeros((structures, nodes, _SIDE)),
+        )
+        self.work = EliminationArrays(
+            node=np.empty((structures, nodes + 1, NODE_COLUMNS), np.int32),
+            half=np.empty((structures, 8 * nodes, HALF_COLUMNS), np.int32),
+            edge_count=np.zeros(structures, np.int32),
+            diagonal=np.empty((structures, nodes, _SIDE**2)),
+            block=np.empty((structures, 4 * nodes, _SIDE**2)),
+            motion=np.empty((structures, nodes, _SIDE)),
+        )
+        self.found = LoadArrays(
+            acting=np.empty((structures, docks * robots, _SIDE)),
+            support=np.empty((structures, beams, 3)),
+            stress=np.empty((structures, beams)),
+            sensed=np.empty((structures, robots)),
+        )
 
-    def join(self, center: Reals, turn: Reals, contacts: NDArray[np.int32], footing: Reals) -> None:
-        """Add a robot.
+    def join(
+        self,
+        structure: int,
+        center: Reals,
+        docks: Reals,
+        contacts: AnyInts,
+        standing: AnyInts,
+        foot: Reals,
+    ) -> None:
+        """Add a robot to a structure, in which dock k of robot i has the number n i + k.
 
         Args:
+            structure: Number of the structure.
             center: Its center [R], shape (3,).
-            turn: Its orientation, body to world, shape (3, 3).
-            contacts: Docks in contact, rows of (earlier dock, own dock), dock k of robot i
-                being n i + k, shape (c, 2).
-            footing: Docks on the ground, rows of (own dock, x, y, z): where it touches [R],
-                shape (g, 4).
+            docks: Its docks [R], shape (n, 3).
+            contacts: Docks in contact, rows of (earlier dock, own dock), shape (c, 2).
+            standing: Own docks that stand on the ground, shape (g,).
+            foot: Where each of them touches it [R], shape (g, 3).
         """
-        self.waiting.append((center, turn, contacts, footing))
+        self.waiting.append(_Joining(structure, center, docks, contacts, standing, foot))
 
     @property
-    def joints(self) -> NDArray[np.intp]:
-        """Docks that touch, rows of (dock, dock), shape (C, 2)."""
+    def joints(self) -> AnyInts:
+        """Docks that touch, rows of (dock, dock) in structure after structure, shape (C, 2)."""
         self._admit()
-        inner: NDArray[np.intp] = self.ends[self.ends[:, 1] != _GROUND]
-        return inner
+        docks = self.frame.ends[:, :, DOCK_A:]
+        in_use = np.arange(docks.shape[1]) < self.frame.beam_count[:, None]
+        structure, beam = np.nonzero(in_use & (docks[:, :, 1] >= 0))
+        joints: AnyInts = docks[structure, beam] + self.frame.arm.shape[1] * structure[:, None]
+        return joints
 
     def _admit(self) -> None:
         """Build the beams of all robots that joined since the last solve."""
         if not self.waiting:
             return
-        center, turn, contacts, footing = map(list, zip(*self.waiting, strict=True))
+        structure, center, docks, contacts, standing, foot = zip(*self.waiting, strict=True)
         self.waiting = []
-        turns = np.array(turn)
-        arm = self.body @ turns.swapaxes(1, 2)
-        first = len(self.dock)
-        self.arm = np.concatenate([self.arm, arm.reshape(-1, 3)])
-        docks = (np.array(center)[:, None] + arm).reshape(-1, 3)
-        self.dock = np.concatenate([self.dock, docks])
-        if not self.rigid:
-            own = first + np.arange(len(docks)).reshape(-1, len(self.body))
-            self.blocks.add(own, _turned(self.robot, turns))
-        joints, feet = np.concatenate(contacts), np.concatenate(footing)
-        foot = np.column_stack([feet[:, 0], np.full(len(feet), _GROUND)])
-        ends = np.concatenate([joints, foot]).astype(np.intp)
-        target = np.concatenate([self.dock[joints[:, 1]], feet[:, 1:]])
-        span, params = target - self.dock[ends[:, 0]], self.params
-        beams = stiffness(span, params.contact_axial, params.beam_radius, params.poisson)
-        self.ends = np.concatenate([self.ends, ends])
-        self.span = np.concatenate([self.span, span])
-        self.beams.append(beams)
+        of = np.array(structure)
+        robot = np.empty_like(of)
+        for n, s in enumerate(structure):
+            robot[n] = self.robots[s]
+            self.robots[s] += 1
+        self.dock[of, robot] = docks
+        arm = self.dock[of, robot] - np.array(center)[:, None]
+        self.frame.arm.reshape(self.dock.shape)[of, robot] = arm
         if self.rigid:
-            follow = self._follow(ends)
-            beams = follow.swapaxes(1, 2) @ beams @ follow
-        standing = ends[:, 1] == _GROUND
-        nodes = self._node(ends)
-        self.blocks.add(nodes[~standing], beams[~standing])
-        self.blocks.add(nodes[standing, :1], beams[standing, :6, :6])
+            self._add_bodies(of, robot, arm)
+        else:
+            self._add_links(of, robot, arm)
+        touching, placed = np.repeat(of, [*map(len, contacts)]), np.repeat(of, [*map(len, foot)])
+        joints, feet = np.concatenate(contacts), np.concatenate(standing)
+        dock = self.dock.reshape(len(self.dock), -1, 3)
+        self._add_contacts(
+            np.r_[touching, placed],
+            np.r_[joints[:, 0], feet],
+            np.r_[joints[:, 1], np.full(len(feet), GROUND)],
+            np.concatenate([dock[touching, joints[:, 1]], np.concatenate(foot)]),
+        )
 
-    def _node(self, dock: NDArray[np.intp]) -> NDArray[np.intp]:
+    def _add_bodies(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
+        """Add rigid robots: a node each."""
+        self.frame.node_count[:] = self.robots
+        self.frame.weight[of, robot, 2] = -arm.shape[1]
+        self.frame.weight[of, robot, 3:] = np.cross(arm.sum(axis=1), [0.0, 0.0, -1.0])
+
+    def _add_links(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
+        """Add robots that bend: a node for the center, one for each dock, and the links between."""
+        count, docks = len(robot), arm.shape[1]
+        self.frame.node_count[:] = (docks + 1) * self.robots
+        of, center = np.repeat(of, docks), np.repeat((docks + 1) * robot, docks)
+        dock = center + np.tile(np.arange(1, docks + 1), count)
+        self.frame.weight[of, dock, 2] = -1.0
+        unused = np.full(len(of), NO_DOCK)
+        ends, span = np.column_stack([center, dock, unused, unused]), arm.reshape(-1, 3)
+        self._add_beams(of, ends, span, self._stiffness(span, self.params.link_axial))
+
+    def _add_contacts(self, of: AnyInts, a: AnyInts, b: AnyInts, target: Reals) -> None:
+        """Add a beam from each dock `a` to the dock `b`, or the ground, at `target` [R]."""
+        span = target - self.dock.reshape(len(self.dock), -1, 3)[of, a]
+        stiff = self._stiffness(span, self.params.contact_axial)
+        if self.rigid:
+            follow = np.zeros((len(of), 12, 12))
+            follow[:, :6, :6] = _rigid_link(self.frame.arm[of, a])
+            follow[:, 6:, 6:] = _rigid_link(self.frame.arm[of, b])
+            stiff = follow.swapaxes(1, 2) @ stiff @ follow
+        ends = np.column_stack([self._node(a), np.where(b < 0, GROUND, self._node(b)), a, b])
+        self._add_beams(of, ends, span, stiff)
+
+    def _node(self, dock: AnyInts) -> AnyInts:
         """Node that a dock moves with."""
-        return dock // len(self.body) if self.rigid else dock
+        robot = dock // self.dock.shape[2]
+        return robot if self.rigid else dock + robot + 1
 
-    def _follow(self, ends: NDArray[np.intp]) -> Reals:
-        """Motion of beam ends from that of the rigid robots they are on, shape (n, 12, 12)."""
-        follow = np.zeros((len(ends), 12, 12))
-        follow[:, :6, :6] = _rigid_link(self.arm[ends[:, 0]])
-        follow[:, 6:, 6:] = _rigid_link(self.arm[ends[:, 1]])
-        return follow
+    def _stiffness(self, span: Reals, axial: float) -> Reals:
+        return stiffness(span, axial, self.params.beam_radius, self.params.poisson)
 
-    def solve(self) -> Loads:
-        """Find the forces at rest under the robots' own weight.
+    def _add_beams(self, of: AnyInts, ends: AnyInts, span: Reals, stiff: Reals) -> None:
+        """Add beams to the structures given, shape (n,)."""
+        order = np.argsort(of, kind="stable")
+        of = of[order]
+        frame, count = self.frame, self.frame.beam_count
+        place = count[of] + np.arange(len(of)) - np.searchsorted(of, of)
+        if place.max(initial=-1) >= frame.ends.shape[1]:
+            room = 2 * int(place.max())
+            self.frame = frame = frame._replace(
+                ends=_enlarged(frame.ends, room),
+                stiffness=_enlarged(frame.stiffness, room),
+                span=_enlarged(frame.span, room),
+            )
+            self.found = self.found._replace(
+                support=np.empty((len(count), room, 3)), stress=np.empty((len(count), room))
+            )
+        frame.ends[of, place] = ends[order]
+        frame.span[of, place] = span[order]
+        frame.stiffness[of, place] = stiff[order].reshape(-1, 144)
+        np.add.at(count, of, 1)
+
+    def solve(self, structures: Sequence[int]) -> None:
+        """Find the forces at rest under the own weight of some structures."""
+        self._admit()
+        backend.processor()
+        due = np.array(structures, np.int32)
+        while len(due):
+            work = self.work
+            find_loads(
+                int(self.rigid), self.params.beam_radius, self.robots, due,
+                *self.frame, *work, *self.found,
+            )  # fmt: skip
+            due = due[work.edge_count[due] > work.block.shape[1]]
+            if len(due):
+                room = 2 * work.block.shape[1]
+                self.work = work._replace(
+                    half=np.empty((len(work.half), 2 * room, HALF_COLUMNS), np.int32),
+                    block=np.empty((len(work.block), room, _SIDE**2)),
+                )
+
+    def loads(self, structure: int) -> Loads:
+        """Return what the last solve of a structure found.
 
         Raises:
             StructureFailure: nothing supports the structure or a part of it.
         """
-        self._admit()
-        weight = np.zeros((len(self.dock), 6))
-        weight[:, 2] = -1.0
-        both: Reals = self._motion(weight)[self._node(self.ends)].reshape(-1, 12, 1)
-        standing = self.ends[:, 1] == _GROUND
-        if self.rigid:
-            both = self._follow(self.ends) @ both
-        both[standing, 6:] = 0.0
-        self.beams = [np.concatenate(self.beams)]
-        force = (self.beams[0] @ both).reshape(-1, 2, 6)
-        acting = weight.copy()
-        np.add.at(acting, self.ends[:, 0], -force[:, 0])
-        np.add.at(acting, self.ends[~standing, 1], -force[~standing, 1])
-        section = np.where(standing, 1.0, 0.5)[:, None] * self.span
-        stress = _beam_stress(force[:, 0], self.span, section, self.params.beam_radius)
-        ground_force = force[standing, 1, :3]
-        surplus = ground_force.sum(axis=0) - [0.0, 0.0, len(self.dock)]
-        imbalance = float(np.abs(surplus).max() / len(self.dock))
+        found, beams = self.found, slice(self.frame.beam_count[structure])
+        robots = int(self.robots[structure])
+        other = self.frame.ends[structure, beams, DOCK_B]
+        standing, stress = other == GROUND, found.stress[structure, beams]
+        ground_force = found.support[structure, beams][standing]
+        weight = robots * self.dock.shape[2]
+        surplus = ground_force.sum(axis=0) - [0.0, 0.0, weight]
+        imbalance = float(np.abs(surplus).max() / weight)
         # Rounding hides that a matrix is singular, but not that nothing bears the weight.
         if not imbalance <= _MAX_UNBORNE:
-            raise StructureFailure(_UNHELD)
+            raise StructureFailure("a part of the structure is held by nothing")
         return Loads(
-            sensed=self._sensed(acting),
-            contact_stress=stress[~standing],
+            sensed=found.sensed[structure, :robots].copy(),
+            contact_stress=stress[other >= 0],
             ground_stress=stress[standing],
             ground_force=ground_force,
             imbalance=imbalance,
         )
 
-    def _motion(self, weight: Reals) -> Reals:
-        """Solve for the displacement and rotation of every node, shape (nodes, 6)."""
-        if self.rigid:
-            pushed = _rigid_link(self.arm).swapaxes(1, 2) @ weight[:, :, None]
-            weight = pushed.reshape(-1, len(self.body), 6).sum(axis=1)
-        if not (self.ends[:, 1] == _GROUND).any():
-            raise StructureFailure(_UNHELD)
-        matrix, options = self.blocks.assemble(len(weight)), {"SymmetricMode": True}
-        try:
-            factor = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        except RuntimeError as error:
-            if "singular" not in str(error):  # it ran out of memory
-                raise
-            raise StructureFailure(_UNHELD) from error
-        return factor.solve(weight.ravel()).reshape(-1, 6)
 
-    def _sensed(self, acting: Reals) -> Reals:
-        """Compute the load that each robot senses from the forces on its docks, shape (N,)."""
-        link = self.arm / np.linalg.norm(self.arm, axis=1, keepdims=True)
-        axial = np.abs(np.sum(acting[:, :3] * link, axis=1))
-        moment = acting[:, 3:]
-        bending = moment - np.sum(moment * link, axis=1, keepdims=True) * link
-        load = axial + np.linalg.norm(bending, axis=1)
-        mean: Reals = load.reshape(-1, len(self.body)).mean(axis=1)
-        return mean
+def _enlarged(array: NDArray[Any], room: int) -> NDArray[Any]:
+    """Copy an array with more room along its second axis."""
+    larger = np.empty((len(array), room, *array.shape[2:]), array.dtype)
+    larger[:, : array.shape[1]] = array
+    return larger
 
 
 def _cross_matrix(vector: Reals) -> Reals:
@@ -326,54 +369,3 @@ def _rigid_link(arm: Reals) -> Reals:
     link = np.tile(np.eye(6), (len(arm), 1, 1))
     link[:, :3, 3:] = -_cross_matrix(arm)
     return link
-
-
-def _beam_stress(end: Reals, span: Reals, section: Reals, radius: float) -> Reals:
-    """Compute the largest von Mises stress in a cross-section of round beams.
-
-    Args:
-        end: Force and moment on the first end, shape (n, 6).
-        span: First end to second end [R], shape (n, 3).
-        section: First end to the section [R], shape (n, 3).
-        radius: Of the beams [R].
-
-    Returns:
-        Shape (n,): square root of sigma^2 + 3 tau^2 at the rim, with sigma from axial force
-        and bending and tau from shear and torsion.
-    """
-    area = np.pi * radius**2
-    modulus = 0.25 * np.pi * radius**3
-    axis = span / np.linalg.norm(span, axis=1, keepdims=True)
-    force, moment = end[:, :3], end[:, 3:] - np.cross(section, end[:, :3])
-    (pull, shear), (torque, bend) = _split(force, axis), _split(moment, axis)
-    sigma = pull / area + bend / modulus
-    tau = 4.0 / 3.0 * shear / area + torque / (2.0 * modulus)
-    return np.sqrt(sigma**2 + 3.0 * tau**2)
-
-
-def _split(vector: Reals, axis: Reals) -> tuple[Reals, Reals]:
-    """Sizes of the parts along and across an axis."""
-    along = np.sum(vector * axis, axis=1)
-    across = np.linalg.norm(vector - along[:, None] * axis, axis=1)
-    return np.abs(along), across
-
-
-def _turned(square: Reals, turn: Reals) -> Reals:
-    """Turn a stiffness over some nodes with each of n rotations, shape (n, side, side)."""
-    thirds = len(square) // 3
-    blocks = square.reshape(thirds, 3, thirds, 3)
-    turned: Reals = np.einsum("nij,ajbk,nlk->naibl", turn, blocks, turn, optimize=True)
-    return turned.reshape(len(turn), len(square), len(square))
-
-
-def _condensed_robot(dock_offset_body: Reals, params: MechanicsParams) -> Reals:
-    """Condense a robot's stiffness, body frame, to its docks, shape (6 docks, 6 docks)."""
-    count = len(dock_offset_body)
-    links = stiffness(dock_offset_body, params.link_axial, params.beam_radius, params.poisson)
-    whole = np.zeros((6 + 6 * count, 6 + 6 * count))
-    for k, link in enumerate(links):
-        at = np.r_[0:6, 6 + 6 * k : 12 + 6 * k]
-        whole[np.ix_(at, at)] += link
-    center, docks = slice(0, 6), slice(6, None)
-    passed_on = np.linalg.solve(whole[center, center], whole[center, docks])
-    return whole[docks, docks] - whole[docks, center] @ passed_on

@@ -1,0 +1,107 @@
+"""Elimination over a graph solves what a dense solver does."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests import frames
+from tiswarm.compute import backend
+from tiswarm.compute.lang import Ints1, Ints2, Ints3, Reals2, Reals3, ti
+from tiswarm.world.elimination_kernels import (
+    HALF_COLUMNS,
+    NODE_COLUMNS,
+    EliminationArrays,
+    clear,
+    edge_between,
+    solve,
+)
+from tiswarm.world.mechanics import Frames, MechanicsParams
+
+SIDE = 6
+FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
+
+
+@ti.kernel
+def _solve_one(
+    pairs: Ints2, coupling: Reals2, own: Reals2, has_room: Ints1,
+    node: Ints3, half: Ints3, edge_count: Ints1, diagonal: Reals3, block: Reals3, motion: Reals3,
+):  # fmt: skip
+    work = ti.static(EliminationArrays(node, half, edge_count, diagonal, block, motion))
+    for _ in range(1):
+        clear(work, 0, own.shape[0])
+        for a, c in ti.ndrange(own.shape[0], 36):
+            diagonal[0, a, c] = own[a, c]
+        for p in range(pairs.shape[0]):
+            edge = edge_between(work, 0, pairs[p, 0], pairs[p, 1])
+            for c in range(36):
+                block[0, edge, c] += coupling[p, c]
+        has_room[0] = ti.cast(solve(work, 0, own.shape[0]), ti.i32)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32), nodes=st.integers(1, 25), degree=st.floats(0.0, 8.0))
+def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
+    """Graphs from no edges to all, some in pieces, some edges given twice."""
+    rng = np.random.default_rng(seed)
+    count = round(degree * nodes / 2) if nodes > 1 else 0
+    pairs = np.sort([rng.choice(nodes, 2, replace=False) for _ in range(count)], axis=-1)
+    pairs = pairs.reshape(-1, 2).astype(np.int32)
+    coupling = rng.normal(size=(count, SIDE, SIDE))
+    dense = np.zeros((nodes, nodes, SIDE, SIDE))
+    for (a, b), each in zip(pairs, coupling, strict=True):
+        dense[a, b] += each
+        dense[b, a] += each.T
+    dense[np.arange(nodes), np.arange(nodes)] = 50.0 * np.eye(SIDE) * (1.0 + degree)
+    load, edges = rng.normal(size=(nodes, SIDE)), nodes * (nodes - 1) // 2 + 1
+    work = EliminationArrays(
+        node=np.empty((1, nodes + 1, NODE_COLUMNS), np.int32),
+        half=np.empty((1, 2 * edges, HALF_COLUMNS), np.int32),
+        edge_count=np.zeros(1, np.int32),
+        diagonal=np.empty((1, nodes, SIDE**2)),
+        block=np.empty((1, edges, SIDE**2)),
+        motion=load[None].copy(),
+    )
+    has_room = np.zeros(1, np.int32)
+    own = np.ascontiguousarray(dense[np.arange(nodes), np.arange(nodes)]).reshape(nodes, -1)
+    backend.processor()
+
+    _solve_one(pairs, coupling.reshape(count, SIDE**2), own, has_room, *work)
+
+    matrix = dense.swapaxes(1, 2).reshape(SIDE * nodes, SIDE * nodes)
+    expected = np.linalg.solve(matrix, load.ravel()).reshape(nodes, SIDE)
+    assert has_room[0]
+    np.testing.assert_allclose(work.motion[0], expected, rtol=0.0, atol=1e-12)
+
+
+def _filled(structures, params, *, cramped=False):
+    """Frames of some structures, with little room at first where asked."""
+    robots = max(len(each.center) for each in structures)
+    built = Frames(params, docks=3, robots=robots, structures=len(structures))
+    if cramped:
+        built.work = built.work._replace(
+            half=np.empty((len(structures), 2, HALF_COLUMNS), np.int32),
+            block=np.empty((len(structures), 1, SIDE**2)),
+        )
+        few = {name: getattr(built.frame, name)[:, :1] for name in ("ends", "stiffness", "span")}
+        built.frame = built.frame._replace(**few)
+    for number, structure in enumerate(structures):
+        for j in range(len(structure.center)):
+            frames.join(built, number, structure, j)
+    built.solve(range(len(structures)))
+    return built
+
+
+@pytest.mark.parametrize("model", ["flexible", "rigid"])
+def test_room_and_company_change_no_bit(towers, cantilevers, model):
+    """Arrays grow where they are too small, and structures in one batch are independent."""
+    params = MechanicsParams(model=model)
+    structures = [frames.grown(history, 12) for history in (*towers, *cantilevers)]
+
+    together = _filled(structures, params, cramped=True)
+
+    for number, structure in enumerate(structures):
+        alone = _filled([structure], params).loads(0)
+        for name in FORCES:
+            found = getattr(together.loads(number), name)
+            np.testing.assert_array_equal(found, getattr(alone, name))

@@ -1,0 +1,262 @@
+"""Elimination over a graph: how a kernel solves a sparse system of 6 x 6 blocks.
+
+Nodes of 6 unknowns are eliminated one after the other, always one of the fewest neighbors that are
+left (minimum degree). With K the matrix of those that are left, C C' = K_kk the Cholesky
+factorization of the pivot's block, and a and b neighbors of k,
+
+    Z_a = C^-1 K_ka,    y = C^-1 f_k,    K_ab -= Z_a' Z_b,    f_a -= Z_a' y,
+
+which joins all neighbors of k to each other. Then, in reverse, u_k = C^-T (y - sum_a Z_a u_a).
+A matrix that is not positive definite gives NaN (George and Liu, Computer Solution of Large Sparse
+Positive Definite Systems, 1981).
+"""
+
+from typing import NamedTuple
+
+from tiswarm.compute.lang import Ints1, Ints3, Reals3, Ref, ti
+
+_FIRST, _DEGREE, _LEFT, _RIGHT, _BUCKET, _ORDER, _MARKED_BY, _MARK, _NEAR = range(9)
+"""Columns of a node: its first half-edge; number of neighbors that are left; nodes before and
+after it among those of its degree; the node that marked it as a neighbor, and by which half-edge.
+Columns of a number: first node of that degree; pivot of that step; half-edge to that neighbor of
+the pivot."""
+NODE_COLUMNS = 9
+_NEXT, _OTHER = range(2)
+"""Columns of a half-edge: next one of its node, and node at the other end. Half-edges 2 e and
+2 e + 1 are the two of edge e."""
+HALF_COLUMNS = 2
+
+
+class EliminationArrays(NamedTuple):
+    """S systems with room for M nodes and E edges between them."""
+
+    node: Ints3
+    """Shape (S, M + 1, NODE_COLUMNS)."""
+
+    half: Ints3
+    """Shape (S, 2 E, HALF_COLUMNS)."""
+
+    edge_count: Ints1
+    """Edges that the elimination needed so far; it stops where they exceed E, shape (S,)."""
+
+    diagonal: Reals3
+    """K_aa, row by row; then C, shape (S, M, 36)."""
+
+    block: Reals3
+    """K_ab of each edge, a < b, row by row; then Z, shape (S, E, 36)."""
+
+    motion: Reals3
+    """f of each node; then u, shape (S, M, 6)."""
+
+
+@ti.func
+def clear(work: Ref, s, nodes):
+    """Start a system of so many nodes that nothing joins; `motion` is left as it is."""
+    work.edge_count[s] = 0
+    for a in range(nodes):
+        work.node[s, a, _FIRST] = -1
+        work.node[s, a, _DEGREE] = 0
+        work.node[s, a, _MARKED_BY] = -1
+        for c in range(36):
+            work.diagonal[s, a, c] = 0.0
+
+
+@ti.func
+def edge_between(work: Ref, s, a, b):
+    """Find the edge that joins two nodes, or add it; return -1 without room."""
+    half = work.node[s, a, _FIRST]
+    while half >= 0 and work.half[s, half, _OTHER] != b:
+        half = work.half[s, half, _NEXT]
+    if half < 0:
+        half = _add_edge(work, s, a, b)
+    return half // 2 if half >= 0 else -1
+
+
+@ti.func
+def _add_edge(work: Ref, s, a, b):
+    """Join two nodes; return the half-edge of `a`, or -1 without room."""
+    edge = work.edge_count[s]
+    work.edge_count[s] += 1
+    half = -1
+    if edge < work.block.shape[1]:
+        half = 2 * edge
+        for c in range(36):
+            work.block[s, edge, c] = 0.0
+        work.half[s, half, _OTHER] = b
+        work.half[s, half, _NEXT] = work.node[s, a, _FIRST]
+        work.node[s, a, _FIRST] = half
+        work.half[s, half + 1, _OTHER] = a
+        work.half[s, half + 1, _NEXT] = work.node[s, b, _FIRST]
+        work.node[s, b, _FIRST] = half + 1
+        work.node[s, a, _DEGREE] += 1
+        work.node[s, b, _DEGREE] += 1
+    return half
+
+
+@ti.func
+def _enter(node: Ref, s, a):
+    """Put a node in front of those of its degree."""
+    degree = node[s, a, _DEGREE]
+    first = node[s, degree, _BUCKET]
+    node[s, a, _LEFT] = -1
+    node[s, a, _RIGHT] = first
+    if first >= 0:
+        node[s, first, _LEFT] = a
+    node[s, degree, _BUCKET] = a
+
+
+@ti.func
+def _leave(node: Ref, s, a, degree):
+    """Take a node out from those of a degree."""
+    left, right = node[s, a, _LEFT], node[s, a, _RIGHT]
+    if left >= 0:
+        node[s, left, _RIGHT] = right
+    else:
+        node[s, degree, _BUCKET] = right
+    if right >= 0:
+        node[s, right, _LEFT] = left
+
+
+@ti.func
+def _eliminate(work: Ref, s, k):
+    """Eliminate node `k`; its load y replaces that in `motion`."""
+    for j in range(6):
+        for i in range(j, 6):
+            value = work.diagonal[s, k, 6 * i + j]
+            for c in range(j):
+                value -= work.diagonal[s, k, 6 * i + c] * work.diagonal[s, k, 6 * j + c]
+            if i > j:
+                value /= work.diagonal[s, k, 7 * j]
+            else:
+                # NaN also where rounding makes a pivot 0.
+                value = ti.sqrt(value) if value > 0.0 else ti.math.nan
+            work.diagonal[s, k, 6 * i + j] = value
+    for i in range(6):
+        value = work.motion[s, k, i]
+        for c in range(i):
+            value -= work.diagonal[s, k, 6 * i + c] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.diagonal[s, k, 7 * i]
+    near = 0
+    half = work.node[s, k, _FIRST]
+    while half >= 0:
+        work.node[s, near, _NEAR] = half
+        near += 1
+        a, edge = work.half[s, half, _OTHER], half // 2
+        _leave(work.node, s, a, work.node[s, a, _DEGREE])
+        work.node[s, a, _DEGREE] -= 1
+        _forward(work, s, k, a, edge)
+        half = work.half[s, half, _NEXT]
+    return near
+
+
+@ti.func
+def _forward(work: Ref, s, k, a, edge):
+    """Replace K_ka by Z_a; subtract Z_a' Z_a and Z_a' y."""
+    if a < k:
+        for i in range(6):
+            for j in range(i):
+                upper, lower = work.block[s, edge, 6 * j + i], work.block[s, edge, 6 * i + j]
+                work.block[s, edge, 6 * i + j] = upper
+                work.block[s, edge, 6 * j + i] = lower
+    for i in range(6):
+        row = ti.Vector([work.block[s, edge, 6 * i + j] for j in range(6)])
+        for c in range(i):
+            row -= work.diagonal[s, k, 6 * i + c] * ti.Vector(
+                [work.block[s, edge, 6 * c + j] for j in range(6)]
+            )
+        row /= work.diagonal[s, k, 7 * i]
+        for j in ti.static(range(6)):
+            work.block[s, edge, 6 * i + j] = row[j]
+            work.motion[s, a, j] -= row[j] * work.motion[s, k, i]
+    _subtract(work.diagonal, s, a, work.block, edge, edge)
+
+
+@ti.func
+def _subtract(into: Ref, s, target, block: Ref, one, other):
+    """Subtract Z_one' Z_other from a block."""
+    for i in ti.static(range(6)):
+        row = ti.Vector([into[s, target, 6 * i + j] for j in range(6)])
+        for c in ti.static(range(6)):
+            factor = block[s, one, 6 * c + i]
+            row -= factor * ti.Vector([block[s, other, 6 * c + j] for j in range(6)])
+        for j in ti.static(range(6)):
+            into[s, target, 6 * i + j] = row[j]
+
+
+@ti.func
+def _join_neighbors(work: Ref, s, k, near):
+    """Subtract Z_a' Z_b from the blocks of all pairs of neighbors of `k`."""
+    for n in range(near):
+        from_k = work.node[s, n, _NEAR]
+        a = work.half[s, from_k, _OTHER]
+        # Mark the neighbors of `a`, and drop `k` from them.
+        before = -1
+        half = work.node[s, a, _FIRST]
+        while half >= 0:
+            other, following = work.half[s, half, _OTHER], work.half[s, half, _NEXT]
+            if other != k:
+                work.node[s, other, _MARKED_BY] = a
+                work.node[s, other, _MARK] = half
+                before = half
+            elif before < 0:
+                work.node[s, a, _FIRST] = following
+            else:
+                work.half[s, before, _NEXT] = following
+            half = following
+        for m in range(near):
+            to_b = work.node[s, m, _NEAR]
+            b = work.half[s, to_b, _OTHER]
+            if a < b:
+                half = work.node[s, b, _MARK]
+                if work.node[s, b, _MARKED_BY] != a:
+                    half = _add_edge(work, s, a, b)
+                if half >= 0:
+                    _subtract(work.block, s, half // 2, work.block, from_k // 2, to_b // 2)
+
+
+@ti.func
+def _back(work: Ref, s, k):
+    """Find the motion of `k` from those that were eliminated later."""
+    rest = ti.Vector([work.motion[s, k, i] for i in range(6)])
+    half = work.node[s, k, _FIRST]
+    while half >= 0:
+        a, edge = work.half[s, half, _OTHER], half // 2
+        for j in range(6):
+            moved = work.motion[s, a, j]
+            rest -= moved * ti.Vector([work.block[s, edge, 6 * i + j] for i in range(6)])
+        half = work.half[s, half, _NEXT]
+    for c in ti.static(range(6)):
+        work.motion[s, k, c] = rest[c]
+    for back in range(6):
+        i = 5 - back
+        value = work.motion[s, k, i]
+        for c in range(i + 1, 6):
+            value -= work.diagonal[s, k, 6 * c + i] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.diagonal[s, k, 7 * i]
+
+
+@ti.func
+def solve(work: Ref, s, nodes):
+    """Solve a system; return whether there was room for the edges."""
+    for a in range(nodes + 1):
+        work.node[s, a, _BUCKET] = -1
+    for a in range(nodes):
+        _enter(work.node, s, a)
+    least = 0
+    for step in range(nodes):
+        if work.edge_count[s] <= work.block.shape[1]:
+            while work.node[s, least, _BUCKET] < 0:
+                least += 1
+            k = work.node[s, least, _BUCKET]
+            work.node[s, step, _ORDER] = k
+            _leave(work.node, s, k, least)
+            near = _eliminate(work, s, k)
+            _join_neighbors(work, s, k, near)
+            for n in range(near):
+                _enter(work.node, s, work.half[s, work.node[s, n, _NEAR], _OTHER])
+            least = ti.max(least - 1, 0)
+    has_room = work.edge_count[s] <= work.block.shape[1]
+    if has_room:
+        for step in range(nodes):
+            _back(work, s, work.node[s, nodes - 1 - step, _ORDER])
+    return has_room
