@@ -5,7 +5,7 @@ from tiswarm.compute.lang import I32, Ints1, Reals1, Ref, ti
 
 @ti.func
 def vector_at(rows: Ref, i):
-    """Read row `i` of a table with three columns."""
+    """Read the first three columns of row `i` of a table."""
     return ti.Vector([rows[i, 0], rows[i, 1], rows[i, 2]])
 
 

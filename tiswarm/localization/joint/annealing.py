@@ -6,33 +6,36 @@ of the temperature: the standard deviation by which measurements may be missed. 
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.aliases import Reals
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
 from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
 from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.force_kernels import INERTIA, TOTAL, YAW
+from tiswarm.localization.joint.force_kernels import TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
 from tiswarm.localization.joint.kernels import (
     MEMORY,
-    SKIN,
     STALE,
     THIN_SKIN,
     note_places,
     take_steps,
 )
-from tiswarm.localization.joint.problem import Planes, Problem
+from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
+from tiswarm.localization.joint.upload import (
+    block_arrays,
+    contact_arrays,
+    prior_arrays,
+    robot_arrays,
+    swarm_arrays,
+)
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.rows import SPACING
 from tiswarm.progress import ignore
@@ -42,8 +45,6 @@ _SHORT_LOOP = 10_000
 """Most robots of a structure on a device that stops long loops."""
 _BYTES = 1_000
 """Memory of a robot in one chain on the device, in f64 [B]."""
-_AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-"""A row of the kernel's headings to begin with."""
 
 
 def anneal(
@@ -137,13 +138,13 @@ class Annealer:
         )
         self.measured = [
             memory.upload(self.sigma),
-            *self._robots(params),
-            *_contact_arrays(memory, problems, params, self.start, np.argsort(self.order)),
-            *self._priors(),
+            *robot_arrays(memory, problems, params, self.order),
+            *contact_arrays(memory, problems, params, self.order),
+            *prior_arrays(memory, problems, self.order),
         ]
         self.trees = subtree_arrays(memory, problems, trees, self.chains)
-        self.swarm = self._swarm(arm, position)
-        self.blocks = self._blocks(first_of_block)
+        self.swarm = swarm_arrays(memory, arm, position, inertia_factor)
+        self.blocks = block_arrays(memory, first_of_block)
 
     def _is_quicker_by_block(self, running: Backend) -> bool:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
@@ -152,64 +153,6 @@ class Annealer:
         copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
         shared = AnnealSchedule.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
-
-    def _robots(self, params: Sequence[JointParams]) -> Robots:
-        upload, size = self.memory.upload, self.size
-        number = np.concatenate([np.arange(robots) for robots in size])[self.order]
-        return Robots(
-            structure=upload(np.repeat(np.arange(len(size)), size)),
-            number=upload(number),
-            non_overlap=upload(np.repeat([int(p.non_overlap) for p in params], size)),
-            robust=upload(
-                np.repeat([AnnealSchedule.outlier_sd**-2 * p.robust for p in params], size)
-            ),
-        )
-
-    def _priors(self) -> Priors:
-        planes = [p.planes() for p in self.problems]
-        robot = [own.robot + a for own, a in zip(planes, self.start[:-1], strict=True)]
-        number = np.argsort(self.order)[np.concatenate(robot)]
-        every = Planes.joined(planes)
-        every = Planes._make(column[np.argsort(number, kind="stable")] for column in every)
-        return Priors(
-            start=self.memory.upload(_row_starts(number, len(self.order))),
-            point=_upload(self.memory, every.point),
-            direction=_upload(self.memory, every.direction),
-            precision=_upload(self.memory, every.precision),
-            crowd=_upload(self.memory, every.crowd),
-            walk=_upload(self.memory, every.walk),
-            yaw_precision=self.memory.upload(
-                np.repeat([p.yaw_precision for p in self.problems], self.size)
-            ),
-        )
-
-    def _swarm(self, arm: Reals, position: Reals) -> Swarm:
-        upload, copies = self.memory.upload, len(position)
-        heading = np.tile(_AS_SENSED, (copies, 1))
-        heading[:, INERTIA] = self.inertia_factor
-        return Swarm(
-            arm=upload(np.tile(arm, (self.chains, 1, 1))),
-            position=upload(position),
-            velocity=upload(np.zeros((copies, 3))),
-            force=upload(np.zeros((copies, 3))),
-            mass=upload(np.full(copies, self.inertia_factor)),
-            heading=upload(heading),
-            total=upload(np.zeros((copies, 3))),
-            square_total=upload(np.zeros(copies)),
-        )
-
-    def _blocks(self, start: Ints) -> Blocks:
-        upload, blocks = self.memory.upload, len(start) - 1
-        listed = np.zeros((start[-1], 4))
-        listed[:, 3] = np.repeat(np.arange(blocks), np.diff(start))
-        return Blocks(
-            start=upload(start),
-            taken=upload(np.zeros(blocks, np.int64)),
-            age=upload(np.full(blocks, STALE)),
-            skin=upload(np.full(blocks, SKIN)),
-            listed=upload(listed.ravel()),
-            strayed=upload(np.zeros(2, np.int64)),
-        )
 
     def run(self, on_progress: Callable[[float], None] = ignore) -> list[Annealed]:
         """Take all steps, and report the share of them that is done."""
@@ -360,72 +303,3 @@ def thermostat(sigma: Reals) -> Reals:
         target[..., step] *= 1.0 - MEMORY**2
         target[..., step] += MEMORY**2 * target[..., step - 1]
     return target
-
-
-def _contact_arrays(
-    memory: Allocator,
-    problems: Sequence[Problem],
-    params: Sequence[JointParams],
-    start: Ints,
-    number: NDArray[np.intp],
-) -> Contacts:
-    """Put the contacts of all structures on the device, each at both its robots.
-
-    Args:
-        memory: Where arrays are allocated.
-        problems: Measurements of each structure.
-        params: Settings of each.
-        start: First robot of each, shape (S + 1,).
-        number: Where each robot is in memory, shape (N,).
-    """
-    robot = number[np.concatenate([e.robot + a for e, a in zip(problems, start[:-1], strict=True)])]
-    other = number[np.concatenate([e.other + a for e, a in zip(problems, start[:-1], strict=True)])]
-    is_final = np.concatenate([e.is_final for e in problems]).astype(np.int64)
-    is_offset = np.concatenate([e.is_offset for e in problems])
-    extension = np.concatenate(
-        [p.extension_prior * e.is_final / e.fewest for e, p in zip(problems, params, strict=True)]
-    )
-    extension[is_offset] = 0.0  # their direction is measured
-    vector = np.concatenate([e.vector for e in problems])
-    shift = np.concatenate([e.shift for e in problems]) - vector
-    lever = np.concatenate([e.lever for e in problems])
-    lever[:, :2] -= vector[:, :2]
-    length = np.concatenate([e.length for e in problems])
-    variance = np.concatenate([e.variance[e.link] for e in problems])
-    total = np.concatenate([e.by_link(e.variance) for e in problems])
-    across = np.where(is_offset, 0.5 * (total - variance), 0.0)
-    is_touch = np.concatenate([e.is_touch for e in problems])
-    arms = np.concatenate([e.touch_arms for e in problems])
-    touch = np.full((2, len(robot)), -1)
-    touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
-    measures = np.repeat([1, 0], len(robot))
-    both = np.concatenate([robot, other])
-    order = np.argsort(both, kind="stable")
-    return Contacts(
-        start=memory.upload(_row_starts(both, int(start[-1]))),
-        partner=_upload(memory, np.concatenate([other, robot])[order]),
-        is_final=_upload(memory, np.tile(is_final, 2)[order]),
-        extension=_upload(memory, np.tile(extension, 2)[order]),
-        shift=_upload(memory, np.concatenate([shift, -shift])[order]),
-        lever=_upload(memory, np.concatenate([lever, lever[:, [2, 3, 0, 1]]])[order]),
-        length=_upload(memory, np.tile(length, 2)[order], 1.0),
-        variance=_upload(memory, np.tile(variance, 2)[order], 1.0),
-        across=_upload(memory, np.tile(across, 2)[order]),
-        vector=_upload(memory, np.concatenate([vector, -vector])[order]),
-        source=_upload(memory, np.column_stack([measures, touch.ravel()])[order]),
-        has_offsets=bool(is_offset.any()),
-        candidates=_upload(memory, np.concatenate([arms, np.roll(arms, 3, axis=2)])),
-        has_touches=bool(len(arms)),
-    )
-
-
-def _row_starts(robot: NDArray[np.intp], robots: int) -> Ints:
-    """Find the first row of each robot in a sorted table, shape (N + 1,)."""
-    starts: Ints = np.r_[0, np.bincount(robot, minlength=robots).cumsum()]
-    return starts
-
-
-def _upload(memory: Allocator, values: NDArray[Any], padding: float = 0.0) -> DeviceArray:
-    """Copy an array to the device; a kernel takes no empty one."""
-    width = [(0, 0 if len(values) else 1), *[(0, 0)] * (values.ndim - 1)]
-    return memory.upload(np.pad(values, width, constant_values=padding))

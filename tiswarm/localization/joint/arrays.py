@@ -35,17 +35,18 @@ class Step(NamedTuple):
 class Robots(NamedTuple):
     """Constants of each robot."""
 
-    structure: Ints1
-    """Structure that each robot is of, shape (N,)."""
+    label: Ints2
+    """Structure that each robot is of, join number within it, and whether docks that do not touch
+    repel, shape (N, 3)."""
 
-    number: Ints1
-    """Join number within its structure, shape (N,)."""
+    weight: Reals2
+    """One over the squared width of the robust loss, 0 for none [1], and the precision of the
+    sensed yaw, 0 where robots do not turn [rad^-2], shape (N, 2)."""
 
-    non_overlap: Ints1
-    """Whether docks that do not touch repel, shape (N,)."""
 
-    robust: Reals1
-    """One over the squared width of the robust loss, 0 for none [1], shape (N,)."""
+STRUCTURE, NUMBER, NON_OVERLAP = range(3)
+ROBUST, YAW_PRECISION = range(2)
+"""Columns of `Robots`."""
 
 
 class Contacts(NamedTuple):
@@ -57,36 +58,19 @@ class Contacts(NamedTuple):
     start: Ints1
     """First entry of each robot, shape (N + 1,)."""
 
-    partner: Ints1
-    """Robot on the other side, shape (K,)."""
+    label: Ints2
+    """Robot on the other side, whether the robots touch at their final stances, whether the robot
+    measured the offset, not its partner, and the row of a touch in `candidates`, -1 of other
+    entries, shape (K, 4)."""
 
-    is_final: Ints1
-    """Whether the robots touch at their final stances, shape (K,)."""
+    value: Reals2
+    """Arm of the robot's dock less that of the partner's, as sensed [R], measured distance [R], its
+    variance or that along an offset, the variance across an offset, 0 of other entries [R^2], and
+    the gain in log-likelihood for each R more between the two centers [R^-1], shape (K, 7)."""
 
-    extension: Reals1
-    """Gain in log-likelihood for each R more between the two centers [R^-1], shape (K,)."""
-
-    shift: Reals2
-    """Arm of the robot's dock less that of the partner's, as sensed [R], shape (K, 3)."""
-
-    lever: Reals2
-    """Horizontal arms, the robot's x and y and the partner's [R], shape (K, 4)."""
-
-    length: Reals1
-    """Measured distance [R], shape (K,)."""
-
-    variance: Reals1
-    """Variance of the measured distance, or along an offset [R^2], shape (K,)."""
-
-    across: Reals1
-    """Variance across an offset, 0 of other entries [R^2], shape (K,)."""
-
-    vector: Reals2
-    """Measured vector from the robot's dock to the partner's, as sensed [R], shape (K, 3)."""
-
-    source: Ints2
-    """Whether the robot measured the vector, not its partner; and the row of a touch in
-    `candidates`, -1 of other entries. A kernel takes no more arrays. Shape (K, 2)."""
+    level: Reals2
+    """What turns with robots: horizontal arms, the robot's x and y and the partner's, and the
+    measured vector from the robot's dock to the partner's, as sensed [R], shape (K, 7)."""
 
     has_offsets: bool
     """Whether any entry is an offset."""
@@ -99,29 +83,27 @@ class Contacts(NamedTuple):
     """Whether any entry is a touch."""
 
 
+PARTNER, IS_FINAL, IS_OWN, TOUCH = range(4)
+LENGTH, VARIANCE, ACROSS, EXTENSION = range(3, 7)
+VECTOR = 4
+"""Columns of `Contacts`; the shift and the lever come first."""
+
+
 class Priors(NamedTuple):
-    """Planes on which robots were measured to be, P of them in CSR form, and measured yaws."""
+    """Planes on which robots were measured to be, P of them in CSR form."""
 
     start: Ints1
     """First plane of each robot, shape (N + 1,)."""
 
-    point: Reals2
-    """A point of each plane [R], shape (P, 3)."""
+    plane: Reals2
+    """A point of each plane [R], the unit vector perpendicular to it, the part of the point which
+    turns with the robot, x and y to be subtracted [R], the precision of the distance from the plane
+    [R^-2], and 1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape
+    (P, 10)."""
 
-    direction: Reals2
-    """Unit vector perpendicular to it, shape (P, 3)."""
 
-    precision: Reals1
-    """Precision of the distance from it [R^-2], shape (P,)."""
-
-    crowd: Reals1
-    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
-
-    walk: Reals2
-    """Part of `point` which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
-
-    yaw_precision: Reals1
-    """Precision of the sensed yaw, 0 where robots do not turn [rad^-2], shape (N,)."""
+DIRECTION, WALK, PRECISION, CROWD = 3, 6, 8, 9
+"""Columns of `Priors`; the point comes first."""
 
 
 class Subtrees(NamedTuple):

@@ -13,6 +13,24 @@ center.
 
 from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import vector_at
+from tiswarm.localization.joint.arrays import (
+    ACROSS,
+    CROWD,
+    DIRECTION,
+    EXTENSION,
+    IS_FINAL,
+    IS_OWN,
+    LENGTH,
+    NON_OVERLAP,
+    PARTNER,
+    PRECISION,
+    ROBUST,
+    TOUCH,
+    VARIANCE,
+    VECTOR,
+    WALK,
+    YAW_PRECISION,
+)
 from tiswarm.localization.virtual_force_kernels import with_torque
 from tiswarm.measurements.rows import SPACING
 
@@ -33,6 +51,12 @@ _WHOLE = 2.0**44
 """Parts of one in which pushes are counted."""
 COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
 """Columns of the table of headings: how far robots have been turned, and how they turn."""
+
+
+@ti.func
+def part_at(table: Ref, row, first):
+    """Read three columns of a table, from `first` on, as a vector."""
+    return ti.Vector([table[row, first], table[row, first + 1], table[row, first + 2]])
 
 
 @ti.func
@@ -76,19 +100,19 @@ def _pull_of_offset(
         contacts: Contacts.
         swarm: State of the copies.
     """
-    vector = vector_at(contacts.vector, slot)
+    vector = part_at(contacts.level, slot, VECTOR)
     lever = arm
     if ti.static(turning):
         owner = partner
-        if contacts.source[slot, 0] == 1:
+        if contacts.label[slot, IS_OWN] == 1:
             owner, lever = r, arm - apart
         level = _turned(vector[0], vector[1], swarm.heading, owner)
         vector[0], vector[1] = level[0], level[1]
     residual = apart + vector
     along = residual.dot(vector) / vector.norm_sqr() * vector
     across = residual - along
-    stiff = square / (square + contacts.variance[slot])
-    stiff_across = square / (square + contacts.across[slot])
+    stiff = square / (square + contacts.value[slot, VARIANCE])
+    stiff_across = square / (square + contacts.value[slot, ACROSS])
     torn = stiff * along.norm_sqr() + stiff_across * across.norm_sqr()
     whole = 1.0 / (1.0 + robust * torn / square)
     force = -whole * (stiff * along + stiff_across * across)
@@ -118,7 +142,7 @@ def _nearest_docks(
     Returns:
         From the partner's dock to the robot's, and the arm of the robot's dock [R].
     """
-    row = contacts.source[slot, 1]
+    row = contacts.label[slot, TOUCH]
     nearest, arm = between, between
     least = 1.0 / _TINY
     for k in range(docks):
@@ -132,7 +156,7 @@ def _nearest_docks(
                 level = _turned(its[0], its[1], swarm.heading, partner)
                 its[0], its[1] = level[0], level[1]
             apart = between + own - its
-            off = ti.abs(apart.norm() - contacts.length[slot])
+            off = ti.abs(apart.norm() - contacts.value[slot, LENGTH])
             if off < least:
                 least, nearest, arm = off, apart, own
     return nearest, arm
@@ -148,7 +172,6 @@ def _pull_of_contacts(
     step: Ref,
     robots: Ref,
     contacts: Ref,
-    priors: Ref,
     swarm: Ref,
 ):
     """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
@@ -170,52 +193,53 @@ def _pull_of_contacts(
     """
     square = step.sigma * step.sigma
     base = r - i
-    turns = priors.yaw_precision[i] > 0.0
+    turns, robust = robots.weight[i, YAW_PRECISION] > 0.0, robots.weight[i, ROBUST]
     here = vector_at(swarm.position, r)
     force = with_torque(0.0 * here, here)
     stiffness = 0.0 * here[0]
     inertia = stiffness
     for slot in range(contacts.start[i], contacts.start[i + 1]):
-        partner = base + contacts.partner[slot]
+        partner = base + contacts.label[slot, PARTNER]
         between = here - vector_at(swarm.position, partner)
-        apart = between + vector_at(contacts.shift, slot)
+        apart = between + vector_at(contacts.value, slot)
         arm = 0.0 * here
         if ti.static(turning) and turns:
-            x, y = contacts.lever[slot, 0], contacts.lever[slot, 1]
-            its_x, its_y = contacts.lever[slot, 2], contacts.lever[slot, 3]
+            x, y = contacts.level[slot, 0], contacts.level[slot, 1]
+            its_x, its_y = contacts.level[slot, 2], contacts.level[slot, 3]
             arm = _turned(x, y, swarm.heading, r)
             its = _turned(its_x, its_y, swarm.heading, partner)
             apart[0] += arm[0] - its[0] - x + its_x
             apart[1] += arm[1] - its[1] - y + its_y
         if ti.static(contacts.has_touches):
-            if contacts.source[slot, 1] >= 0:
+            if contacts.label[slot, TOUCH] >= 0:
                 apart, arm = _nearest_docks(
                     r, partner, slot, between, docks, turning, contacts, swarm
                 )
                 arm[2] = 0.0
         length = ti.max(apart.norm(), _TINY)
-        measured = contacts.length[slot]
+        measured = contacts.value[slot, LENGTH]
         residual = length - measured
-        within = square + contacts.variance[slot] + residual * residual * robots.robust[i]
+        width = square + contacts.value[slot, VARIANCE]
+        within = width + residual * residual * robust
         inverse = 1.0 / (within * length)  # one division for two
         stiff = square * length * inverse
         inside = _push_inside(length * length, 0.5 / ti.max(measured * measured, _TINY))
         pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
-        overlap = contacts.is_final[slot] * _push_inside(length * length, slope)
+        overlap = contacts.label[slot, IS_FINAL] * _push_inside(length * length, slope)
         if ti.static(contacts.has_offsets):
-            if contacts.across[slot] > 0.0:
+            if contacts.value[slot, ACROSS] > 0.0:
                 held, stiff, lag = _pull_of_offset(
-                    r, partner, slot, apart, arm, turning, square, robots.robust[i], contacts,
-                    swarm,
-                )  # fmt: skip
+                    r, partner, slot, apart, arm, turning, square, robust, contacts, swarm
+                )
                 force += held
                 inertia += lag
                 pull = 0.0
         force -= with_torque((stiff * pull + overlap) * apart, arm)
-        if contacts.is_final[slot] == 1:
-            trust = (square + contacts.variance[slot]) * length * inverse
+        if contacts.label[slot, IS_FINAL] == 1:
+            trust = width * length * inverse
+            gain = contacts.value[slot, EXTENSION]
             held = between + (SPACING / length - 1.0) * apart
-            push = trust * square * contacts.extension[slot] / ti.max(held.norm(), 1.0) * held
+            push = trust * square * gain / ti.max(held.norm(), 1.0) * held
             across = push - push.dot(apart) / (length * length) * apart
             across *= SPACING / ti.max(length, SPACING)
             # The turn of an arm turns `apart`, and would move `held` were it not for the contact.
@@ -277,13 +301,13 @@ def pull_robot(
     A robot that becomes heavier keeps its kinetic energy, not its velocity.
     """
     square = step.sigma * step.sigma
-    i = r % robots.non_overlap.shape[0]
-    width = robots.non_overlap[i] * SPACING * step.growth
+    i = r % robots.label.shape[0]
+    width = robots.label[i, NON_OVERLAP] * SPACING * step.growth
     slope = 0.5 / ti.max(width * width, _TINY)
     pull, stiffness, inertia = _pull_of_contacts(
-        r, i, docks, turning, slope, step, robots, contacts, priors, swarm
+        r, i, docks, turning, slope, step, robots, contacts, swarm
     )
-    if robots.non_overlap[i] == 1:
+    if robots.label[i, NON_OVERLAP] == 1:
         push, hardness, lag = _push_of_overlaps(r, docks, slope, grid, rows, swarm)
         pull += push
         stiffness += hardness
@@ -292,15 +316,17 @@ def pull_robot(
     for plane in range(priors.start[i], priors.start[i + 1]):
         walked = 0.0 * vector_at(swarm.position, r)
         if ti.static(turning):
-            walked = _turned(priors.walk[plane, 0], priors.walk[plane, 1], swarm.heading, r)
-        normal = vector_at(priors.direction, plane)
-        off = vector_at(priors.point, plane) - walked - vector_at(swarm.position, r)
+            walk_x, walk_y = priors.plane[plane, WALK], priors.plane[plane, WALK + 1]
+            walked = _turned(walk_x, walk_y, swarm.heading, r)
+        normal = part_at(priors.plane, plane, DIRECTION)
+        off = vector_at(priors.plane, plane) - walked - vector_at(swarm.position, r)
         gap = normal.dot(off)
-        known = square * priors.precision[plane]
-        torn = priors.precision[plane] * gap * gap * robots.robust[i]  # Cauchy's loss, too
+        precision = priors.plane[plane, PRECISION]
+        known = square * precision
+        torn = precision * gap * gap * robots.weight[i, ROBUST]  # Cauchy's loss, too
         stiff = known / (1.0 + known + torn)
         hold += with_torque(stiff * gap * normal, walked)
-        stiffness += stiff * priors.crowd[plane] / 3.0
+        stiffness += stiff * priors.plane[plane, CROWD] / 3.0
         inertia += 0.5 * stiff * walked.norm_sqr()  # no less than it is
     for c in ti.static(range(3)):
         swarm.force[r, c] = pull[c] + hold[c]
@@ -309,8 +335,8 @@ def pull_robot(
     slower = ti.sqrt(before / swarm.mass[r])
     for c in ti.static(range(3)):
         swarm.velocity[r, c] *= slower
-    if ti.static(turning) and priors.yaw_precision[i] > 0.0:
-        stiff = square * priors.yaw_precision[i]
+    if ti.static(turning) and robots.weight[i, YAW_PRECISION] > 0.0:
+        stiff = square * robots.weight[i, YAW_PRECISION]
         torque = pull[3] + hold[3] - stiff * swarm.heading[r, YAW]
         swarm.heading[r, TORQUE] = torque
         before = swarm.heading[r, INERTIA]

@@ -20,6 +20,9 @@ from tiswarm.compute.lang import (
 from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 from tiswarm.localization.joint.arrays import (
+    NUMBER,
+    STRUCTURE,
+    YAW_PRECISION,
     Blocks,
     Contacts,
     Priors,
@@ -82,8 +85,8 @@ def _moved(velocity: Ref, i, axis, force, mass, sigma, kick):
 @ti.func
 def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     """Turn copy r of a robot, its docks with it."""
-    count = robots.number.shape[0]
-    kick = _kick_of(step.seed, r // count, -1 - robots.number[r % count], step.number)[0]
+    count = robots.label.shape[0]
+    kick = _kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
     heading = ti.static(swarm.heading)
     turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
     heading[r, YAW] += turn
@@ -135,25 +138,23 @@ def _move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
 
 
 @ti.func
-def _move_robot(
-    r, turning: Static, step: Ref, robots: Ref, priors: Ref, trees: Ref, blocks: Ref,
-    swarm: Ref,
-):  # fmt: skip
+def _move_robot(r, turning: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
     """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
 
     Returns:
         Its squared distance from where its Verlet row was built.
     """
-    i = r % robots.number.shape[0]
+    i = r % robots.label.shape[0]
     strayed = 0.0 * swarm.mass[r]
-    kick = _kick_of(step.seed, r // robots.number.shape[0], robots.number[i], step.number)
+    number = robots.label[i, NUMBER]
+    kick = _kick_of(step.seed, r // robots.label.shape[0], number, step.number)
     for c in ti.static(range(3)):
-        if robots.number[i] > 0:
+        if number > 0:
             mass, force = swarm.mass[r], swarm.force[r, c]
             alone = _moved(swarm.velocity, r, c, force, mass, step.sigma, kick[c])
             swarm.position[r, c] += alone + trees.shift[trees.of_robot[r], c]
         strayed += (swarm.position[r, c] - blocks.listed[4 * r + c]) ** 2
-    if ti.static(turning) and priors.yaw_precision[i] > 0.0:
+    if ti.static(turning) and robots.weight[i, YAW_PRECISION] > 0.0:
         _turn_robot(r, step, robots, swarm)
     if step.is_averaged:
         for c in ti.static(range(3)):
@@ -206,33 +207,19 @@ def take_steps(
     inertia_factor: Float,
     sigma: Reals2,
     # Robots
-    structure: Ints1,
-    number: Ints1,
-    non_overlap: Ints1,
-    robust: Reals1,
+    robot_label: Ints2,
+    robot_weight: Reals2,
     # Contacts
     contact_start: Ints1,
-    partner: Ints1,
-    is_final: Ints1,
-    extension: Reals1,
-    contact_shift: Reals2,
-    lever: Reals2,
-    contact_length: Reals1,
-    variance: Reals1,
-    across: Reals1,
-    vector: Reals2,
-    source: Ints2,
+    contact_label: Ints2,
+    contact_value: Reals2,
+    contact_level: Reals2,
     has_offsets: Static,
     candidates: Reals3,
     has_touches: Static,
     # Priors
     plane_start: Ints1,
-    point: Reals2,
-    direction: Reals2,
-    precision: Reals1,
-    crowd: Reals1,
-    walk: Reals2,
-    yaw_precision: Reals1,
+    plane: Reals2,
     # Subtrees
     subtree: Ints1,
     subtree_table: Ints2,
@@ -290,21 +277,21 @@ def take_steps(
         growing: Steps in which docks grow to their full size.
         inertia_factor: Factor of every mass; 4 halves the steps.
         sigma: Square root of the temperature of each structure at each step [R], shape (S, steps).
-        structure: First array of `Robots`, whose others follow; then come those of `Contacts`,
+        robot_label: First array of `Robots`, whose others follow; then come those of `Contacts`,
             `Priors` and `Subtrees`.
         table: Where each block's table starts, its buckets and strides, shape (B, 4); `Cells` and
             `Connections` follow.
         longest: Written: entries of a block's rows; if too many, it stopped there, shape (B,).
         entry: First array of `Rows`; those of `Swarm` and `Blocks` follow.
     """
-    robots = ti.static(Robots(structure, number, non_overlap, robust))
+    robots = ti.static(Robots(robot_label, robot_weight))
     contacts = ti.static(
         Contacts(
-            contact_start, partner, is_final, extension, contact_shift, lever, contact_length,
-            variance, across, vector, source, has_offsets, candidates, has_touches,
+            contact_start, contact_label, contact_value, contact_level, has_offsets, candidates,
+            has_touches,
         )
     )  # fmt: skip
-    priors = ti.static(Priors(plane_start, point, direction, precision, crowd, walk, yaw_precision))
+    priors = ti.static(Priors(plane_start, plane))
     trees = ti.static(
         Subtrees(
             subtree, subtree_table, subtree_weight, first_subtree, subtree_pull, subtree_velocity,
@@ -352,9 +339,7 @@ def take_steps(
                         _move_subtrees(b, step, trees, blocks, swarm)
                         farthest = 0.0
                         for r in range(start, end):
-                            distance = _move_robot(
-                                r, turning, step, robots, priors, trees, blocks, swarm
-                            )
+                            distance = _move_robot(r, turning, step, robots, trees, blocks, swarm)
                             farthest = ti.max(farthest, distance)
                         is_stale = _is_beyond_rows(farthest, b, blocks)
                         _grow_old(b, is_stale, _is_fast(farthest), blocks)
@@ -365,7 +350,7 @@ def take_steps(
         is_averaged = t >= hold
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
         for r in range(row_count.shape[0]):
-            s = sigma[structure[r % structure.shape[0]], t]
+            s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
             pull_robot(r, docks, turning, step, robots, contacts, priors, grid, rows, swarm)
         grain = ti.static(1 if on_card else GRAIN)
@@ -379,9 +364,9 @@ def take_steps(
         strayed[0] = 0
         strayed[1] = 0
         for r in range(row_count.shape[0]):
-            s = sigma[structure[r % structure.shape[0]], t]
+            s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-            distance = _move_robot(r, turning, step, robots, priors, trees, blocks, swarm)
+            distance = _move_robot(r, turning, step, robots, trees, blocks, swarm)
             if ti.static(on_card):
                 if _is_beyond_rows(distance, 0, blocks):
                     strayed[0] = 1
