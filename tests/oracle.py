@@ -179,8 +179,14 @@ def swarm_step(
     spacing,
     ramp,
     max_step,
+    parting_gain=0.0,
+    mobility=1.0,
+    carried=0.0,
 ):
-    """One step of all robots under Eqs. (1)-(3), dock pair by dock pair."""
+    """One step of all robots under Eqs. (1)-(3), dock pair by dock pair.
+
+    In a guided swarm connected docks part, and a step carries on by a part of the last one.
+    """
     rows = {tuple(row) for row in contacts} | {(j, m, i, k) for i, k, j, m in contacts}
     docks = range(arm.shape[1])
     force = np.zeros_like(position)
@@ -189,8 +195,13 @@ def swarm_step(
             offset = position[j] + arm[j, m] - position[i] - arm[i, k]
             if np.linalg.norm(offset) < spacing or (i, k, j, m) in rows:
                 force[i] += dock_pair_force(offset, attraction_gain, repulsion_gain, spacing, ramp)
+            if (i, k, j, m) in rows:
+                distance = np.linalg.norm(offset)
+                overlap = min(distance - spacing, 0.0)
+                force[i] += parting_gain * ramp * overlap * offset / distance
     known = ~np.isnan(height)
     force[known, 2] += height_gain * (height - position[:, 2])[known]
+    force = mobility * force + carried
     length = np.linalg.norm(force, axis=1)
     too_long = np.inf if max_step is None else max_step
     return position + force * np.minimum(1.0, too_long / np.maximum(length, 1e-300))[:, None]

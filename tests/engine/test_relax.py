@@ -92,6 +92,37 @@ def test_steps_are_the_equations(robot, sides):
 
 
 @pytest.mark.usefixtures("_way")
+def test_steps_of_a_guided_swarm_are_the_equations():
+    """Inertia, mobilities of which some are 0, connected docks that part, and a pause of five."""
+    position, orientation, contacts = swarm(30, 3)
+    mobility = np.random.default_rng(0).uniform(0.2, 1.0, (30, 3))
+    mobility[0] = mobility[1:9, 1] = 0.0
+    gains = {"attraction_gain": 0.3, "repulsion_gain": 0.1, "max_step": 0.3, "height_gain": 0.05}
+    height = np.where(np.arange(30) % 3, 0.4, np.nan)
+    ramp = np.linspace(0.0, 1.0, 12)
+    guided = {"parting_gain": 0.4, "momentum": 0.8}
+
+    prepared = engine.PreparedSwarm(
+        position, orientation, contacts, robot=ROBOT, height=height, mobility=mobility
+    )
+    prepared.relax(**gains, **guided, ramp=ramp[:5], steps=5)
+    result = prepared.relax(**gains, **guided, ramp=ramp[5:], steps=7, resume=True)
+
+    places = [position, position]
+    for alpha in ramp:
+        step = swarm_step(
+            places[-1], arms(orientation), contacts, np.zeros(30), height, spacing=2.0, ramp=alpha,
+            parting_gain=0.4, mobility=mobility, carried=0.8 * (places[-1] - places[-2]), **gains,
+        )  # fmt: skip
+        places.append(step)
+    np.testing.assert_allclose(result.position, places[-1], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(result.position[0], position[0])
+    np.testing.assert_array_equal(result.position[:9, 1], position[:9, 1])
+    again = prepared.relax(**gains, **guided, ramp=ramp[:5], steps=5)
+    assert np.abs(again.position - result.position).max() > 0.01
+
+
+@pytest.mark.usefixtures("_way")
 def test_rows_that_are_too_short_are_made_longer():
     """Robots in one place: each has all docks of the others for neighbors."""
     position, orientation, _ = swarm(24)

@@ -64,6 +64,8 @@ def test_what_cannot_join_is_told(lines):
         tiswarm.Localizer(lines[0], LeastSquaresParams())
     with pytest.raises(InputError, match="back_propagation moves robots"):
         tiswarm.Localizer(lines[0], VirtualForceParams(back_propagation=BackPropagation()))
+    with pytest.raises(InputError, match="together moves all robots at once"):
+        tiswarm.Localizer(lines[0], VirtualForceParams(schedule="together"))
     full = tiswarm.Localizer(lines[0], capacity=1)
     full.join(lines[1])
     with pytest.raises(InputError, match="capacity is 1 robot;"):

@@ -11,6 +11,7 @@ from tiswarm.localization.params import (
     BackPropagation,
     JointParams,
     LeastSquaresParams,
+    Together,
     VirtualForceParams,
 )
 from tiswarm.localization.registry import localize
@@ -53,15 +54,22 @@ def test_a_log_states_the_plane_of_each_robot_and_no_yaw(tower):
     assert (log.noise.tilt_deg, log.noise.yaw_deg, log.noise.yaw_bias_deg) == (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("rounds", [None, BackPropagation(every=5, sweeps=12)])
+@pytest.mark.parametrize(
+    "way",
+    [
+        {},
+        {"back_propagation": BackPropagation(every=5, sweeps=12)},
+        {"schedule": "together", "together": Together(steps=100)},
+    ],
+)
 @pytest.mark.parametrize("turn", [0.0, 0.1])
-def test_virtual_force_keeps_planar_robots_at_the_anchors_y(tower, rounds, turn):
+def test_virtual_force_keeps_planar_robots_at_the_anchors_y(tower, way, turn):
     """To the bit, even where docks lean out of the plane and forces push across it."""
     log = _moved(observe(tower, NOISY), 0.3)
     lean = np.array([np.cos(turn), np.sin(turn)])
     w, y = log.orientation_wxyz[:, [0, 2]].T
     leaning = np.column_stack([np.outer(w, lean), np.outer(y, lean)])
-    params = replace(FORCE, back_propagation=rounds)
+    params = replace(FORCE, **way)
 
     found = localize(replace(log, orientation_wxyz=leaning), params)
 

@@ -13,6 +13,7 @@ from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,
     LeastSquaresParams,
+    Together,
     VirtualForceParams,
 )
 from tiswarm.localization.registry import localize
@@ -26,6 +27,7 @@ from tiswarm.world.params import ClimbParams, TowerParams
 SHORT = VirtualForceParams(iterations=40)
 METHODS = [
     dataclasses.replace(SHORT, back_propagation=BackPropagation(every=5, sweeps=12)),
+    VirtualForceParams(schedule="together", together=Together(steps=40)),
     JointParams(chains=2, steps=300, hold_steps=100),
     LeastSquaresParams(start=SHORT, rounds=2),
     HopByHopParams(),

@@ -41,6 +41,12 @@ class Gains(NamedTuple):
     max_step: float
     """Longest step of a robot [R]."""
 
+    parting_gain: float
+    """Stiffness of connected docks nearer than D, in a guided swarm [1]."""
+
+    momentum: float
+    """Share of its last step that a robot takes again, in a guided swarm [1]."""
+
 
 class Robots(NamedTuple):
     """N robots with M docks in all."""
@@ -60,6 +66,12 @@ class Robots(NamedTuple):
     dock: Reals1
     """Places of docks and, last, their structure: two halves of M rows of four. Step t reads the
     half `t % 2` and writes the other one."""
+
+    mobility: Reals2
+    """Step along each axis for a force of 1 [1], shape (N, 3), or (1, 1) if not guided."""
+
+    last_step: Reals2
+    """Last step of each robot [R], shape (N, 3), or (1, 1) if not guided."""
 
 
 @ti.func
@@ -103,8 +115,8 @@ def capped(step, max_step):
 
 
 @ti.func
-def _force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: Ref):
-    """Sum Eqs. (1) and (2) over a robot's row."""
+def _force_of_row(grid: Ref, gains: Ref, guided: Static, ramp, base, robot, rows: Ref, robots: Ref):
+    """Sum Eqs. (1) and (2) over a robot's row; if guided, connected docks nearer than D part."""
     force = ti.Vector([0.0, 0.0, 0.0])
     flag = 1 << grid.own_bits
     attraction = gains.attraction_gain * ramp
@@ -116,20 +128,33 @@ def _force_of_row(grid: Ref, gains: Ref, ramp, base, robot, rows: Ref, robots: R
         other = base + 4 * (entry >> (grid.own_bits + 1))
         offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         distance = offset.norm()
-        pull = _pull_of(distance, (entry & flag) != 0, attraction, repulsion, gains.spacing)
+        connected = (entry & flag) != 0
+        pull = _pull_of(distance, connected, attraction, repulsion, gains.spacing)
+        if ti.static(guided):
+            overlap = ti.min(distance - gains.spacing, 0.0)
+            pull += ti.select(connected, gains.parting_gain * ramp * overlap, 0.0)
         force += pull / ti.max(distance, _TINY) * offset
     return force
 
 
 @ti.func
-def _step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, robots: Ref):
+def _step_robot(
+    grid: Ref, gains: Ref, guided: Static, ramp, base, next_base, robot, rows: Ref, robots: Ref
+):
     """Move a robot by its forces; return its squared step and distance from its reference."""
     here = vector_at(robots.position, robot)
-    force = _force_of_row(grid, gains, ramp, base, robot, rows, robots)
+    force = _force_of_row(grid, gains, guided, ramp, base, robot, rows, robots)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
             force[2] += gains.height_gain * (robots.height[robot] - here[2])
+    if ti.static(guided):
+        for c in ti.static(range(3)):
+            force[c] *= robots.mobility[robot, c]
+            force[c] += gains.momentum * robots.last_step[robot, c]
     step = capped(force, gains.max_step)
+    if ti.static(guided):
+        for c in ti.static(range(3)):
+            robots.last_step[robot, c] = step[c]
     here += step
     strayed = 0.0
     for c in ti.static(range(3)):
@@ -143,12 +168,13 @@ def _step_robot(grid: Ref, gains: Ref, ramp, base, next_base, robot, rows: Ref, 
 
 @ti.kernel
 def step_robots(
-    on_card: Static, docks: I32, own_bits: I32, entry_stride: I32,
+    on_card: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
-    max_step: Float,  # Gains
+    max_step: Float, parting_gain: Float, momentum: Float,  # Gains
     stray_limit: Float, first_t: I32, ramp: Reals1,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
-    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,  # Robots
+    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
+    mobility: Reals2, last_step: Reals2,  # Robots
     control: Ints1, largest_move: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
@@ -160,6 +186,7 @@ def step_robots(
 
     Args:
         on_card: Whether a graphics card computes.
+        guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         first_t: Which step comes first.
@@ -168,8 +195,10 @@ def step_robots(
         largest_move: Written: longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
-    robots = ti.static(Robots(position, reference, height, arm, dock))
-    gains = ti.static(Gains(attraction_gain, repulsion_gain, height_gain, spacing, max_step))
+    robots = ti.static(Robots(position, reference, height, arm, dock, mobility, last_step))
+    gains = ti.static(Gains(
+        attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
+    ))  # fmt: skip
     grid = ti.Struct(docks=docks, own_bits=own_bits, entry_stride=entry_stride)
     half = dock.shape[0] // 2
     for k in ti.static(range(STEPS_A_LAUNCH)):
@@ -179,17 +208,17 @@ def step_robots(
         for robot in range(row_count.shape[0]):
             if control[STALE] == 0:
                 base = (first_t + k) % 2 * half
-                step, way = _step_robot(
-                    grid, gains, ramp[first_t + k], base, half - base, robot, rows, robots
+                moved_by, way = _step_robot(
+                    grid, gains, guided, ramp[first_t + k], base, half - base, robot, rows, robots
                 )
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
                         control[STRAYED] = 1
-                    bits = ti.bit_cast(ti.cast(step, ti.f32), ti.i32)
+                    bits = ti.bit_cast(ti.cast(moved_by, ti.f32), ti.i32)
                     if bits > control[LONGEST]:
                         ti.atomic_max(control[LONGEST], bits)
                 else:
-                    ti.atomic_max(moved, step)
+                    ti.atomic_max(moved, moved_by)
                     ti.atomic_max(strayed, way)
         if control[STALE] == 0:
             control[TAKEN] = t + 1
@@ -250,19 +279,21 @@ def start_interval(position: Reals2, reference: Reals2, control: Ints1):
 
 @ti.kernel
 def relax_structures(
-    docks: I32, own_bits: I32, cutoff: Float, capacity: I32,
+    guided: Static, docks: I32, own_bits: I32, cutoff: Float, capacity: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
-    max_step: Float,  # Gains
+    max_step: Float, parting_gain: Float, momentum: Float,  # Gains
     start: Ints1, ramp: Reals1, table: Ints2,
     begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
     connection_start: Ints1, connection: Ints1,  # Connections
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
-    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,  # Robots
+    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
+    mobility: Reals2, last_step: Reals2,  # Robots
     builds: Ints1, longest: Ints1, largest_move: Reals2,
 ):  # fmt: skip
     """Take every step of small structures, each on one thread.
 
     Args:
+        guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
         capacity: Entries that fit in rows, a robot on average.
         start: First robot of each structure, shape (S + 1,).
@@ -276,8 +307,10 @@ def relax_structures(
     cells = ti.static(Cells(begin, sorted_dock, sorted_place))
     connections = ti.static(Connections(connection_start, connection))
     rows = ti.static(Rows(entry, row_first, row_count))
-    robots = ti.static(Robots(position, reference, height, arm, dock))
-    gains = ti.static(Gains(attraction_gain, repulsion_gain, height_gain, spacing, max_step))
+    robots = ti.static(Robots(position, reference, height, arm, dock, mobility, last_step))
+    gains = ti.static(Gains(
+        attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
+    ))  # fmt: skip
     stray_limit = 0.5 * (cutoff - spacing)
     half = dock.shape[0] // 2
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
@@ -306,10 +339,10 @@ def relax_structures(
                 if longest[s] <= room:
                     moved = 0.0
                     for robot in range(start[s], start[s + 1]):
-                        step, way = _step_robot(
-                            grid, gains, ramp[t], base, half - base, robot, rows, robots
+                        moved_by, way = _step_robot(
+                            grid, gains, guided, ramp[t], base, half - base, robot, rows, robots
                         )
-                        moved = ti.max(moved, step)
+                        moved = ti.max(moved, moved_by)
                         if way > stray_limit * stray_limit:
                             stale = 1
                     largest_move[s, t] = ti.sqrt(moved)

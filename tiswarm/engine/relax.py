@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
-from tiswarm.compute.backend import Allocator
+from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import Gains, Robots
@@ -124,7 +124,10 @@ def relax(
 class PreparedSwarm:
     """A swarm on the device, to be relaxed again and again; arguments as for `relax`.
 
-    Robots are renumbered, so that neighbors are near in memory.
+    Robots are renumbered, so that neighbors are near in memory. A guided swarm has inertia and a
+    mobility of each robot m, and its connected docks part where they are nearer than D:
+
+        step <- momentum * step + m F, no longer than the longest step
     """
 
     def __init__(
@@ -135,12 +138,18 @@ class PreparedSwarm:
         *,
         robot: Robot,
         height: ArrayLike | None = None,
+        mobility: ArrayLike | None = None,
         structure: ArrayLike | None = None,
         precision: AnyPrecision = "auto",
         arch: AnyArch = "cpu",
         threads: int | None = None,
+        running: Backend | None = None,
     ) -> None:
-        """Check the robots, renumber them and copy them to the device."""
+        """Check the robots, renumber them and copy them to the device.
+
+        A `mobility`, the step of each robot along each axis for a force of 1 [1], shape (N, 3),
+        makes the swarm guided; 0 fixes a coordinate. `running` is a backend that runs already.
+        """
         self.start_position = center = _shaped("position", position, ("N", 3))
         robots = len(center)
         orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
@@ -156,7 +165,11 @@ class PreparedSwarm:
         body, self.spacing = robot.dock_offset_body, robot.spacing
         connected = _checked_contacts(contacts, len(body), ids)
         target = None if height is None else _shaped("height", height, (robots,))
-        self.running = running = backend.start(arch, threads=threads, precision=precision)
+        self.guided = mobility is not None
+        share = np.ones((1, 1)) if mobility is None else _shaped("mobility", mobility, (robots, 3))
+        if running is None:
+            running = backend.start(arch, threads=threads, precision=precision)
+        self.running = running
         if not self._is_resolved(center):
             way_out = " or use precision f64" if running.precision == "f32" else ""
             raise InputError(
@@ -169,7 +182,8 @@ class PreparedSwarm:
         self.by_structure = running.arch == "cpu" and size.max() <= SMALL
         self.order = order = morton_order(center, ids)
         self.start = np.concatenate([[0], size.cumsum()])
-        running.require_memory(robots * _bytes_of_robot(running.dtype, len(body)), robots)
+        per_robot = _bytes_of_robot(running.dtype, len(body), guided=self.guided)
+        running.require_memory(robots * per_robot, robots)
         new = np.argsort(order)
         connected[:, [0, 2]] = new[connected[:, [0, 2]]]
         self.memory = memory = Allocator(running, on_host=self.by_structure)
@@ -187,6 +201,8 @@ class PreparedSwarm:
             height=memory.upload(heights),
             arm=memory.reals(robots * len(body), 3),
             dock=memory.reals(2 * robots * len(body) * 4),
+            mobility=memory.upload(share[order] if self.guided else share),
+            last_step=memory.reals(*share.shape),
         )
         self.control, self.moves, self.ramp = memory.ints(4), memory.reals(1), memory.reals(1)
         seldom = memory.for_few_launches()
@@ -202,15 +218,25 @@ class PreparedSwarm:
         steps: int,
         height_gain: float = 0.0,
         max_step: float | None = None,
+        parting_gain: float = 0.0,
+        momentum: float = 0.0,
+        resume: bool = False,
     ) -> RelaxResult:
-        """Take steps from where the robots were at first."""
+        """Take steps from where the robots were at first, or, to `resume`, where they are.
+
+        In a guided swarm connected docks nearer than D part by a spring of stiffness `parting_gain`
+        times the ramp [1], and a robot takes the share `momentum` of its last step again [1].
+        """
         ramps = np.asarray(ramp, np.float64)
         if steps < 0 or ramps.shape not in {(), (steps,)}:
             raise InputError(
                 f"ramp of shape {ramps.shape}; give one number, or one for each of {steps} steps"
             )
         limit = _NO_LIMIT if max_step is None else max_step
-        gains = Gains(attraction_gain, repulsion_gain, height_gain, self.spacing, limit)
+        gains = Gains(
+            attraction_gain, repulsion_gain, height_gain, self.spacing, limit, parting_gain,
+            momentum,
+        )  # fmt: skip
         if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
             raise InputError(
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
@@ -221,10 +247,15 @@ class PreparedSwarm:
             return self._result(position, np.zeros(steps), 0)
         if backend.current() is not self.running and not self.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
+        if not resume:
+            self.position = self.start_position[self.order]
+            self.last_step = np.zeros(self.robots.last_step.shape)
         relax = self._by_structure if self.by_structure else self._all_at_once
         self._go_to_start()
         moves, builds = relax(gains, np.broadcast_to(ramps, steps))
-        position[self.order] = self.memory.download(self.robots.position)
+        self.position = self.memory.download(self.robots.position)
+        self.last_step = self.memory.download(self.robots.last_step)
+        position[self.order] = self.position
         if not self._is_resolved(position):
             raise InputError("the forces diverged; lower the gains or give max_step")
         return self._result(position, moves, builds)
@@ -246,7 +277,8 @@ class PreparedSwarm:
 
     def _go_to_start(self) -> None:
         robots = self.robots
-        self.memory.refill(robots.position, self.start_position[self.order])
+        self.memory.refill(robots.position, self.position)
+        self.memory.refill(robots.last_step, self.last_step)
         kernels.place_docks(self.structure, robots.position, robots.arm, robots.dock)
 
     def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
@@ -266,9 +298,10 @@ class PreparedSwarm:
                         taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
                     ):
                         kernels.step_robots(
-                            self.running.arch != "cpu", neighbors.docks, neighbors.own_bits,
-                            neighbors.entry_stride, *gains, 0.5 * _SKIN * self.spacing, t,
-                            self.ramp, *neighbors.rows, *robots, control, self.moves,
+                            self.running.arch != "cpu", self.guided, neighbors.docks,
+                            neighbors.own_bits, neighbors.entry_stride, *gains,
+                            0.5 * _SKIN * self.spacing, t, self.ramp,
+                            *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
                 if taken == before:
@@ -285,8 +318,8 @@ class PreparedSwarm:
         while True:
             with backend.fast_arithmetic():
                 kernels.relax_structures(
-                    neighbors.docks, neighbors.own_bits, neighbors.cutoff, neighbors.capacity,
-                    *gains, start, ramps, neighbors.table, *neighbors.cells,
+                    self.guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff,
+                    neighbors.capacity, *gains, start, ramps, neighbors.table, *neighbors.cells,
                     *neighbors.connections, *neighbors.rows, *self.robots, builds,
                     neighbors.longest, moves,
                 )  # fmt: skip
@@ -339,7 +372,10 @@ def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
     return np.column_stack([one // docks, one % docks, other // docks, other % docks])
 
 
-def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int) -> int:
+def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) -> int:
     """Count the memory of a robot in arrays of numbers and of integers [B]."""
-    numbers, integers = 3 * 3 + docks * (3 + 2 * 4 + 4), docks * (1 + 16 + 16) + 12
+    numbers, integers = (
+        (5 if guided else 3) * 3 + docks * (3 + 2 * 4 + 4),
+        docks * (1 + 16 + 16) + 12,
+    )
     return numbers * np.dtype(dtype).itemsize + 4 * integers

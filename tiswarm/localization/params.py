@@ -1,5 +1,6 @@
 """Settings of each localization method."""
 
+from dataclasses import fields
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -25,6 +26,15 @@ CUES = (
 
 LARGE = 3000
 """Structures of more robots than this are annealed fewer times, quicker, and not refined."""
+
+_ONE_BY_ONE = (
+    "back_propagation",
+    "virtual_torque",
+    "stop_error",
+    "height_order",
+    "neighbor_repulsion",
+)
+"""Settings of `virtual-force` that have no meaning where robots move together."""
 
 _Width = Annotated[float, Field(gt=0.0)]
 
@@ -76,6 +86,28 @@ class VirtualTorque:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class Together:
+    """How all robots step at once, from where chains of contacts lead, under the schedule together.
+
+    Connected docks nearer than D part as firmly as others approach. Robots have inertia, by which
+    an error spreads over many robots. The defaults are for structures of the seeds 1000 to 1023
+    with 100 robots and 1000 to 1002 with 1,000; `docs/notes/together.md` compares others.
+    """
+
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 3000
+    """Steps of every robot."""
+
+    gain: Annotated[float, Field(gt=0.0, le=1.0)] = 0.03
+    """Share of the forces that a step follows, divided by the number of the robot's contacts."""
+
+    momentum: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.995
+    """Share of its last step that a robot takes again."""
+
+    repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.04
+    """1 - alpha_t at the first step; it falls to 0 linearly. With twice as much robots scatter."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualForceParams:
     """Gains of Eqs. (1)-(3) and the schedule that applies them.
 
@@ -86,6 +118,15 @@ class VirtualForceParams:
 
     method: Literal["virtual-force"] = "virtual-force"
     """Name of the method."""
+
+    schedule: Literal["join-order", "together"] = "join-order"
+    """Who moves: each robot after those that joined before it, as in Algorithm 1, or all robots at
+    once, which uses all cores for one large structure. Together, robots start where chains of
+    contacts lead, and the trace has 31 frames; what only Algorithm 1 has does not count then:
+    `initial_offset`, `initial_offset_axis`, `iterations` and `trace_every`."""
+
+    together: Together = Together()
+    """Steps under the schedule `together`."""
 
     z_correction: bool = True
     """Pull each robot toward the height that its flips imply, Eq. (3)."""
@@ -139,6 +180,16 @@ class VirtualForceParams:
 
     trace_every: Annotated[int, Field(ge=1)] = 5
     """The trace keeps every so many iterations, and the last."""
+
+    def __post_init__(self) -> None:
+        """Refuse what robots that move together cannot do."""
+        if self.schedule == "together":
+            usual = {field.name: field.default for field in fields(self)}
+            for name in _ONE_BY_ONE:
+                if getattr(self, name) != usual[name]:
+                    raise ValueError(
+                        f"{name} moves robots one by one; remove it, or set schedule to join-order"
+                    )
 
     @property
     def cues(self) -> tuple[str, ...]:

@@ -8,7 +8,8 @@ unknown to it; a robot that touches no earlier one starts from the anchor; plana
 back-propagation would revisit recent robots every ten joins, and that a virtual torque would align
 yaw by dock geometry and neighbors.
 
-`localize_batch` places the robots of whole logs, `Localizer` each robot as it joins.
+`localize_batch` places the robots of whole logs, `Localizer` each robot as it joins. Under the
+schedule `together` all robots step at once; `tiswarm.localization.together` does that.
 """
 
 import json
@@ -22,6 +23,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
+from tiswarm.localization import together
 from tiswarm.localization import virtual_force_kernels as kernels
 from tiswarm.localization.params import (
     BackPropagation,
@@ -49,6 +51,8 @@ Line = str | Mapping[str, object]
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
+    if params.schedule == "together":
+        return together.batch_key(log, params)
     rounds = params.back_propagation or _NO_SWEEPS
     schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps, rounds.recent)
     return (len(log.dock_offset_body), *schedule)
@@ -64,6 +68,10 @@ def localize_batch(
     Returns:
         One estimate a log. The residual is the root mean square step of the robots.
     """
+    if params[0].schedule == "together":
+        heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
+        in_plane_only = [_planar(log) for log in logs]
+        return together.localize_batch(logs, params[0], heights, in_plane_only, on_progress)
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []
@@ -154,6 +162,10 @@ class Localizer:
         if not isinstance(chosen, VirtualForceParams):
             raise InputError(
                 f"{chosen.method} needs the log of all robots; localize it once they have joined"
+            )
+        if chosen.schedule == "together":
+            raise InputError(
+                "schedule together moves all robots at once; set it to join-order to join"
             )
         if chosen.back_propagation is not None:
             raise InputError(

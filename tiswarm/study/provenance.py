@@ -135,6 +135,7 @@ _SOLVE_S = {  # solve of the mechanics: at all, for each robot, for each pair of
     "rigid": (1e-3, 2e-5, 9e-9),
 }
 _VIRTUAL_FORCE_S = 1.3e-6  # iteration of a robot
+_TOGETHER_S = 4e-7  # step of a robot
 _JOINT_S = 8e-7  # step of a robot in one chain
 _LEAST_SQUARES_S = 0.01  # localization of a robot
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
@@ -191,6 +192,8 @@ def _grow_s(settings: Scenario) -> float:
 def _localize_s(settings: Scenario) -> float:
     n, params = settings.robots, settings.localization
     if isinstance(params, VirtualForceParams):
+        if params.schedule == "together":
+            return _TOGETHER_S * n * params.together.steps
         steps = float(params.iterations)
         if rounds := params.back_propagation:
             after = [*range(rounds.every, n, rounds.every), n]  # so many joins

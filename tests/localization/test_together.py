@@ -1,0 +1,202 @@
+"""Virtual forces on all robots at once: the equations, and the same bytes in any company."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from tests.engine.test_relax import swarm
+from tests.localization.test_virtual_force import _pair
+from tests.oracle import swarm_step
+from tests.strategies import vectors
+from tiswarm.compute import backend
+from tiswarm.compute.math import dock_offsets
+from tiswarm.errors import InputError
+from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams, VirtualTorque
+from tiswarm.localization.registry import localize, localize_many
+from tiswarm.measurements.contacts import hops
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.robot import RobotGeometry
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.sensing import SensingParams, observe
+
+SHORT = VirtualForceParams(schedule="together", together=Together(steps=12))
+
+
+@pytest.fixture(scope="module")
+def log(towers) -> SensingLog:
+    """What the robots of a small tower sensed."""
+    return observe(towers[0], SensingParams(tilt_noise_deg=1.0))
+
+
+def _steps(log, params):
+    """Trace of all robots, a frame a step, by loops over robots and docks."""
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    place = [_start(log, arm)] * 2
+    height = log.flip_height.copy()
+    for robot in np.unique(log.ground_docks[:, 0]):
+        docks = log.ground_docks[log.ground_docks[:, 0] == robot, 1]
+        height[robot] = log.ground_z + 1.0 - arm[robot, docks, 2].mean()
+    count = np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)
+    mobility = np.repeat(params.together.gain / np.maximum(count, 1)[:, None], 3, axis=1)
+    mobility[0] = 0.0
+    steps, share = params.together.steps, params.together.repulsion_share
+    for t in range(steps):
+        carried = params.together.momentum * (place[-1] - place[-2])
+        step = swarm_step(
+            place[-1], arm, log.contacts, np.zeros(log.robot_count), height,
+            attraction_gain=params.attraction_gain, repulsion_gain=params.repulsion_gain,
+            height_gain=params.height_gain, spacing=2.0, max_step=params.max_step,
+            ramp=1.0 - share * (1.0 - t / (steps - 1)), parting_gain=params.attraction_gain,
+            mobility=mobility, carried=carried,
+        )  # fmt: skip
+        place.append(step)
+    return np.array(place[1:])
+
+
+def _start(log, arm):
+    """Robots across from those in contact that are one contact nearer to the anchor, their mean."""
+    place = np.tile(log.anchor_position, (log.robot_count, 1))
+    hop = hops(log, np.array([0]))[0]
+    for robot in np.argsort(hop, kind="stable")[1:]:
+        met = []
+        for i, a, j, b in [*log.contacts, *log.contacts[:, [2, 3, 0, 1]]]:
+            if j == robot and hop[i] < hop[j]:
+                shift = arm[i, a] - arm[j, b]
+                met.append(place[i] + shift + 2.0 * shift / max(np.linalg.norm(shift), 2.0))
+        place[robot] = np.mean(met, axis=0)
+    return place
+
+
+def test_all_robots_step_by_the_equations_from_where_contacts_lead(log):
+    """The start and every step, against loops over all docks; the anchor stays where it is."""
+    estimate = localize(log, SHORT)
+
+    np.testing.assert_allclose(estimate.trace, _steps(log, SHORT), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(estimate.position[0], log.anchor_position)
+    assert estimate.steps.tolist() == [0] + [12] * (log.robot_count - 1)
+    last = np.linalg.norm(estimate.trace[-1] - estimate.trace[-2], axis=1)
+    assert estimate.residual[-1] == pytest.approx(np.sqrt(np.mean(last**2)), rel=1e-9)
+
+
+@settings(deadline=None, max_examples=10)
+@given(shift=vectors)
+def test_moving_the_anchor_moves_the_estimate(log, shift):
+    """Nothing but the anchor, the ground and the heights says where the world's origin is."""
+    moved = dataclasses.replace(
+        log,
+        anchor_position=log.anchor_position + shift,
+        ground_z=log.ground_z + shift[2],
+        flip_height=log.flip_height + shift[2],
+    )
+
+    estimate = localize(moved, SHORT).position - shift
+
+    np.testing.assert_allclose(estimate, localize(log, SHORT).position, atol=1e-6)
+
+
+def test_cues_count_as_far_as_they_are_on(log):
+    """Each changes the estimate; what a log lacks counts as off."""
+    off = [{"z_correction": False}, {"ground": False}, {"undocked_repulsion": False}]
+    places = [localize(log, dataclasses.replace(SHORT, **change)).position for change in [{}, *off]]
+    blind = dataclasses.replace(log, flip_height=np.full(log.robot_count, np.nan))
+
+    for other in places[1:]:
+        assert np.abs(other - places[0]).max() > 1e-6
+    np.testing.assert_array_equal(localize(blind, SHORT).position, places[1])
+
+
+def test_robots_that_nothing_ties_start_where_the_last_ones_joined(log):
+    """They are marked as disconnected, and stay apart from each other."""
+    is_kept = ~np.isin(log.contacts, [7, 9])[:, [0, 2]].any(axis=1)
+
+    estimate = localize(dataclasses.replace(log, contacts=log.contacts[is_kept]), SHORT)
+
+    first = estimate.trace[0]
+    assert estimate.disconnected[[7, 9]].all()
+    np.testing.assert_allclose(first[7], first[6] + [0.0, 0.0, 2.0])
+    assert np.isfinite(estimate.position).all()
+
+
+def test_robots_whose_docks_would_coincide_part():
+    """Turned alike, with the same dock in contact, one starts above the other."""
+    log = _pair(contacts=[[0, 1, 1, 1]])
+
+    estimate = localize(log, dataclasses.replace(SHORT, together=Together(steps=1000)))
+
+    np.testing.assert_allclose(estimate.position, [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]], atol=1e-9)
+
+
+def test_company_does_not_change_a_byte(towers, monkeypatch):
+    """Small structures share a swarm, large ones have one each."""
+    logs = [observe(history, SensingParams()) for history in towers]
+    params = dataclasses.replace(SHORT, together=Together(steps=200))
+    shares: list[float] = []
+    for size in (2_000, 20):
+        monkeypatch.setattr("tiswarm.localization.together.SMALL", size)
+        monkeypatch.setattr("tiswarm.engine.relax.SMALL", size)
+
+        batch = localize_many(logs, [params] * len(logs), on_progress=shares.append)
+        alone = [localize(log, params) for log in logs]
+
+        for a, b in zip(batch, alone, strict=True):
+            assert a.trace.tobytes() == b.trace.tobytes()
+    assert sum(shares) == pytest.approx(2 * len(logs))
+
+
+@pytest.mark.parametrize("robots", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_threads_change_no_bit(robots):
+    """One structure, on one thread and on two."""
+    center, orientation, contacts = swarm(robots, 5)
+    log = SensingLog(
+        robot_id=np.arange(robots),
+        dock_radius=1.0,
+        dock_offset_body=RobotGeometry().dock_offset_body,
+        anchor_position=center[0],
+        orientation_wxyz=orientation,
+        contacts=np.where(
+            (contacts[:, 0] < contacts[:, 2])[:, None], contacts, contacts[:, [2, 3, 0, 1]]
+        ).astype(np.int32),
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=center[:, 2],
+        spawn_position=np.full((robots, 3), np.nan),
+    )
+    params = dataclasses.replace(SHORT, together=Together(steps=6))
+
+    found = []
+    for threads in (1, 2):
+        backend.start(threads=threads)
+        found.append(localize_many([log], [params])[0].trace.tobytes())
+
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"back_propagation": BackPropagation()},
+        {"virtual_torque": VirtualTorque()},
+        {"stop_error": 0.1},
+        {"height_order": "after-docks"},
+        {"neighbor_repulsion": True},
+    ],
+)
+def test_what_moves_robots_one_by_one_is_refused(change):
+    """In Python; a scenario names the line."""
+    with pytest.raises(ValueError, match=f"{next(iter(change))} moves robots one by one"):
+        VirtualForceParams(schedule="together", **change)
+
+
+def test_a_scenario_with_rounds_of_robots_together_is_refused(tmp_path):
+    """With its file and line, and what to do."""
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "name: s\nstructure: {kind: tower}\nlocalization:\n  method: virtual-force\n"
+        "  schedule: together\n  back_propagation: {every: 3}\n"
+    )
+
+    with pytest.raises(
+        InputError, match=r"s\.yaml:\d+: .*back_propagation moves robots one by one;"
+    ):
+        load_scenario(path)

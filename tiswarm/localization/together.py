@@ -1,0 +1,181 @@
+"""The paper's virtual forces on all robots at once, instead of one after the other.
+
+Every robot starts where the chains of contacts with the fewest links lead from the anchor. Then the
+whole swarm steps, see `tiswarm.engine.relax`: contacts attract, all other docks repel where they
+overlap, heights pull. Inertia carries robots over obstacles and spreads what one contact says to
+robots many contacts away. Repulsion acts first and ends at 0, as in Algorithm 1. The anchor
+is fixed, planar robots stay at its y.
+
+Structures that one thread steps through by itself share a batch; larger ones use all threads, one
+after the other.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.aliases import Bools, Reals
+from tiswarm.compute import backend
+from tiswarm.compute.math import dock_offsets
+from tiswarm.engine.relax import SMALL, PreparedSwarm
+from tiswarm.localization.params import VirtualForceParams
+from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
+from tiswarm.measurements.cues import measure
+from tiswarm.measurements.rows import SPACING
+from tiswarm.progress import ignore
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+_FRAMES = 30
+"""Frames of the trace after the first; rows of neighbors are made anew at each."""
+
+_TINY = 1e-9
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class _Body(NamedTuple):
+    """Docks of a robot, in R."""
+
+    dock_offset_body: Reals
+    spacing: float = SPACING
+
+
+def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
+    """Name what logs must share to step in one swarm: gains, docks, and that one thread does it."""
+    docks = log.dock_offset_body / log.dock_radius
+    alone = None if log.robot_count <= SMALL else log.robot_count
+    return (params, docks.shape, docks.tobytes(), alone)
+
+
+def localize_batch(
+    logs: Sequence[SensingLog],
+    params: VirtualForceParams,
+    heights: Sequence[Reals],
+    planar: Sequence[Bools],
+    on_progress: Callable[[float], None] = ignore,
+) -> list[Estimate]:
+    """Localize structures of the same `batch_key`.
+
+    Args:
+        logs: What each swarm sensed.
+        params: Settings of all.
+        heights: Heights of centers [R], NaN where unknown, shape (N,) for each log.
+        planar: Whether robots stay at the anchor's y, shape (N,) for each log.
+        on_progress: Called with the share of the work that is done.
+
+    Returns:
+        One estimate a log. The residual is the root mean square step of the robots.
+    """
+    share = 1 if logs[0].robot_count <= SMALL else len(logs)
+    estimates: list[Estimate] = []
+    for group in np.array_split(np.arange(len(logs)), share):
+        done = len(estimates)
+
+        def report(part: float, done: int = done, size: int = len(group)) -> None:
+            on_progress((done + part * size) / len(logs))
+
+        estimates += _step(
+            [logs[n] for n in group], params, [heights[n] for n in group],
+            [planar[n] for n in group], report,
+        )  # fmt: skip
+    return estimates
+
+
+def _step(
+    logs: Sequence[SensingLog],
+    params: VirtualForceParams,
+    heights: Sequence[Reals],
+    planar: Sequence[Bools],
+    on_progress: Callable[[float], None],
+) -> list[Estimate]:
+    """Localize structures in one swarm."""
+    chosen = params.together
+    start = np.cumsum([0, *(log.robot_count for log in logs)])
+    first = np.concatenate([_chained(log, flat) for log, flat in zip(logs, planar, strict=True)])
+    mobility = chosen.gain / np.maximum(np.concatenate([contact_count(log) for log in logs]), 1)
+    along = np.repeat(mobility[:, None], 3, axis=1)
+    along[start[:-1]] = 0.0
+    along[np.concatenate(planar), 1] = 0.0
+    swarm = PreparedSwarm(
+        first,
+        np.concatenate([log.orientation_wxyz for log in logs]),
+        np.concatenate([log.contacts + base * np.array([1, 0, 1, 0])
+                        for log, base in zip(logs, start[:-1], strict=True)]),
+        robot=_Body(logs[0].dock_offset_body / logs[0].dock_radius),
+        height=np.concatenate(heights),
+        mobility=along,
+        structure=np.repeat(np.arange(len(logs)), np.diff(start)),
+        running=backend.processor(),
+    )  # fmt: skip
+    every = -(-chosen.steps // _FRAMES)
+    frames = np.array([*range(0, chosen.steps, every), chosen.steps])
+    ramp: Reals = np.linspace(1.0 - chosen.repulsion_share, 1.0, chosen.steps, dtype=np.float64)
+    trace, moved = [first], [np.zeros(len(first))]
+    for before, after in pairwise(frames.tolist()):
+        now = swarm.relax(
+            attraction_gain=params.attraction_gain,
+            parting_gain=params.attraction_gain,
+            repulsion_gain=params.repulsion_gain if params.undocked_repulsion else 0.0,
+            height_gain=params.height_gain,
+            max_step=params.max_step,
+            momentum=chosen.momentum,
+            ramp=ramp[before:after],
+            steps=after - before,
+            resume=before > 0,
+        )
+        trace.append(now.position)
+        length = np.empty(len(first))
+        length[swarm.order] = np.linalg.norm(swarm.last_step, axis=1)
+        moved.append(length)
+        on_progress(after / chosen.steps)
+    return [
+        Estimate(
+            robot_id=log.robot_id,
+            position=trace[-1][a:b] * log.dock_radius,
+            disconnected=disconnected(measure(log, ["contacts"])),
+            iteration=frames,
+            trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
+            residual=np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
+            * log.dock_radius,
+            steps=np.where(np.arange(b - a) == 0, 0, chosen.steps),
+        )
+        for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True)
+    ]
+
+
+def _chained(log: SensingLog, is_planar: Bools) -> Reals:
+    """Place each robot across from those in contact that are one contact nearer to the anchor.
+
+    Such robots stand on a line with the docks that touch, but at the anchor's y if planar; a robot
+    that touches several starts at the mean of where they say. A part without the anchor starts
+    above the robot that joined before the part's first one.
+
+    Returns:
+        Centers [R], shape (N, 3).
+    """
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
+    part = parts(measure(log, ["contacts"]))
+    contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
+    hop = reach(log.contacts[:, [0, 2]].astype(np.int64), np.ones(len(log.contacts)), part)
+    contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
+    nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
+    shift = arm[nearer, dock] - arm[robot, own]
+    length = np.linalg.norm(shift, axis=1)
+    across = shift * (1.0 + SPACING / np.maximum(length, SPACING))[:, None]
+    across[length < _TINY] = SPACING * _UP  # docks in one place would have no direction to part in
+    position = np.tile(log.anchor_position / log.dock_radius, (log.robot_count, 1))
+    levels = np.flatnonzero(np.diff(hop[robot], prepend=0.0, append=np.inf))
+    for begin, end in pairwise(levels.tolist()):
+        met = position[nearer[begin:end]] + across[begin:end]
+        each = np.flatnonzero(np.diff(robot[begin:end], prepend=-1))
+        count = np.diff(each, append=end - begin)
+        position[robot[begin + each]] = np.add.reduceat(met, each) / count[:, None]
+    by_part = np.argsort(part, kind="stable")
+    members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1)
+    for robots in sorted(members, key=lambda robots: int(robots[0]))[1:]:
+        place = position[robots[0] - 1] + SPACING * _UP
+        position[robots] += place - position[robots[0]]
+    position[is_planar, 1] = position[0, 1]
+    return position
