@@ -239,7 +239,7 @@ def _join_order(
         neighbors[j].append(i)
     tied, waiting = dict.fromkeys(anchors), deque(anchors)
     while waiting:
-        new = sorted(set(neighbors[waiting.popleft()]) - tied.keys())
+        new = sorted({other for other in neighbors[waiting.popleft()] if other not in tied})
         tied |= dict.fromkeys(new)
         waiting.extend(new)
     notes = []
