@@ -21,10 +21,13 @@ window.requestAnimationFrame = (draw) => setTimeout(draw, 10);
 </script>"""
 
 
-def probe(page: str, script: str, folder: Path) -> dict[str, Any]:
+def probe(
+    page: str, script: str, folder: Path, *, real_time: bool = False, more: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """Run a script in a page; returns what it writes to `found`, and the `troubles` reported.
 
-    The script ends with `document.body.dataset.found = JSON.stringify(found)`.
+    The script ends with `document.body.dataset.found = JSON.stringify(found)`. In real time it must
+    do so before the page has loaded. `more` are further options of the browser.
     """
     if CHROMIUM is None:
         pytest.skip("no chromium or chrome here; install the package chromium")
@@ -32,7 +35,8 @@ def probe(page: str, script: str, folder: Path) -> dict[str, Any]:
     script = f"<script>\nconst found = {{troubles}};\n{script}</script></body>"
     probed.write_text(page.replace("<head>", f"<head>{_LISTEN}").replace("</body>", script))
     options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
-    options += ["--enable-unsafe-swiftshader", "--virtual-time-budget=10000", "--dump-dom"]
+    options += ["--enable-unsafe-swiftshader", "--dump-dom", *more]
+    options += [] if real_time else ["--virtual-time-budget=10000"]
     done = subprocess.run(
         [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
         check=False,

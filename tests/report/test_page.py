@@ -116,7 +116,7 @@ def test_the_view_shows_each_series_once(run_folder):
     assert view.note == "The view contains 2 of 3 cases."
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))
-        assert [color["label"] for color in case["colors"]] == ["error"]
+        assert [color["label"] for color in case["colors"]] == ["error", "sensed force"]
         assert case["contacts"] == [[n, 1, n + 1, 0] for n in range(11)]
         ((face,),) = case["ground"]  # a plane
         assert len(face) == 4

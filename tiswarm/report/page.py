@@ -95,6 +95,7 @@ class Page:
             loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
             autoescape=True, trim_blocks=True, lstrip_blocks=True,
         )  # fmt: skip
+        environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "sort_keys": True}
         colors = {"true": TRUE_BLUE, "errors": ERROR_COLORS, "joins": JOIN_COLORS}
         return environment.get_template("report.html").render(page=self, colors=colors) + "\n"
 

@@ -13,7 +13,7 @@ from tiswarm.report.run_data import RunData
 from tiswarm.report.swarm_view import SwarmView, read_case_view
 
 _MOST_CASES = 12  # in the view
-MOST_ROBOTS = 10_000
+MOST_ROBOTS = 100_000
 """Robots in the view, in all cases together."""
 
 _DIGITS = 4  # decimals of positions
@@ -34,7 +34,7 @@ class View(NamedTuple):
 
 
 class Coloring(NamedTuple):
-    """A quantity that colors the estimate; the view adds the join index."""
+    """A quantity that colors the estimate; the view adds hops and the join index."""
 
     label: str
     unit: str  # may be empty
@@ -47,7 +47,9 @@ def build_view(run: RunData) -> View | None:
     notes = []
     for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
         view = read_case_view(case)
-        data = view_data(view, [Coloring("error", "R", view.error), Coloring("sd", "R", view.sd)])
+        values = [("error", "R", view.error), ("sd", "R", view.sd)]
+        values.append(("sensed force", "dock weights", view.force))
+        data = view_data(view, [Coloring(*value) for value in values])
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:

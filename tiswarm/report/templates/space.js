@@ -1,7 +1,8 @@
 // --- 3D view of true and estimated positions ---
 
 const BLACK = [0, 0, 0], WHITE = [255, 255, 255], UNKNOWN_COLOR = [154, 163, 173];
-const SOLID = 3000; // most robots that are drawn with docks and arms
+const SOLID = 3000; // most robots that are drawn with docks and arms, and without WebGL
+const PAINTED = 10000; // most robots that are drawn where the browser has no WebGL
 const SHADES = 48; // number of colors of a scale
 const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
 const SIDES = [0, 1, 2]; // x, y, z
@@ -33,12 +34,15 @@ function ball(color) {
   return picture;
 }
 
+// The color at a share of a scale.
+function along(colors, share) {
+  const place = Math.min(1, share) * (colors.length - 1), k = Math.min(Math.floor(place), colors.length - 2);
+  return mixed(colors[k], colors[k + 1], place - k);
+}
+
 // Balls in the colors of a scale.
 function shadesOf(colors) {
-  return Array.from({ length: SHADES }, (_, n) => {
-    const place = n / (SHADES - 1) * (colors.length - 1), k = Math.min(Math.floor(place), colors.length - 2);
-    return ball(mixed(colors[k], colors[k + 1], place - k));
-  });
+  return Array.from({ length: SHADES }, (_, n) => ball(along(colors, n / (SHADES - 1))));
 }
 
 // The docks of a robot: its center plus each offset, rotated by a quaternion (w, x, y, z).
@@ -80,7 +84,7 @@ function cameraOf(box, { turn, tilt, zoom, right, down }, fit, width, height) {
     const near = dot(toward, [x, y, z]), scale = (zoom * fit * away) / Math.max(away - near, 0.05 * away);
     return [width / 2 + right + scale * (ct * y - st * x), height / 2 + down - scale * (ce * z - se * (ct * x + st * y)), scale, near];
   };
-  return { toward, eye: box.middle.map((value, k) => value + away * toward[k]), place };
+  return { look: { turn, tilt, zoom, right, down }, fit, radius: box.radius, toward, eye: box.middle.map((value, k) => value + away * toward[k]), place };
 }
 
 // Pixels per R at which the whole box fits the canvas.
@@ -241,10 +245,20 @@ function drawInOrder(pen, pieces, shapes) {
   });
 }
 
-// The colorings of a case: those of its data, and the order of joining.
-function coloringsOf({ colors, robot }) {
-  const given = colors.map((each) => ({ ...each, scale: "--errors", most: Math.max(...each.value.filter((v) => v !== null)) || 1 }));
-  return [...given, { label: "join index", unit: "", value: robot.map((_, n) => n), scale: "--joins", most: Math.max(robot.length - 1, 1) }];
+// Contacts on the shortest way from the first robot to each robot; null where none lead there.
+function hopsOf({ robot, contacts }) {
+  const touching = robot.map(() => []), hops = robot.map(() => null), reached = [0];
+  contacts.forEach(([i, , j]) => { touching[i].push(j); touching[j].push(i); });
+  hops[0] = 0;
+  for (const n of reached) for (const m of touching[n]) if (hops[m] === null) { hops[m] = hops[n] + 1; reached.push(m); }
+  return hops;
+}
+
+// The colorings of a case: those of its data, hops, and the order of joining.
+function coloringsOf({ colors, robot, contacts }) {
+  const given = colors.map((each) => ({ ...each, scale: "--errors", most: each.value.reduce((most, v) => Math.max(most, v), 0) || 1 }));
+  const counts = { "hops from the first robot": hopsOf({ robot, contacts }), "join index": robot.map((_, n) => n) };
+  return [...given, ...Object.entries(counts).map(([label, value]) => ({ label, unit: "", value, scale: "--joins", most: value.reduce((most, v) => Math.max(most, v), 1) }))];
 }
 
 function showSpace(view) {
@@ -254,6 +268,7 @@ function showSpace(view) {
   const boxes = ["truth", "estimate", "error", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const pen = view.getContext("2d");
   const balls = { unknown: ball(UNKNOWN_COLOR) };
+  const many = data.cases.some(({ robot }) => robot.length > SOLID) ? manyRobots() : null;
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
   for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
   let look = { ...START }, shown, colorings, box, place, due = 0;
@@ -273,8 +288,12 @@ function showSpace(view) {
     balls.truth = ball(colorsOf("--true")[0]); // dark pages have another
     place = camera.place;
     drawBox(pen, box, data, camera);
-    const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
-    drawInOrder(pen, pieces, shapesOf(shown, slider.value, data.offsets, wanted, coloring, place, balls));
+    const drawn = many && shown.robot.length > SOLID && many.draw(pen, slider.valueAsNumber, wanted, coloring, { ...camera, width, height, dense });
+    if (!drawn) {
+      slider.max = Math.min(PAINTED, shown.robot.length);
+      const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
+      drawInOrder(pen, pieces, shapesOf(shown, slider.value, data.offsets, wanted, coloring, place, balls));
+    }
     if (wanted.estimate) drawScale(pen, coloring, width, height);
     joined.textContent = `${slider.value} of ${shown.robot.length}`;
   };
@@ -289,6 +308,7 @@ function showSpace(view) {
     box = boxOf(data.cases.filter((other) => other.robot.length === shown.robot.length), data.radius);
     slider.max = shown.robot.length; // before the value, which it bounds
     slider.value = slider.max;
+    if (shown.robot.length > SOLID) many?.load(shown, data.offsets, box.middle);
     draw();
   };
   // The robot whose true or estimated center is nearest to the pointer.
@@ -298,7 +318,7 @@ function showSpace(view) {
       const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
       if (distance < nearest) [found, nearest] = [n, distance];
     }
-    const values = colorings.slice(0, -1).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
+    const values = colorings.slice(0, -2).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
     pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
   };
   const change = (act) => { act(); look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt)); soon(); };

@@ -1,0 +1,193 @@
+// --- many robots, drawn by WebGL ---
+
+const VERTEX = `#version 300 es
+in vec2 corner; // of a ball's square, or beside (x) and along (y) a bar, -1 to 1
+in vec3 from, to; // center of a ball, ends of a bar [R]
+in vec4 tint; // opacity 0 leaves the shape out
+uniform vec3 rightward, upward, toward;
+uniform vec4 lens; // pixels per R times distance of the eye, that distance [R], width, height [pixels]
+uniform vec2 shift; // [pixels]
+uniform vec2 depth; // of a distance w [R]: depth.x + depth.y / w
+uniform vec2 wide; // half the width of a bar, or a ball's radius: [R], and at least [pixels]
+uniform float back; // how much shapes lie behind their place [R]
+uniform bool round;
+out vec2 inside;
+out vec4 color;
+out float away;
+
+vec3 seen(vec3 point) { // pixels from the middle times distance, distance
+  float w = max(lens.y - dot(toward, point), 0.05 * lens.y);
+  return vec3(shift.x * w + lens.x * dot(rightward, point), lens.x * dot(upward, point) - shift.y * w, w);
+}
+
+void main() {
+  vec3 a = seen(from), b = seen(to), here = round ? a : mix(a, b, 0.5 + 0.5 * corner.y);
+  vec2 along = b.xy / b.z - a.xy / a.z;
+  vec2 beside = vec2(along.y, -along.x) / max(length(along), 1e-6);
+  here.xy += max(wide.x * lens.x, wide.y * here.z) * (round ? corner : corner.x * beside);
+  away = here.z + back;
+  gl_Position = vec4(2.0 * here.xy / lens.zw, (depth.x + depth.y / away) * here.z, here.z);
+  if (tint.a == 0.0) gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
+  inside = corner;
+  color = tint;
+}`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec2 inside;
+in vec4 color;
+in float away;
+uniform vec2 depth;
+uniform bool round;
+out vec4 drawn;
+
+void main() {
+  vec3 lit = color.rgb;
+  gl_FragDepth = gl_FragCoord.z;
+  if (round) { // lit from the upper left, as in ball()
+    float rim = dot(inside, inside), dark = length(inside - vec2(-0.28, 0.28));
+    if (rim > 1.0) discard;
+    lit = dark < 0.65 ? mix(mix(lit, vec3(1.0), 0.5), lit, dark / 0.65) : mix(lit, 0.55 * lit, (dark - 0.65) / 0.65);
+    gl_FragDepth = 0.5 + 0.5 * (depth.x + depth.y / (away - sqrt(1.0 - rim)));
+  }
+  drawn = vec4(lit * color.a, color.a);
+}`;
+
+// A program, or null where the browser has no WebGL.
+function programOn(gl) {
+  const program = gl?.createProgram();
+  if (!program) return null;
+  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  return gl.getProgramParameter(program, gl.LINK_STATUS) ? program : null;
+}
+
+// A painter of robots, contacts and ground on a canvas of its own; null where the browser has no WebGL.
+function manyRobots() {
+  const canvas = document.createElement("canvas"), gl = canvas.getContext("webgl2", { antialias: false });
+  const program = programOn(gl);
+  if (!program) return null;
+  const uniform = (name) => gl.getUniformLocation(program, name);
+  const buffers = {};
+  let shown, offsets, fine, reach, tinted; // reach: later robot of each contact; tinted: what the buffers of colors show
+  gl.useProgram(program);
+  gl.enable(gl.DEPTH_TEST);
+  gl.enable(gl.BLEND);
+  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+
+  const keep = (name, values) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[name] ||= gl.createBuffer());
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
+  };
+  // Feeds an attribute from a buffer, a new item each `every` instances (0: each vertex), or with one color.
+  const feed = (name, buffer, every, { step = 0, start = 0 } = {}) => {
+    const place = gl.getAttribLocation(program, name);
+    if (typeof buffer !== "string") {
+      gl.disableVertexAttribArray(place);
+      gl.vertexAttrib4f(place, ...buffer.map((value, k) => (k < 3 ? value / 255 : value)));
+      return;
+    }
+    const bytes = name === "tint", size = { corner: 2, tint: 4 }[name] || 3;
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[buffer]);
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, size, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, bytes, step, start);
+    gl.vertexAttribDivisor(place, every);
+  };
+  const shapes = (count, { round = false, wide, back = 0 }) => {
+    gl.uniform1i(uniform("round"), round);
+    gl.uniform2f(uniform("wide"), ...wide);
+    gl.uniform1f(uniform("back"), back);
+    feed("corner", "corner", 0);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+  };
+  // Robots at true or estimated poses; their colors and opacities are filled in again if `key` is another.
+  const robots = (poses, count, key, tintOf, arm, back) => {
+    const each = offsets.length;
+    if (tinted[poses] !== key) {
+      const tints = new Uint8Array(4 * shown.robot.length);
+      shown.robot.forEach((_, n) => tints.set(tintOf(n), 4 * n));
+      keep(`${poses} tints`, tints);
+      tinted[poses] = key;
+    }
+    feed("from", `${poses} docks`, 1);
+    feed("to", poses, each);
+    feed("tint", `${poses} tints`, each);
+    shapes(count * each, { round: true, wide: [1, 1.5], back });
+    if (fine < 2) return; // pixels per R: docks hide the arms
+    if (arm) feed("tint", arm, 0);
+    shapes(count * each, { wide: [0.15, 0.4], back });
+  };
+  const bars = (from, to, count, color, width, back, step) => {
+    feed("from", from, 1, step);
+    feed("to", to, 1, step && { step: step.step, start: step.step / 2 });
+    feed("tint", color, 0);
+    shapes(count, { wide: [0, width / 2], back });
+  };
+
+  return {
+    // Takes a case; places are relative to the middle of its box, where 32 bits are fine.
+    load(chosen, docks, middle) {
+      if (shown === chosen) return;
+      [shown, offsets, tinted] = [chosen, docks, {}];
+      const flat = (points) => new Float32Array(points.flatMap((point) => minus(point, middle)));
+      const around = (poses, turns) => poses.map((center, n) => docksOf(center, turns[n], docks));
+      const sensed = around(shown.estimate, shown.sensed);
+      const contacts = shown.contacts.slice().sort((one, two) => Math.max(one[0], one[2]) - Math.max(two[0], two[2]));
+      reach = contacts.map(([i, , j]) => Math.max(i, j));
+      keep("corner", new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]));
+      keep("estimate", flat(shown.estimate));
+      keep("estimate docks", flat(sensed.flat()));
+      keep("true", flat(shown.true));
+      keep("true docks", flat(around(shown.true, shown.turn).flat()));
+      keep("contacts", flat(contacts.flatMap(([i, a, j, b]) => [sensed[i][a], sensed[j][b]])));
+      keep("ground", flat(shown.ground.flat().flatMap(([a, b, c, d]) => [a, b, c, a, c, d])));
+    },
+    // Draws the first `count` robots; false if the graphics card was lost.
+    draw(pen, count, wanted, coloring, { look, fit, radius, toward, width, height, dense }) {
+      if (gl.isContextLost()) return false;
+      [canvas.width, canvas.height] = [width * dense, height * dense];
+      gl.viewport(0, 0, canvas.width, canvas.height);
+      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+      fine = look.zoom * fit;
+      const distance = 4 * radius, [near, far] = [0.05 * distance, 2 * distance];
+      const [ct, st, ce, se] = [Math.cos(look.turn), Math.sin(look.turn), Math.cos(look.tilt), Math.sin(look.tilt)];
+      gl.uniform3f(uniform("rightward"), -st, ct, 0);
+      gl.uniform3f(uniform("upward"), -se * ct, -se * st, ce);
+      gl.uniform3f(uniform("toward"), ...toward);
+      gl.uniform4f(uniform("lens"), look.zoom * fit * distance, distance, width, height);
+      gl.uniform2f(uniform("shift"), look.right, look.down);
+      gl.uniform2f(uniform("depth"), (far + near) / (far - near), -2 * far * near / (far - near));
+      if (wanted.estimate) {
+        const scale = colorsOf(coloring.scale);
+        const tintOf = (n) => [...(coloring.value[n] === null ? UNKNOWN_COLOR : along(scale, coloring.value[n] / coloring.most)), 255];
+        robots("estimate", count, coloring, tintOf, [...colorsOf("--arm")[0], 1], 0);
+      }
+      if (wanted.contacts) {
+        const many = reach.findIndex((robot) => robot >= count);
+        bars("contacts", "contacts", many < 0 ? reach.length : many, [...colorsOf("--contact")[0], 1], 2.5, -RAISED, { step: 24 });
+      }
+      if (wanted.error) bars("true", "estimate", count, [...colorsOf("--ink")[0], 1], 1.5, 0);
+      if (wanted.truth) {
+        const [blue, ghost] = [colorsOf("--true")[0], wanted.estimate];
+        const near = (n) => Math.hypot(...minus(shown.true[n], shown.estimate[n])) < GHOST.gap;
+        const tintOf = (n) => [...blue, !ghost ? 255 : near(n) ? 0 : 255 * GHOST.opacity];
+        robots("true", count, `${blue} ${ghost}`, tintOf, null, ghost ? GHOST.back : 0);
+      }
+      if (wanted.ground) {
+        gl.uniform1i(uniform("round"), 0);
+        gl.uniform2f(uniform("wide"), 0, 0);
+        gl.uniform1f(uniform("back"), 0);
+        for (const name of ["from", "to"]) feed(name, "ground", 0);
+        feed("corner", [0, 0, 0, 0], 0);
+        feed("tint", [...colorsOf("--ground")[0], EARTH], 0);
+        gl.drawArrays(gl.TRIANGLES, 0, 6 * shown.ground.flat().length);
+      }
+      pen.drawImage(canvas, 0, 0, width, height);
+      return true;
+    },
+  };
+}
