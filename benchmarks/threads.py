@@ -24,7 +24,12 @@ from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.scenes import ROBOT, StepParams, make
 from tiswarm.compute import backend
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
+from tiswarm.localization.params import (
+    JointParams,
+    LocalizationParams,
+    Together,
+    VirtualForceParams,
+)
 from tiswarm.localization.registry import METHODS
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, marker_style, new_figure, png
@@ -115,11 +120,14 @@ def _step(robots: int) -> Task:
 
 
 JOINT = JointParams(chains=1)
+TOGETHER = VirtualForceParams(schedule="together", together=Together(steps=300))
 WORKS = {
     "growth": Work(_towers, 8, "towers of 100"),
     "growth of one tower": Work(_large_tower, 2_000, "robots"),
     "virtual-force": Work(_localize_many(VirtualForceParams()), 128, "towers of 100"),
     "virtual-force on one tower": Work(_localize_one(VirtualForceParams()), 2_000, "robots"),
+    "virtual-force together": Work(_localize_many(TOGETHER), 128, "towers of 100"),
+    "virtual-force together on one tower": Work(_localize_one(TOGETHER), 5_000, "robots"),
     "joint": Work(_localize_many(JOINT), 16, "towers of 100"),
     "joint on one tower": Work(_localize_one(JOINT), 2_000, "robots"),
     "swarm step": Work(_step, 100_000, "robots"),

@@ -19,7 +19,7 @@ SIZES = (6, 9, 14)
 
 @pytest.fixture(scope="module")
 def scaled(tmp_path_factory):
-    """Folder of a run of three sizes, two seeds and two conditions."""
+    """Folder of a run of three sizes, two seeds and three conditions."""
     rows = {"robots, structure.movers": [[size, size // 6] for size in SIZES]}
     small = load_scenario(
         REPOSITORY / "scenarios" / "scaling.yaml",
@@ -44,7 +44,7 @@ def test_scaling_tells_means_by_size(scaled):
         costs = _costs(scaled, size)
         grown = sum(cost["grow"]["cpu_s"] for cost in costs.values())
         joint = [cost["localize"]["cpu_s"] for name, cost in costs.items() if "joint" in name]
-        assert len(costs) == 4
+        assert len(costs) == 6
         assert mean["joint", "rmse_R", size] == pytest.approx(
             summary["rmse_R"].mean()["joint", size]
         )
@@ -81,12 +81,12 @@ def test_the_figure_shows_every_series(scaled):
 
     figure = draw_scaling(load_run(scaled))
 
-    assert names == ["paper", "joint"]
+    assert names == ["paper", "together", "joint"]
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == [*names, "all series"]
     for axes, measure in zip(figure.axes, SCALING_PANELS, strict=True):
         wanted = [means[measure, name].to_numpy() for name in names]
-        if np.array_equal(*wanted):
+        if all(np.array_equal(mean, wanted[0]) for mean in wanted):
             wanted = wanted[:1]
         drawn = [line.get_ydata() for line in axes.lines]
         np.testing.assert_allclose(drawn, wanted)
@@ -106,7 +106,7 @@ def test_a_plan_is_printed_and_nothing_runs(tiswarm, tmp_path):
     planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
     checked = tiswarm("check", scenario)
 
-    expected = "42 cases, 866400 robots in all; estimate: "
+    expected = "63 cases, 1299600 robots in all; estimate: "
     assert planned.stdout.startswith(expected)
     assert expected in checked.stdout
     assert not (tmp_path / "out").exists()
