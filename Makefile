@@ -22,7 +22,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test gpu lint format clean unusable
+.PHONY: help run test docs gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -32,6 +32,10 @@ run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=sc
 
 test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
 	$(bin)/python -m pytest -n auto
+
+docs: $(installed_dev)  ## Build the site of the documentation, build/docs/index.html
+	$(bin)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
+	@echo "open build/docs/index.html"
 
 gpu: $(installed_dev) $(system_checked)  ## Check and measure a graphics card (ARCH=cuda)
 	$(bin)/python -m benchmarks.gpu --arch $(ARCH) $(GPU_OPTIONS)

@@ -143,7 +143,7 @@ def test_every_import_is_a_dependency():
     """What the package imports is what it or an extra asks for, no more and no less."""
     modules = _imported() | set(lang.LIBRARIES)  # these are imported by name
     needed = {_normal(IMPORTED_AS.get(module, module)) for module in modules}
-    extras = {**PROJECT["optional-dependencies"], "bench": [], "dev": []}.values()
+    extras = {**PROJECT["optional-dependencies"], "bench": [], "dev": [], "docs": []}.values()
 
     assert needed == _names(sum(extras, PROJECT["dependencies"])) - SAME_MODULE
 
@@ -156,15 +156,6 @@ def test_no_file_names_a_registry_or_a_home():
         found += [(file.name, hit) for rule in (REGISTRY, HOME) for hit in rule.findall(text)]
 
     assert found == []
-
-
-def test_the_example_of_the_readme_runs():
-    """As it stands there."""
-    example = re.search(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)
-
-    done = subprocess.run([sys.executable, "-c", example[1]], check=False, cwd=REPOSITORY)
-
-    assert done.returncode == 0
 
 
 @pytest.fixture(scope="module")

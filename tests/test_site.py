@@ -1,0 +1,83 @@
+"""The site can be built, has every call, and its notebooks and Python examples run."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer.main
+
+import tiswarm
+from tiswarm.cli import app
+
+REPOSITORY = Path(__file__).parents[1]
+DOCS = REPOSITORY / "docs"
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
+PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
+SHELL = re.compile(r"^ *```sh\n(.*?)^ *```|^((?: {4}.*\n)+)", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """List the words of each command of tiswarm in the shell examples of a page."""
+    shown = "".join(a or b for a, b in SHELL.findall(page.read_text())).replace("\\\n", "")
+    lines = re.findall(r"^ *tiswarm (.*)$", shown, re.MULTILINE)
+    return [shlex.split(line.partition(" > ")[0], comments=True) for line in lines]
+
+
+def test_the_site_can_be_built(tmp_path):
+    """Sphinx has no warning: links lead to pages and headings, and the menu has all pages."""
+    pytest.importorskip("sphinx", reason="the extra docs needs Python 3.11")
+
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going"]
+    done = subprocess.run(
+        [*command, str(DOCS), str(tmp_path / "site")], capture_output=True, text=True, check=False
+    )
+
+    assert done.returncode == 0, done.stderr
+    assert "localizes the robots from the contacts" in (tmp_path / "site/index.html").read_text()
+    assert 'id="tiswarm.localize"' in (tmp_path / "site/api.html").read_text()
+
+
+def test_every_call_is_on_its_page():
+    """A call that `import tiswarm` offers is in the reference."""
+    listed = set(re.findall(r":: tiswarm\.(\w+)$", (DOCS / "api.md").read_text(), re.MULTILINE))
+
+    assert listed == set(tiswarm.__all__) - {"__version__"}
+
+
+@pytest.mark.parametrize("page", [*NOTEBOOKS, REPOSITORY / "README.md"], ids=lambda page: page.stem)
+def test_python_examples_run(page, tmp_path, monkeypatch):
+    """The cells of a page run from top to bottom in a copy of the repository's root."""
+    (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
+    monkeypatch.chdir(tmp_path)
+    cells = PYTHON.findall(page.read_text())
+
+    names: dict[str, object] = {}
+    for cell in cells:
+        exec(compile(cell, str(page), "exec"), names)  # noqa: S102 - pages of this repository
+
+    assert cells
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_commands_on_pages_exist(page):
+    """Each command of a page has the options that the page gives it."""
+    group = typer.main.get_command(app)
+
+    for name, *arguments in commands_of(page):
+        group.commands[name].make_context(name, arguments)
+
+
+def test_the_guide_to_own_robots_works(tmp_path, monkeypatch, capsys):
+    """Its commands lead from poses to an estimate with its page, and to its errors."""
+    (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
+    monkeypatch.chdir(tmp_path)
+
+    for command in commands_of(DOCS / "guides" / "own-robots.md"):
+        assert not app(command, standalone_mode=False), capsys.readouterr().err
+
+    assert (tmp_path / "imported" / "view.html").exists()
+    assert "RMSE" in capsys.readouterr().out
