@@ -14,12 +14,12 @@ IN_ROOT = {"index": "README.md", "contributing": "CONTRIBUTING.md", "changelog":
 project = "tiswarm"
 version = release = tiswarm.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["images", "fits"]
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 myst_heading_anchors = 3
 html_theme = "furo"
+html_static_path, html_css_files = ["static"], ["site.css"]
 html_title = f"tiswarm {version}"
 html_show_copyright = html_copy_source = False
 
