@@ -27,8 +27,8 @@ html_show_copyright = html_copy_source = False
 def read_page(_app: Sphinx, page: str, source: list[str]) -> None:
     """Fill in pages of the root, and lead links to them to their place on the site."""
     if page in IN_ROOT:
-        text = (ROOT / IN_ROOT[page]).read_text().replace("](docs/", "](")
-        source[0] = text.replace("](LICENSE)", "](../LICENSE)") + source[0].partition("---")[2]
+        text = re.sub(r"\]\((?!https?:|#)", "](../", (ROOT / IN_ROOT[page]).read_text())
+        source[0] = text.replace("](../docs/", "](") + source[0].partition("---")[2]
     for target, name in IN_ROOT.items():
         source[0] = re.sub(rf"\]\((\.\./)*{name}", f"](/{target}.md", source[0])
 
