@@ -43,7 +43,7 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "start_interval": Limits(3, 16, 16, 0),
     "step_robots": Limits(9, 64, 40, 4),  # four steps
     "note_places": Limits(2, 16, 16, 0),
-    "take_steps": Limits(7, 176, 104, 6),  # adds to numbers of its own robot: in order, no race
+    "take_steps": Limits(9, 176, 96, 6),  # adds to numbers of its own robot: in order, no race
 }
 BLOCKS = 8 * 132
 """Most blocks of a launch, on the card that the stub describes."""

@@ -113,8 +113,8 @@ class Subtrees(NamedTuple):
     """Subtree that each copy of a robot belongs to, shape (C N,)."""
 
     table: Ints2
-    """First and last own robot, parent, and whether it moves along x, y and z; robots and parent
-    are counted within the structure, shape (T, 6)."""
+    """First and last own robot, parent, whether it moves along x, y and z, and its number within
+    the structure, shape (T, 7)."""
 
     weight: Reals1
     """Mass of each subtree, in masses of its own robots, shape (T,)."""
@@ -130,6 +130,10 @@ class Subtrees(NamedTuple):
 
     shift: Reals2
     """Shift of each copy in this step, its ancestors' included [R], shape (C T, 3)."""
+
+
+PARENT, MOVES, ORDINAL = 2, 3, 6
+"""Columns of `Subtrees.table`."""
 
 
 class Swarm(NamedTuple):

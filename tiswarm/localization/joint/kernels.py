@@ -20,7 +20,10 @@ from tiswarm.compute.lang import (
 from tiswarm.compute.math_kernels import mixed, vector_at
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 from tiswarm.localization.joint.arrays import (
+    MOVES,
     NUMBER,
+    ORDINAL,
+    PARENT,
     STRUCTURE,
     YAW_PRECISION,
     Blocks,
@@ -99,42 +102,62 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
 
 
 @ti.func
-def _move_subtrees(b, step: Ref, trees: Ref, blocks: Ref, swarm: Ref):
-    """Write the shift of every subtree of block b, with that of the subtrees it grows out of.
+def _pull_subtree(k, robots, trees: Ref, swarm: Ref):
+    """Write the force on the own robots of copy k of a subtree, and the mass of the subtree.
 
     A subtree that becomes heavier keeps its kinetic energy.
     """
-    first, last = trees.first[b], trees.first[b + 1]
+    n = k % trees.table.shape[0]
+    start = k // trees.table.shape[0] * robots
+    pull = 0.0 * vector_at(swarm.force, start)
+    weight = 0.0 * pull[0]
+    for r in range(start + trees.table[n, 0], start + trees.table[n, 1]):
+        pull += vector_at(swarm.force, r)
+        weight += trees.weight[n] * swarm.mass[r]
+    lighter = ti.sqrt(trees.pull[k, 3] / weight)
+    trees.pull[k, 3] = weight
+    for c in ti.static(range(3)):
+        trees.pull[k, c] = pull[c]
+        trees.velocity[k, c] *= lighter
+
+
+@ti.func
+def _gather_pulls(b, trees: Ref):
+    """Add to the force on each subtree of block b those on all that grow out of it."""
     count = trees.table.shape[0]
+    first, last = trees.first[b], trees.first[b + 1]
     chain = first // count
-    start = blocks.start[b]
-    for k in range(first, last):
-        n = k - chain * count
-        pull = 0.0 * vector_at(swarm.force, start)
-        weight = 0.0 * pull[0]
-        for r in range(start + trees.table[n, 0], start + trees.table[n, 1]):
-            pull += vector_at(swarm.force, r)
-            weight += trees.weight[n] * swarm.mass[r]
-        lighter = ti.sqrt(trees.pull[k, 3] / weight)
-        trees.pull[k, 3] = weight
-        for c in ti.static(range(3)):
-            trees.pull[k, c] = pull[c]
-            trees.velocity[k, c] *= lighter
-            trees.shift[k, c] = 0.0
     for back in range(1, last - first):
         k = last - back
-        parent = first + trees.table[k - chain * count, 2]
+        parent = chain * count + trees.table[k - chain * count, PARENT]
         for c in ti.static(range(3)):
             trees.pull[parent, c] += trees.pull[k, c]
+
+
+@ti.func
+def _move_subtree(k, step: Ref, trees: Ref):
+    """Write the shift of copy k of a subtree, without that of the subtrees it grows out of."""
+    count = trees.table.shape[0]
+    n = k % count
+    kick = _kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
+    for c in ti.static(range(3)):
+        trees.shift[k, c] = 0.0
+        if trees.table[n, MOVES + c] == 1:
+            trees.shift[k, c] = _moved(
+                trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
+            )
+
+
+@ti.func
+def _spread_shifts(b, trees: Ref):
+    """Add to the shift of each subtree of block b that of the subtree it grows out of."""
+    count = trees.table.shape[0]
+    first, last = trees.first[b], trees.first[b + 1]
+    chain = first // count
     for k in range(first + 1, last):
-        n = k - chain * count
-        kick = _kick_of(step.seed, chain, _SUBTREE_KICKS + k - first, step.number)
+        parent = chain * count + trees.table[k - chain * count, PARENT]
         for c in ti.static(range(3)):
-            trees.shift[k, c] = trees.shift[first + trees.table[n, 2], c]
-            if trees.table[n, 3 + c] == 1:
-                trees.shift[k, c] += _moved(
-                    trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
-                )
+            trees.shift[k, c] += trees.shift[parent, c]
 
 
 @ti.func
@@ -336,7 +359,12 @@ def take_steps(
                             pull_robot(
                                 r, docks, turning, step, robots, contacts, priors, grid, rows, swarm
                             )
-                        _move_subtrees(b, step, trees, blocks, swarm)
+                        for k in range(first_subtree[b], first_subtree[b + 1]):
+                            _pull_subtree(k, robot_label.shape[0], trees, swarm)
+                        _gather_pulls(b, trees)
+                        for k in range(first_subtree[b], first_subtree[b + 1]):
+                            _move_subtree(k, step, trees)
+                        _spread_shifts(b, trees)
                         farthest = 0.0
                         for r in range(start, end):
                             distance = _move_robot(r, turning, step, robots, trees, blocks, swarm)
@@ -349,17 +377,27 @@ def take_steps(
         growth = _growth_at(t, growing)
         is_averaged = t >= hold
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
+        grain = ti.static(1 if on_card else GRAIN)
+        # Computed here, the bounds of loops need no launch before each loop.
+        subtrees, threads = subtree_shift.shape[0], taken.shape[0] * grain
         for r in range(row_count.shape[0]):
             s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
             step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
             pull_robot(r, docks, turning, step, robots, contacts, priors, grid, rows, swarm)
-        grain = ti.static(1 if on_card else GRAIN)
-        for i in range((block_start.shape[0] - 1) * grain):
+        for k in range(subtrees):
+            _pull_subtree(k, robot_label.shape[0], trees, swarm)
+        # The sums along branches are few additions in a fixed order: one thread does a block's.
+        for i in range(threads):
             if i % grain == 0:
-                b = i // grain
-                s = sigma[b % sigma.shape[0], t]
-                step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-                _move_subtrees(b, step, trees, blocks, swarm)
+                _gather_pulls(i // grain, trees)
+        for k in range(subtrees):
+            own = subtree_table[k % subtree_table.shape[0], 0]
+            s = sigma[robot_label[own, STRUCTURE], t]
+            step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
+            _move_subtree(k, step, trees)
+        for i in range(threads):
+            if i % grain == 0:
+                _spread_shifts(i // grain, trees)
         farthest = 0.0
         strayed[0] = 0
         strayed[1] = 0

@@ -79,14 +79,16 @@ def subtree_arrays(
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
     of_robot = np.add.outer(len(own) * np.arange(chains), np.repeat(np.arange(len(own)), own))
-    table = [
-        np.column_stack([t.first[:-1], t.first[1:], t.parent, np.tile(e.unplaced, (n, 1))])
-        for t, e, n in zip(trees, problems, count, strict=True)
-    ]
+    # Everyone together does not move.
+    moves = [np.outer(np.arange(n) > 0, e.unplaced) for e, n in zip(problems, count, strict=True)]
+    end = np.cumsum(own)
+    parent = [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
+    ordinal = np.concatenate([np.arange(n) for n in count])
+    table = [end - own, end, np.concatenate(parent), np.concatenate(moves), ordinal]
     copies = chains * len(own)
     return Subtrees(
         of_robot=memory.upload(of_robot.ravel()),
-        table=memory.upload(np.concatenate(table)),
+        table=memory.upload(np.column_stack(table)),
         weight=memory.upload(np.concatenate([weights(tree) for tree in trees])),
         first=memory.upload(np.cumsum([0, *np.tile(count, chains)])),
         pull=memory.upload(np.zeros((copies, 4))),
