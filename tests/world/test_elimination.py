@@ -25,13 +25,13 @@ FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 @ti.kernel
 def _solve_one(
     pairs: Ints2, coupling: Reals2, own: Reals2, has_room: Ints1,
-    node: Ints3, half: Ints3, edge_count: Ints1, diagonal: Reals3, block: Reals3, motion: Reals3,
+    node: Ints3, half: Ints3, block_count: Ints1, block: Reals3, motion: Reals3,
 ):  # fmt: skip
-    work = ti.static(EliminationArrays(node, half, edge_count, diagonal, block, motion))
+    work = ti.static(EliminationArrays(node, half, block_count, block, motion))
     for _ in range(1):
         clear(work, 0, own.shape[0])
         for a, c in ti.ndrange(own.shape[0], 36):
-            diagonal[0, a, c] = own[a, c]
+            block[0, a, c] = own[a, c]
         for p in range(pairs.shape[0]):
             edge = edge_between(work, 0, pairs[p, 0], pairs[p, 1])
             for c in range(36):
@@ -53,13 +53,12 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
         dense[a, b] += each
         dense[b, a] += each.T
     dense[np.arange(nodes), np.arange(nodes)] = 50.0 * np.eye(SIDE) * (1.0 + degree)
-    load, edges = rng.normal(size=(nodes, SIDE)), nodes * (nodes - 1) // 2 + 1
+    load, blocks = rng.normal(size=(nodes, SIDE)), nodes * (nodes + 1) // 2
     work = EliminationArrays(
         node=np.empty((1, nodes + 1, NODE_COLUMNS), np.int32),
-        half=np.empty((1, 2 * edges, HALF_COLUMNS), np.int32),
-        edge_count=np.zeros(1, np.int32),
-        diagonal=np.empty((1, nodes, SIDE**2)),
-        block=np.empty((1, edges, SIDE**2)),
+        half=np.empty((1, 2 * blocks, HALF_COLUMNS), np.int32),
+        block_count=np.zeros(1, np.int32),
+        block=np.empty((1, blocks, SIDE**2)),
         motion=load[None].copy(),
     )
     has_room = np.zeros(1, np.int32)
@@ -75,13 +74,14 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
 
 
 def _filled(structures, params, *, cramped=False):
-    """Frames of some structures, with little room at first where asked."""
+    """Frames of some structures, with room for no edge and one beam where asked."""
     robots = max(len(each.center) for each in structures)
     built = Frames(params, docks=3, robots=robots, structures=len(structures))
     if cramped:
+        nodes = built.work.motion.shape[1]
         built.work = built.work._replace(
-            half=np.empty((len(structures), 2, HALF_COLUMNS), np.int32),
-            block=np.empty((len(structures), 1, SIDE**2)),
+            half=np.empty((len(structures), 2 * nodes, HALF_COLUMNS), np.int32),
+            block=np.empty((len(structures), nodes, SIDE**2)),
         )
         few = {name: getattr(built.frame, name)[:, :1] for name in ("ends", "stiffness", "span")}
         built.frame = built.frame._replace(**few)

@@ -22,28 +22,25 @@ Columns of a number: first node of that degree; pivot of that step; half-edge to
 the pivot."""
 NODE_COLUMNS = 9
 _NEXT, _OTHER = range(2)
-"""Columns of a half-edge: next one of its node, and node at the other end. Half-edges 2 e and
-2 e + 1 are the two of edge e."""
+"""Columns of a half-edge: next one of its node, and node at the other end. The edge with block e
+has half-edges 2 e and 2 e + 1."""
 HALF_COLUMNS = 2
 
 
 class EliminationArrays(NamedTuple):
-    """S systems with room for M nodes and E edges between them."""
+    """S systems with room for M nodes and L blocks: those of the nodes, then those of edges."""
 
     node: Ints3
     """Shape (S, M + 1, NODE_COLUMNS)."""
 
     half: Ints3
-    """Shape (S, 2 E, HALF_COLUMNS)."""
+    """Shape (S, 2 L, HALF_COLUMNS)."""
 
-    edge_count: Ints1
-    """Edges that the elimination needed so far; it stops where they exceed E, shape (S,)."""
-
-    diagonal: Reals3
-    """K_aa, row by row; then C, shape (S, M, 36)."""
+    block_count: Ints1
+    """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
 
     block: Reals3
-    """K_ab of each edge, a < b, row by row; then Z, shape (S, E, 36)."""
+    """Row by row: K_aa, then C; K_ab, a < b, then Z, shape (S, L, 36)."""
 
     motion: Reals3
     """f of each node; then u, shape (S, M, 6)."""
@@ -52,18 +49,18 @@ class EliminationArrays(NamedTuple):
 @ti.func
 def clear(work: Ref, s, nodes):
     """Start a system of so many nodes that nothing joins; `motion` is left as it is."""
-    work.edge_count[s] = 0
+    work.block_count[s] = nodes
     for a in range(nodes):
         work.node[s, a, _FIRST] = -1
         work.node[s, a, _DEGREE] = 0
         work.node[s, a, _MARKED_BY] = -1
         for c in range(36):
-            work.diagonal[s, a, c] = 0.0
+            work.block[s, a, c] = 0.0
 
 
 @ti.func
 def edge_between(work: Ref, s, a, b):
-    """Find the edge that joins two nodes, or add it; return -1 without room."""
+    """Find the block of the edge between two nodes, or add it; return -1 without room."""
     half = work.node[s, a, _FIRST]
     while half >= 0 and work.half[s, half, _OTHER] != b:
         half = work.half[s, half, _NEXT]
@@ -75,8 +72,8 @@ def edge_between(work: Ref, s, a, b):
 @ti.func
 def _add_edge(work: Ref, s, a, b):
     """Join two nodes; return the half-edge of `a`, or -1 without room."""
-    edge = work.edge_count[s]
-    work.edge_count[s] += 1
+    edge = work.block_count[s]
+    work.block_count[s] += 1
     half = -1
     if edge < work.block.shape[1]:
         half = 2 * edge
@@ -122,20 +119,20 @@ def _eliminate(work: Ref, s, k):
     """Eliminate node `k`; its load y replaces that in `motion`."""
     for j in range(6):
         for i in range(j, 6):
-            value = work.diagonal[s, k, 6 * i + j]
+            value = work.block[s, k, 6 * i + j]
             for c in range(j):
-                value -= work.diagonal[s, k, 6 * i + c] * work.diagonal[s, k, 6 * j + c]
+                value -= work.block[s, k, 6 * i + c] * work.block[s, k, 6 * j + c]
             if i > j:
-                value /= work.diagonal[s, k, 7 * j]
+                value /= work.block[s, k, 7 * j]
             else:
                 # NaN also where rounding makes a pivot 0.
                 value = ti.sqrt(value) if value > 0.0 else ti.math.nan
-            work.diagonal[s, k, 6 * i + j] = value
+            work.block[s, k, 6 * i + j] = value
     for i in range(6):
         value = work.motion[s, k, i]
         for c in range(i):
-            value -= work.diagonal[s, k, 6 * i + c] * work.motion[s, k, c]
-        work.motion[s, k, i] = value / work.diagonal[s, k, 7 * i]
+            value -= work.block[s, k, 6 * i + c] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
     near = 0
     half = work.node[s, k, _FIRST]
     while half >= 0:
@@ -151,7 +148,7 @@ def _eliminate(work: Ref, s, k):
 
 @ti.func
 def _forward(work: Ref, s, k, a, edge):
-    """Replace K_ka by Z_a; subtract Z_a' Z_a and Z_a' y."""
+    """Replace K_ka by Z_a, and subtract Z_a' y."""
     if a < k:
         for i in range(6):
             for j in range(i):
@@ -161,31 +158,30 @@ def _forward(work: Ref, s, k, a, edge):
     for i in range(6):
         row = ti.Vector([work.block[s, edge, 6 * i + j] for j in range(6)])
         for c in range(i):
-            row -= work.diagonal[s, k, 6 * i + c] * ti.Vector(
+            row -= work.block[s, k, 6 * i + c] * ti.Vector(
                 [work.block[s, edge, 6 * c + j] for j in range(6)]
             )
-        row /= work.diagonal[s, k, 7 * i]
+        row /= work.block[s, k, 7 * i]
         for j in ti.static(range(6)):
             work.block[s, edge, 6 * i + j] = row[j]
             work.motion[s, a, j] -= row[j] * work.motion[s, k, i]
-    _subtract(work.diagonal, s, a, work.block, edge, edge)
 
 
 @ti.func
-def _subtract(into: Ref, s, target, block: Ref, one, other):
+def _subtract(block: Ref, s, target, one, other):
     """Subtract Z_one' Z_other from a block."""
-    for i in ti.static(range(6)):
-        row = ti.Vector([into[s, target, 6 * i + j] for j in range(6)])
+    for i in range(6):
+        row = ti.Vector([block[s, target, 6 * i + j] for j in range(6)])
         for c in ti.static(range(6)):
             factor = block[s, one, 6 * c + i]
             row -= factor * ti.Vector([block[s, other, 6 * c + j] for j in range(6)])
         for j in ti.static(range(6)):
-            into[s, target, 6 * i + j] = row[j]
+            block[s, target, 6 * i + j] = row[j]
 
 
 @ti.func
 def _join_neighbors(work: Ref, s, k, near):
-    """Subtract Z_a' Z_b from the blocks of all pairs of neighbors of `k`."""
+    """Subtract Z_a' Z_b for all pairs of neighbors of `k`, each with itself too."""
     for n in range(near):
         from_k = work.node[s, n, _NEAR]
         a = work.half[s, from_k, _OTHER]
@@ -206,12 +202,14 @@ def _join_neighbors(work: Ref, s, k, near):
         for m in range(near):
             to_b = work.node[s, m, _NEAR]
             b = work.half[s, to_b, _OTHER]
-            if a < b:
+            if a <= b:
                 half = work.node[s, b, _MARK]
-                if work.node[s, b, _MARKED_BY] != a:
+                if a == b:
+                    half = 2 * a
+                elif work.node[s, b, _MARKED_BY] != a:
                     half = _add_edge(work, s, a, b)
                 if half >= 0:
-                    _subtract(work.block, s, half // 2, work.block, from_k // 2, to_b // 2)
+                    _subtract(work.block, s, half // 2, from_k // 2, to_b // 2)
 
 
 @ti.func
@@ -231,8 +229,8 @@ def _back(work: Ref, s, k):
         i = 5 - back
         value = work.motion[s, k, i]
         for c in range(i + 1, 6):
-            value -= work.diagonal[s, k, 6 * c + i] * work.motion[s, k, c]
-        work.motion[s, k, i] = value / work.diagonal[s, k, 7 * i]
+            value -= work.block[s, k, 6 * c + i] * work.motion[s, k, c]
+        work.motion[s, k, i] = value / work.block[s, k, 7 * i]
 
 
 @ti.func
@@ -244,7 +242,7 @@ def solve(work: Ref, s, nodes):
         _enter(work.node, s, a)
     least = 0
     for step in range(nodes):
-        if work.edge_count[s] <= work.block.shape[1]:
+        if work.block_count[s] <= work.block.shape[1]:
             while work.node[s, least, _BUCKET] < 0:
                 least += 1
             k = work.node[s, least, _BUCKET]
@@ -255,7 +253,7 @@ def solve(work: Ref, s, nodes):
             for n in range(near):
                 _enter(work.node, s, work.half[s, work.node[s, n, _NEAR], _OTHER])
             least = ti.max(least - 1, 0)
-    has_room = work.edge_count[s] <= work.block.shape[1]
+    has_room = work.block_count[s] <= work.block.shape[1]
     if has_room:
         for step in range(nodes):
             _back(work, s, work.node[s, nodes - 1 - step, _ORDER])

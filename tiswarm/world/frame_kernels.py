@@ -62,14 +62,14 @@ def _assemble(frame: Ref, work: Ref, s):
     for beam in range(frame.beam_count[s]):
         a, b = frame.ends[s, beam, NODE_A], frame.ends[s, beam, NODE_B]
         for i, j in ti.ndrange(6, 6):
-            work.diagonal[s, a, 6 * i + j] += frame.stiffness[s, beam, 12 * i + j]
+            work.block[s, a, 6 * i + j] += frame.stiffness[s, beam, 12 * i + j]
         if b >= 0:
             edge = edge_between(work, s, a, b)
             # The block has the rows of the lower node.
             start = 6 if a < b else 72
             for i, j in ti.ndrange(6, 6):
                 place, value = 6 * i + j, 12 * i + j
-                work.diagonal[s, b, place] += frame.stiffness[s, beam, 78 + value]
+                work.block[s, b, place] += frame.stiffness[s, beam, 78 + value]
                 if edge >= 0:
                     work.block[s, edge, place] += frame.stiffness[s, beam, start + value]
 
@@ -144,7 +144,7 @@ def find_loads(
     node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Reals3, span: Reals3,
     arm: Reals3, weight: Reals3,
     # EliminationArrays, changed
-    node: Ints3, half: Ints3, edge_count: Ints1, diagonal: Reals3, block: Reals3, motion: Reals3,
+    node: Ints3, half: Ints3, block_count: Ints1, block: Reals3, motion: Reals3,
     # LoadArrays, written
     acting: Reals3, support: Reals3, stress: Reals2, sensed: Reals2,
 ):  # fmt: skip
@@ -157,7 +157,7 @@ def find_loads(
         due: Structures to solve, shape (n,).
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight))
-    work = ti.static(EliminationArrays(node, half, edge_count, diagonal, block, motion))
+    work = ti.static(EliminationArrays(node, half, block_count, block, motion))
     loads = ti.static(LoadArrays(acting, support, stress, sensed))
     for n, idle in ti.ndrange(due.shape[0], GRAIN):
         if idle == 0:

@@ -134,10 +134,9 @@ class Frames:
         )
         self.work = EliminationArrays(
             node=np.empty((structures, nodes + 1, NODE_COLUMNS), np.int32),
-            half=np.empty((structures, 8 * nodes, HALF_COLUMNS), np.int32),
-            edge_count=np.zeros(structures, np.int32),
-            diagonal=np.empty((structures, nodes, _SIDE**2)),
-            block=np.empty((structures, 4 * nodes, _SIDE**2)),
+            half=np.empty((structures, 10 * nodes, HALF_COLUMNS), np.int32),
+            block_count=np.zeros(structures, np.int32),
+            block=np.empty((structures, 5 * nodes, _SIDE**2)),
             motion=np.empty((structures, nodes, _SIDE)),
         )
         self.found = LoadArrays(
@@ -275,7 +274,7 @@ class Frames:
                 int(self.rigid), self.params.beam_radius, self.robots, due,
                 *self.frame, *work, *self.found,
             )  # fmt: skip
-            due = due[work.edge_count[due] > work.block.shape[1]]
+            due = due[work.block_count[due] > work.block.shape[1]]
             if len(due):
                 room = 2 * work.block.shape[1]
                 self.work = work._replace(
