@@ -129,7 +129,7 @@ class Frames:
             ends=np.empty((structures, beams, 4), np.int32),
             stiffness=np.empty((structures, beams, 144)),
             span=np.empty((structures, beams, 3)),
-            arm=np.empty((structures, docks * robots, 3)),
+            arm=np.zeros((structures, docks * robots, 3)),  # read, and not used, for the ground
             weight=np.zeros((structures, nodes, _SIDE)),
         )
         self.work = EliminationArrays(
