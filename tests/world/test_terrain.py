@@ -10,7 +10,7 @@ from tests.strategies import unit_vectors
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.records.terrain import Terrain
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.flip_kernels import ClimbLimits
+from tiswarm.world.climb_arrays import ClimbLimits
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.turn_kernels import slab_angles
 from tiswarm.world.walks import climb_limits

@@ -24,7 +24,7 @@ from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.progress import Advance, ignore
 from tiswarm.robot import RobotGeometry
-from tiswarm.world.flip_kernels import StructureArrays
+from tiswarm.world.climb_arrays import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frames, StructureFailure
 from tiswarm.world.params import RecruitParams, StructureParams

@@ -3,7 +3,7 @@
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
 from tiswarm.compute.lang import GRAIN, Ints1, Ints2, Ints3, Ints4, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import quaternion_at, rotate, vector_at, vector_in
-from tiswarm.world.flip_kernels import ClimbLimits, StructureArrays, WalkArrays
+from tiswarm.world.climb_arrays import ClimbLimits, StructureArrays, WalkArrays
 
 
 @ti.func

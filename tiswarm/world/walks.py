@@ -12,12 +12,10 @@ from tiswarm.errors import TiswarmError
 from tiswarm.records.terrain import Terrain
 from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world import flip_kernels
-from tiswarm.world.flip_kernels import (
+from tiswarm.world.climb_arrays import (
     EDGE,
     FLAT,
     MAX_TOUCHING,
-    RECRUITED,
-    SCRATCH_FULL,
     Climbers,
     ClimbLimits,
     StructureArrays,
@@ -123,7 +121,7 @@ class Walks:
         flip_kernels.climb(
             self.limits, movers, self.state, *cells, *docks, *self.climbers, *self.stances,
         )  # fmt: skip
-        if (self.state[movers] == SCRATCH_FULL).any():
+        if (self.state[movers] == flip_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
                 "more docks than fit stand within one flip of a robot: the structure overlaps"
             )
@@ -170,5 +168,5 @@ class Walks:
             contacts=contacts[np.lexsort(contacts.T[::-1])].astype(np.int32),
             ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
-            recruited=bool(self.state[slot] == RECRUITED),
+            recruited=bool(self.state[slot] == flip_kernels.RECRUITED),
         )
