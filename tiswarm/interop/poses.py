@@ -12,7 +12,7 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.records.io import Table
-from tiswarm.records.sensing_file import FAR_FROM_UNIT
+from tiswarm.records.sensing_builder import FAR_FROM_UNIT
 from tiswarm.records.sensing_log import FARTHEST
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]

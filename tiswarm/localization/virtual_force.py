@@ -37,7 +37,7 @@ from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_file import SensedStance, SensingLogBuilder
+from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
 from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
