@@ -24,14 +24,22 @@ from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.localization import together
-from tiswarm.localization import virtual_force_kernels as kernels
 from tiswarm.localization.params import (
     BackPropagation,
     LocalizationParams,
     VirtualForceParams,
     VirtualTorque,
 )
-from tiswarm.localization.virtual_force_kernels import Gains, LogArrays, Robots, Trace
+from tiswarm.localization.virtual_force_arrays import (
+    ALL_DOCKS,
+    DOCKS_OF_NEIGHBORS,
+    NO_DOCKS,
+    Gains,
+    LogArrays,
+    Robots,
+    Trace,
+)
+from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.progress import ignore
@@ -90,7 +98,7 @@ def localize_batch(
     trace = Trace.allocate(len(frames), len(placed.yaw), np.float64)
     recent = rounds.recent or len(placed.yaw)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
-    kernels.localize_in_join_order(
+    localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, recent, every,
         np.array([_gains(p, log.noise) for log, p in both]), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
@@ -261,7 +269,7 @@ class Localizer:
         capacity = len(self._height)
         trace = Trace.allocate(2, capacity, np.float64)
         backend.processor()
-        kernels.localize_in_join_order(
+        localize_in_join_order(
             every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)]),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
@@ -285,7 +293,7 @@ def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTo
 def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
     rounds, torque = params.back_propagation or _NO_SWEEPS, _torque(params, noise)
     yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
-    undocked = kernels.DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else kernels.NO_DOCKS
+    undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return Gains(
         attraction_gain=params.attraction_gain,
         repulsion_gain=params.repulsion_gain,
@@ -295,7 +303,7 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
         sweep_gain=rounds.gain,
         sweep_repulsion=rounds.repulsion_share,
         spacing=2.0,
-        undocked=float(kernels.ALL_DOCKS if params.undocked_repulsion else undocked),
+        undocked=float(ALL_DOCKS if params.undocked_repulsion else undocked),
         torque_gain=torque.gain,
         hold=params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
         max_turn=float(np.radians(torque.max_turn_deg)),
