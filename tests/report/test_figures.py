@@ -9,18 +9,18 @@ from tests.report.conftest import is_blank, write_case, write_summary, write_tab
 from tiswarm.errors import InputError
 from tiswarm.progress import Progress
 from tiswarm.report import figure_style, figures, table_figures
-from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
-from tiswarm.report.run_data import load_run
-from tiswarm.report.table_figures import (
+from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
     compares_rounds,
-    draw_accuracy,
     draw_rounds,
     draw_scaling,
     profile_painters,
 )
+from tiswarm.report.figure_style import png
+from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
+from tiswarm.report.run_data import load_run
+from tiswarm.report.table_figures import draw_accuracy
 
 COLUMNS = "case,status,condition,series,point,kind"
 

@@ -1,4 +1,4 @@
-"""Draws the figures of a run: convergence and errors here, tables in `table_figures`."""
+"""Draws the figures of a run: convergence and errors here, the others in `*_figures` beside it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +11,12 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
+from tiswarm.report.curve_figures import (
+    compares_rounds,
+    draw_rounds,
+    draw_scaling,
+    profile_painters,
+)
 from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     MOST_BANDS,
@@ -24,14 +30,7 @@ from tiswarm.report.figure_style import (
 )
 from tiswarm.report.run_data import Case, RunData, Series
 from tiswarm.report.suite_figure import draw_suites
-from tiswarm.report.table_figures import (
-    compares_rounds,
-    draw_accuracy,
-    draw_rounds,
-    draw_scaling,
-    draw_shape,
-    profile_painters,
-)
+from tiswarm.report.table_figures import draw_accuracy, draw_shape
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -1,0 +1,254 @@
+"""Draws the figures of tables whose rows are points of a curve: rounds, profiles and scaling."""
+
+import re
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.records.messages import three_digits
+from tiswarm.report import figure_style
+from tiswarm.report.figure_style import (
+    MOST_BANDS,
+    PAGE_WIDTH,
+    fit_axis,
+    marker_style,
+    new_panels,
+    shortened,
+)
+from tiswarm.report.run_data import RunData, swept_columns, swept_words
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
+_MOST_POINTS = 4  # most points of a sweep that have a figure or panel each
+
+PROFILED = {
+    "join": "Join index",
+    "height_R": "True height [R]",
+    "hops_from_anchor": "Hops from the anchor",
+    "contacts": "Contacts of the robot",
+    "hops_apart": "Hops between two robots",
+}
+SCALING_PANELS = {
+    "rmse_R": "RMSE [R]",
+    "procrustes_disparity": "Procrustes disparity",
+    "grow_cpu_s": "Growth, CPU time [s]",
+    "localize_cpu_s": "Localization, CPU time [s]",
+    "localize_wall_s": "Localization, wall time [s]",
+    "localize_peak_memory_MB": "Process, peak memory [MB]",
+}
+
+
+def compares_rounds(run: RunData) -> bool:
+    """Whether conditions of a run have rounds of back-propagation at several intervals."""
+    table = run.table("table.csv", ["condition"], [], after="cases", optional=True)
+    if "round_every" not in table:
+        return False
+    return len(set(table.groupby("condition")["round_every"].first().dropna())) > 1
+
+
+def draw_rounds(run: RunData) -> "Figure":
+    """Draw RMSE against steps per robot, for rounds of back-propagation at several intervals.
+
+    A line joins rounds that move equally many robots by equally many steps. A condition without
+    rounds is a horizontal line. Each point of a sweep has a panel.
+    """
+    numbers = ["cases", "rmse_R_mean", "rmse_R_ci95", "steps_per_robot_mean"]
+    numbers += ["round_every", "round_recent", "round_sweeps"]
+    table = run.table("table.csv", ["condition"], numbers, after="cases")
+    swept = swept_words(table).columns[1:]
+    points = [*table.groupby([*swept], sort=False)] if len(swept) else [((), table)]
+    shown = points[:_MOST_POINTS]
+    one_length = len(set(table["round_sweeps"].dropna())) == 1
+    figure, panels = new_panels(
+        PAGE_WIDTH, 0.6 + 3.2 * -(-len(shown) // 2), len(shown), 2, share="x"
+    )
+    for axes, (point, part) in zip(panels, shown, strict=True):
+        has_rounds = part["round_every"].notna()
+        levels = part.loc[~has_rounds, ["condition", "rmse_R_mean", "rmse_R_ci95"]]
+        for place, level in enumerate(levels.itertuples(index=False)):
+            _draw_level(axes, *level, at_right=place % 2 == 0)
+        rounds = part[has_rounds].fillna({"round_recent": np.inf})
+        families = rounds.groupby(["round_sweeps", "round_recent"], sort=False)
+        for place, ((sweeps, recent), family) in enumerate(families):
+            name = f"last {recent:g}" if np.isfinite(recent) else "all"
+            name += "" if one_length else f", {sweeps:g} steps"
+            _draw_family(axes, family, {"label": name, **marker_style(place)})
+        title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
+        axes.set_title(shortened(title), fontsize=8.0)
+        axes.set(xscale="log", xlabel="Steps per robot")
+        axes.set_ylim(bottom=0.0)
+    steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
+    panels[0].set(ylabel="RMSE [R]", xlim=(0.7 * steps.min(), 1.4 * steps.max()))
+    words = "robots moved in a round; mean and 95 % CI"
+    figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
+    more = figure_style.left_out(len(points) - len(shown), "table.csv")
+    figure_style.add_note(figure, "numbers: joins between two rounds", more, run.note)
+    return figure
+
+
+def _draw_family(axes: "Axes", family: pd.DataFrame, look: Mapping[str, Any]) -> None:
+    """Draw a line through rounds at several intervals, with the joins between two."""
+    line = family.sort_values("steps_per_robot_mean")
+    steps, rmse = line["steps_per_robot_mean"], line["rmse_R_mean"]
+    for x, y, joins in zip(steps, rmse, line["round_every"], strict=True):
+        axes.annotate(
+            f"{joins:g}", (x, y), (2.0, 2.0), textcoords="offset points", fontsize=5.5,
+            color=look["color"],
+        )  # fmt: skip
+    axes.errorbar(
+        steps, rmse, yerr=line["rmse_R_ci95"].fillna(0.0), markersize=3.0, linewidth=1.0,
+        elinewidth=0.4, **look,
+    )  # fmt: skip
+
+
+def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: bool) -> None:
+    """Draw a mean and its confidence interval across a panel, with its name at one end."""
+    axes.axhline(mean, color="0.35", linewidth=0.8, linestyle="--")
+    axes.axhspan(mean - half, mean + half, color="0.35", alpha=0.15, linewidth=0.0)
+    axes.annotate(
+        f"{name}, {three_digits(mean)} R", (float(at_right), mean), (0.0, 1.5), fontsize=6.0,
+        xycoords=("axes fraction", "data"), textcoords="offset points", color="0.35",
+        ha="right" if at_right else "left",
+        bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0.0, "pad": 0.5},
+    )  # fmt: skip
+
+
+def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the profile figures of a run by file name: one for each of a few sweep points.
+
+    All series share a figure if there are many points, or no sweep.
+    """
+    numbers = ["low", "high", "rmse_R"]  # earlier versions wrote no quantiles
+    table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
+    if table.empty:  # no case was finished
+        return {}
+    swept = swept_columns(table, before="by")[1:]
+    table[swept] = swept_words(table, before="by")[swept]
+    points = dict(list(table.groupby(swept, sort=False))) if swept else {}
+    if not 1 < len(points) <= _MOST_POINTS:
+        return {"profiles": partial(_draw_profiles, table=table)}
+    painters: dict[str, Callable[[RunData], Figure]] = {}
+    for point, part in points.items():
+        slug = re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, point))).strip("-")
+        painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.drop(columns=swept))
+    return painters
+
+
+def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
+    """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
+
+    Bands of a few series cover the errors of most robots of a range, 10 % to 90 %. Small numbers
+    count the robots, or pairs, of each point in the first series. Points of few are open, and not
+    connected.
+    """
+    swept = swept_columns(table, before="by")
+    height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
+    figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
+    many = table["count"] >= _FEWEST_ROBOTS
+    table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
+    few_series = len(table[swept].drop_duplicates()) <= MOST_BANDS
+    bands = few_series and {"p10_R", "p90_R"} <= {*table}
+    for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
+        part = table[table["by"] == name]
+        for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):
+            look = figure_style.line_style(place)
+            joined, few = rows[rows["many"]], rows[~rows["many"]]
+            axes.plot(
+                joined["at"], joined["rmse_R"], marker="o", markersize=2.5,
+                label=", ".join(map(str, reversed(series))), **look,
+            )  # fmt: skip
+            if bands and joined["p90_R"].notna().any():
+                low, high = joined["p10_R"].to_numpy(float), joined["p90_R"].to_numpy(float)
+                axes.fill_between(
+                    joined["at"], low, high, color=look["color"], alpha=0.15, linewidth=0.0
+                )
+            look |= {"linestyle": "", "markerfacecolor": "white", "markeredgewidth": 0.6}
+            axes.plot(few["at"], few["rmse_R"], marker="o", markersize=2.5, **look)
+            if place == 0:
+                _count(axes, rows["at"], rows["count"])
+        axes.set(xlabel=label, ylabel="RMSE [R]")
+        fit_axis(axes, "y", part.loc[part["many"], "rmse_R"].to_numpy(float))
+    axes.set(xscale="log", ylabel="Relative RMSE [R]")
+    ticks = sorted(set(part["low"]))
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.minorticks_off()
+    figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
+    opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
+    figure_style.add_note(figure, "above: robots or pairs of a point", opened, run.note)
+    return figure
+
+
+def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]") -> None:
+    """Write the number of robots or pairs of each point above a panel."""
+    for place, count in zip(places, counts, strict=True):
+        text = f"{count:g}" if count < 1e4 else f"{count / 1e3:.0f}k"  # noqa: PLR2004 - k
+        axes.annotate(
+            text, (place, 1.0), (0.0, 2.0), xycoords=("data", "axes fraction"),
+            textcoords="offset points", fontsize=4.5, color="0.35", ha="center",
+        )  # fmt: skip
+
+
+def draw_scaling(run: RunData) -> "Figure":
+    """Draw means over structures against the number of robots N on logarithmic axes.
+
+    Panels state the power of N fitted to all sizes, and to the two largest. Where all series are
+    equal, one gray line stands for all.
+    """
+    numbers = ["robots", "mean", "exponent", "slope"]
+    table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
+    figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3)
+    sizes = sorted(set(table["robots"]))
+    labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
+    names = list(dict.fromkeys(table["series"]))
+    legend = {}
+    for axes, (measure, label) in zip(panels, SCALING_PANELS.items(), strict=True):
+        rows = table[(table["measure"] == measure) & (table["mean"] > 0.0)]
+        parts = [rows[rows["series"] == name] for name in names]
+        means = {tuple(part["mean"]) for part in parts}
+        one_for_all = len(means) == 1 < len(parts)
+        for place, part in enumerate(parts[:1] if one_for_all else parts):
+            look = {**marker_style(place), "linewidth": figure_style.line_style(place)["linewidth"]}
+            if one_for_all:
+                look["color"] = "0.4"
+            (line,) = axes.plot(part["robots"], part["mean"], markersize=3.0, **look)
+            legend["all series" if one_for_all else names[place]] = line
+            axes.annotate(
+                _powers(part), (0.0, 1.0), (3.0, -2.0 - 8.0 * place), color=look["color"],
+                xycoords="axes fraction", textcoords="offset points", fontsize=6.0, va="top",
+            )  # fmt: skip
+        axes.set(xscale="log", xlabel="Robots N", ylabel=label)
+        axes.set_xticks(sizes, labels)
+        axes.minorticks_off()
+        if measure.endswith("_MB"):
+            axes.set_ylim(0.0, 1.5 * rows["mean"].max())
+        else:
+            _show_decades(axes, rows["mean"])
+    shown = [name for name in (*names, "all series") if name in legend]
+    figure.legend([legend[name] for name in shown], shown, loc="outside upper right", ncols=4)
+    powers = "powers of N are fitted to all sizes, then to the two largest"
+    fitted = table["exponent"].notna().any()
+    figure_style.add_note(figure, powers if fitted else "", run.note)
+    return figure
+
+
+def _powers(part: "pd.DataFrame") -> str:
+    """Write the powers of N that fit a series."""
+    if part.empty or pd.isna(part["exponent"].iloc[0]):
+        return ""
+    every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
+    return f"$N^{{{every:.2f}}}$, last $N^{{{largest:.2f}}}$"
+
+
+def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
+    """Make the y axis logarithmic, with limits at powers of ten and room for a legend."""
+    positive = means[means > 0.0]
+    if len(positive):
+        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+        above = max(1.0, np.ceil((high - low) / 3.5))
+        axes.set(yscale="log", ylim=(10.0**low, 10.0 ** (high + above)))
