@@ -23,13 +23,11 @@ from tiswarm.version import __version__
 
 if TYPE_CHECKING:
     from tiswarm.api import (
-        Run,
         advise,
         check,
         export,
         import_poses,
         localize,
-        open_run,
         read_log,
         render,
         run,
@@ -39,6 +37,7 @@ if TYPE_CHECKING:
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.errors import EnvironmentTroubleError, InputError
     from tiswarm.localization.virtual_force import Localizer
+    from tiswarm.results import Run, open_run
 
 __all__ = [
     "EnvironmentTroubleError",
@@ -66,6 +65,8 @@ _HOME = {
     "InputError": "tiswarm.errors",
     "Localizer": "tiswarm.localization.virtual_force",
     "RelaxResult": "tiswarm.engine.relax",
+    "Run": "tiswarm.results",
+    "open_run": "tiswarm.results",
     "relax": "tiswarm.engine.relax",
 }
 """Module of each name that is not in `tiswarm.api`."""

@@ -12,15 +12,12 @@ run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
 run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]
 """
 
-import html
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from os import PathLike
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
-from urllib.parse import quote
 
 import numpy as np
 
@@ -33,6 +30,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.results import Figure, File, Run, choose, open_run
 from tiswarm.scenario.validation import localization_params
 
 if TYPE_CHECKING:
@@ -41,75 +39,6 @@ if TYPE_CHECKING:
     from tiswarm.aliases import Reals
     from tiswarm.interop.imports import Imported
     from tiswarm.report.swarm_view import SwarmView
-
-
-File = str | PathLike[str]
-"""Path of a file or folder."""
-
-_MOST_NAMED = 9
-"""Names that an error lists."""
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture of a run; notebooks show it."""
-
-    path: Path
-
-    def _repr_png_(self) -> bytes:
-        return self.path.read_bytes()
-
-
-@dataclass(frozen=True)
-class Run:
-    """Results of a run, as data frames and figures."""
-
-    folder: Path
-
-    @property
-    def table(self) -> "pd.DataFrame":
-        """Results by condition, `table.csv`."""
-        return self.frame("table")
-
-    @property
-    def summary(self) -> "pd.DataFrame":
-        """Results by case, with the reason of each failure, `summary.csv`."""
-        return self.frame("summary")
-
-    def frame(self, name: str, *, case: str | None = None) -> "pd.DataFrame":
-        """Read another table of the run, or one of a case.
-
-        Raises:
-            InputError: the run has no table or case of that name; names those that it has.
-        """
-        from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
-
-        cases = [path.name for path in sorted(self.folder.glob("cases/*"))]
-        if case is not None:
-            _choose(case, cases, "case")
-        folder = self.folder if case is None else self.folder / "cases" / case
-        _choose(name, [path.stem for path in sorted(folder.glob("*.csv"))], "name")
-        return read_frame(folder / f"{name}.csv", empty=True)
-
-    @property
-    def figures(self) -> dict[str, Figure]:
-        """Figures and renders by name; none after a run without pictures."""
-        drawn = [*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")]
-        return {path.stem: Figure(path) for path in sorted(drawn)}
-
-    def _repr_html_(self) -> str:
-        page, table = self.folder / "report.html", self.table
-        name = html.escape(self.folder.name)
-        link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.exists() else name
-        errors = table.filter(["rmse_R_mean", "procrustes_disparity_mean"])
-        return link + table.loc[:, :"cases"].join(errors).to_html(index=False)
-
-
-def _choose(name: str, names: Sequence[str], argument: str) -> None:
-    """Refuse a name that is not among some."""
-    if name not in names:
-        some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
-        raise InputError(f"there is no {name!r}; choose one of {some}", argument=argument)
 
 
 def _plain(values: Mapping[str, object]) -> dict[str, object]:
@@ -223,18 +152,6 @@ def run(
     return Run(result.folder)
 
 
-def open_run(folder: File) -> Run:
-    """Open the folder of a run.
-
-    Raises:
-        InputError: it is not the folder of a run.
-    """
-    run = Run(Path(folder))
-    if not (run.folder / "table.csv").is_file():
-        raise InputError("is no run folder with results; name one", path=run.folder)
-    return run
-
-
 def check(path: File) -> Inspection:
     """Check a scenario (.yaml) or a sensing log (.jsonl).
 
@@ -266,7 +183,7 @@ def import_poses(
     from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
 
     for name in assumed:
-        _choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
+        choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
     found = imports.import_poses(Path(poses), imports.Assumptions(**assumed))
     if out is not None:
         for run, imported in found.items():
