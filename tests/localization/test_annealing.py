@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiswarm.localization.joint.annealing import cooled, end_sigma, thermostat
-from tiswarm.localization.joint.kernels import MEMORY
+from tiswarm.localization.joint.motion_kernels import MEMORY
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
 

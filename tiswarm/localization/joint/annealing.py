@@ -19,13 +19,8 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.force_kernels import TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
-from tiswarm.localization.joint.kernels import (
-    MEMORY,
-    STALE,
-    THIN_SKIN,
-    note_places,
-    take_steps,
-)
+from tiswarm.localization.joint.kernels import STALE, THIN_SKIN, note_places, take_steps
+from tiswarm.localization.joint.motion_kernels import MEMORY
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays

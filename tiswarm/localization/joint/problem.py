@@ -4,14 +4,13 @@ Coordinates along x, y and z are measured independently; of several measurements
 the most precise one counts, but all fixes do. Lengths in R.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.localization.joint.planes import Planes, fixed_planes
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
@@ -35,33 +34,6 @@ _FLAT = 1e-12
 _CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
 more than docks of two robots that could overlap."""
-
-
-class Planes(NamedTuple):
-    """P planes on which robots were measured to be, by robot."""
-
-    robot: Ints
-    """Robot of each, shape (P,)."""
-
-    direction: Reals
-    """Unit vector perpendicular to it, shape (P, 3)."""
-
-    point: Reals
-    """A point of it [R], with the robot's walk, see `walk`, shape (P, 3)."""
-
-    precision: Reals
-    """Precision of the distance from it [R^-2], shape (P,)."""
-
-    walk: Reals
-    """Part of `point` which turns with the robot, x and y to be subtracted [R], shape (P, 2)."""
-
-    crowd: Reals
-    """1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape (P,)."""
-
-    @classmethod
-    def joined(cls, parts: "Sequence[Planes]") -> "Planes":
-        """Concatenate planes."""
-        return cls._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -344,25 +316,11 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
         loose=untied_directions(rows),
         walk=walk,
         part=parts(rows),
-        fixes=_fixed_planes(fixed, is_solved=is_solved),
+        fixes=fixed_planes(fixed, is_solved=is_solved),
         connections=None if log.orientation_sd is None else connections_of(log),
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
     return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
-
-
-def _fixed_planes(rows: Measurements, *, is_solved: bool) -> Planes:
-    """Turn fixes into planes; if yaw is solved for, their walks turn with the robots."""
-    direction, level = rows.places.direction, rows.arm * np.array([1.0, 1.0, 0.0]) * is_solved
-    value = rows.places.value - (direction * (rows.arm - level)).sum(axis=1)
-    return Planes(
-        robot=rows.robot,
-        direction=direction,
-        point=direction * value[:, None],
-        precision=1.0 / rows.variance(),
-        walk=level[:, :2],
-        crowd=np.ones(len(rows)),
-    )
 
 
 def _most_precise(rows: Measurements) -> Bools:

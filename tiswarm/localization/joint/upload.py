@@ -16,7 +16,8 @@ from tiswarm.compute.lang import DeviceArray
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
 from tiswarm.localization.joint.force_kernels import INERTIA
 from tiswarm.localization.joint.kernels import SKIN, STALE
-from tiswarm.localization.joint.problem import Planes, Problem
+from tiswarm.localization.joint.planes import Planes
+from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
 
