@@ -165,9 +165,7 @@ class SensingLogBuilder:
 
     def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
         *direction, value, sd = fix
-        length = math.hypot(*direction)
-        if not abs(length - 1.0) <= FAR_FROM_UNIT:
-            raise InputError(f"the direction has length {length:.6g}; scale it to 1", key=key)
+        _unit(direction, "direction", key)
         self._header.refuse_far(key, value, np.dot(direction, self._header.anchor_position))
         self._check_sd(sd, key)
 

@@ -269,16 +269,9 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
-            x,
-            np.maximum(y, low),
-            c=join,
-            s=area,
-            cmap=colors,
-            vmin=0.0,
-            vmax=last,
-            linewidths=0.0,
-            clip_on=False,
-        )
+            x, np.maximum(y, low), c=join, s=area, cmap=colors, vmin=0.0, vmax=last,
+            linewidths=0.0, clip_on=False,
+        )  # fmt: skip
     panels[0].set_ylim(bottom=low)
     figure = panels[0].figure
     aspect = 25 * -(-len(panels) // 3)
