@@ -10,7 +10,11 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import advice, rigidity
 from tiswarm.measurements.advice import advise
 from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.observability import observability
+from tiswarm.measurements.odometry import CENTER
+from tiswarm.measurements.rigidity import FloppyMotions, further_rows, weld
+from tiswarm.measurements.rows import Distances, Places
 from tiswarm.records.sensing_log import canonical_contacts
 from tiswarm.sensing import SensingParams, observe
 
@@ -121,6 +125,39 @@ def test_floppy_modes_are_those_of_the_whole_matrix(swarm):
     assert removed >= {0, 1, 2}
 
 
+@pytest.mark.usefixtures("every")
+def test_determined_are_those_of_bodies_welded_anew(swarm):
+    """An update of the factors finds what factoring all rows with the candidate's does."""
+    log, center = swarm
+    rows, yaw_unknown = measure(log, CUES), log.yaw_bias > 0.0
+    walks = rows.odometry
+    before = FloppyMotions(weld(rows, center, yaw_unknown=yaw_unknown))
+    changed = set()
+
+    for found in advise(log, CUES, center)[::5]:
+        stance = walks.final[[found.robot]]
+        distances, places = [], []
+        if found.kind == "contact":
+            own, other, its = np.array(found.contact)[:, None]
+            distances = [Distances.of(stance, own, walks.final[other], its, length=2.0, sd=0.01)]
+        else:
+            axes = np.eye(3)[2 if found.kind == "height" else 0 :]
+            at, none = np.repeat(stance, len(axes)), np.full(len(axes), CENTER)
+            places = [Places.of(at, none, axes, axes @ center[found.robot], variance=1e-4)]
+        one = Measurements.gather(walks, distances, places)
+        joined = Measurements.gather(
+            walks, [rows.distances, *distances], [rows.places, *places], [rows.offsets]
+        )
+        anew = FloppyMotions(weld(joined, center, yaw_unknown=yaw_unknown))
+        further = further_rows(before.bodies, one, center)
+
+        np.testing.assert_array_equal(before.robots(further), anew.robots())
+        determined = np.flatnonzero(before.robots() & ~anew.robots())
+        np.testing.assert_array_equal(found.determined, determined)
+        changed.add(len(determined))
+    assert {0, 1} <= changed
+
+
 def test_a_contact_gains_what_it_promises(towers):
     """A log with the contact has as many floppy modes and robots less."""
     log, center = observe(towers[1], SensingParams()), towers[1].position
@@ -172,3 +209,15 @@ def test_an_anchor_alone_needs_no_advice():
     log, center = structure(Rule(), 1, 0)
 
     assert advise(log, CUES, center) == []
+
+
+@pytest.mark.parametrize("robots", [30, 100])
+def test_one_factorization_serves_all_candidates(monkeypatch, robots):
+    """Factoring is what takes longest in large swarms."""
+    log, center = structure(Rule(kind="loops"), robots, 0)
+    factored = []
+    factor = rigidity.splu
+    monkeypatch.setattr(rigidity, "splu", lambda *a, **k: factored.append(1) or factor(*a, **k))
+
+    assert len(advise(log, CUES, center)) > 3
+    assert len(factored) == 1

@@ -12,7 +12,7 @@ from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.observability import by_cue, common_modes, observability
 from tiswarm.measurements.odometry import displacements
-from tiswarm.measurements.rigidity import SHIFTED, floppy_modes, floppy_robots, weld
+from tiswarm.measurements.rigidity import SHIFTED, FloppyMotions, floppy_modes, weld
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("contacts", "ground", "height", "walk_contacts", "odometry")
@@ -131,7 +131,7 @@ def test_floppy_modes_are_the_null_space(towers, logs, cues, turning):
         share = np.sqrt((null[:, :, :3] ** 2).sum(axis=(0, 2)) / 3.0)
 
         bodies = weld(measure(log, cues), history.position, yaw_unknown=turning)
-        marked = floppy_robots(bodies)
+        marked = FloppyMotions(bodies).robots()
 
         assert floppy_modes(bodies) == len(null) - swings
         assert not marked[0]

@@ -26,7 +26,7 @@ from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.measurements.orientations import ASSUMED
-from tiswarm.measurements.rigidity import floppy_motions, floppy_robots, weld
+from tiswarm.measurements.rigidity import floppy_motions, further_rows, weld
 from tiswarm.measurements.rows import SPACING, Distances, Places
 from tiswarm.records.sensing_log import SensingLog
 
@@ -108,16 +108,17 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
     center = position / log.dock_radius
     rows = measure(log, cues, odometry=odometry).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
-    motions, floppy = floppy_motions(bodies), floppy_robots(bodies)
-    if motions is None or floppy is None:
+    motions = floppy_motions(bodies)
+    if motions is None:
         return None
     if len(center) == 1:
         return []
+    floppy, moved = motions.robots(), motions.of_robots()
     posterior = _Posterior(rows, center, log.yaw_bias) if len(center) <= MOST_ROBOTS else None
     advice = []
     for kind, further, size in _candidates(log, odometry, center):
         jacobian = further.jacobian(center)
-        modes = _rank(jacobian, motions, size)
+        modes = _rank(jacobian, moved, size)
         if bodies.has_gauge_yaw and kind == "position":  # it fixes the gauge, which is no mode
             modes -= (center[1:, :2] != center[0, :2]).any(axis=1)
         before, after = np.nan, modes * np.nan
@@ -128,7 +129,7 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
         best = np.lexsort((-modes, after, ~helps))[: min(_EACH, helps.sum())]
         for chosen in best.tolist():
             one = further.select(np.arange(len(further)) // size == chosen)
-            left = floppy_robots(weld(_joined(rows, one), center, yaw_unknown=yaw_unknown))
+            left = motions.robots(further_rows(bodies, one, center))
             rmse = log.dock_radius * np.sqrt([before, after[chosen]])
             advice.append(
                 Advice(
@@ -136,7 +137,7 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
                     robot=int(one.robot[0]),
                     contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
                     floppy_modes=int(modes[chosen]),
-                    determined=np.flatnonzero(floppy & ~np.asarray(left)),
+                    determined=np.flatnonzero(floppy & ~left),
                     rmse_before=float(rmse[0]),
                     rmse_after=float(rmse[1]),
                 )
@@ -165,15 +166,6 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
             variance=precision.height**2,
         )
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
-
-
-def _joined(rows: Measurements, further: Measurements) -> Measurements:
-    return Measurements.gather(
-        rows.odometry,
-        [rows.distances, further.distances],
-        [rows.places, further.places],
-        [rows.offsets, further.offsets],
-    )
 
 
 def _rank(jacobian: csc_array, motions: Reals, size: int) -> Ints:

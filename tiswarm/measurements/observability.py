@@ -9,7 +9,7 @@ from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.measurements.rigidity import common_motions, floppy_modes, floppy_robots, weld
+from tiswarm.measurements.rigidity import common_motions, floppy_modes, floppy_motions, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
 
@@ -36,6 +36,7 @@ def observability(
     center = _anywhere(log) if position is None else position / log.dock_radius
     rows = measure(log, cues).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
+    motions = floppy_motions(bodies)
     return Observability(
         cues=tuple(_held(log, cues)),
         yaw_unknown=yaw_unknown,
@@ -44,7 +45,7 @@ def observability(
             float(log.yaw_bias / np.sqrt(log.robot_count)) if bodies.has_gauge_yaw else None
         ),
         floppy_modes=floppy_modes(bodies),
-        floppy=floppy_robots(bodies),
+        floppy=None if motions is None else motions.robots(),
         disconnected=disconnected(rows),
     )
 

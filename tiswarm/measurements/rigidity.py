@@ -174,42 +174,93 @@ def floppy_modes(bodies: Bodies) -> int | None:
     return peeled + left - bodies.has_gauge_yaw
 
 
-def floppy_motions(bodies: Bodies) -> Reals | None:
-    """Draw random motions that change no measurement; None for too large structures.
+class Further(NamedTuple):
+    """Further rows of the rigidity matrix, few of them."""
+
+    matrix: Reals
+    """By the motions of all bodies but the world's about their own centers, (rows, unknowns)."""
+
+    fixes_yaw: bool
+    """Whether they resist a turn of the whole swarm about the anchor."""
+
+
+class FloppyMotions:
+    """Random motions that change no measurement.
 
     Of random motions x, -s (K - s 1)^-1 x with s = _UNNOTICED^2 is the part that the stiffness
-    matrix K does not resist.
-
-    Returns:
-        Shift of each center and, where yaw is unknown, its turn, shape (N, dof, _PROBES).
+    matrix K does not resist. A few further rows update the inverse (Woodbury 1950), so that one
+    factorization serves all candidates for a further measurement.
     """
-    if bodies.unknowns > MOST_UNKNOWNS:
-        return None
-    factors = _factors(bodies)
-    if factors is None:
-        return np.zeros((len(bodies.of_robot) - 1, bodies.dof, _PROBES))
-    coordinate = np.arange(bodies.unknowns)[:, None]
-    motion = normal(0, "floppy motion", coordinate, np.arange(_PROBES))
-    left = -(_UNNOTICED**2) * factors.solve(motion).reshape(-1, bodies.dof, _PROBES)
-    moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
-    if bodies.dof > _SHIFTS:
-        moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
-    return np.asarray(moved)
+
+    def __init__(self, bodies: Bodies) -> None:
+        """Draw motions of bodies."""
+        self.bodies = bodies
+        self._factors = _factors(bodies)
+        coordinate = np.arange(bodies.unknowns)[:, None]
+        self._left = self._unresisted(normal(0, "floppy motion", coordinate, np.arange(_PROBES)))
+
+    def of_robots(self, further: Further | None = None) -> Reals:
+        """Compute what neither the measurements nor further rows resist.
+
+        Returns:
+            Shift of each center and, where yaw is unknown, its turn, shape (N, dof, _PROBES).
+        """
+        bodies, left = self.bodies, self._left
+        if further is not None:
+            rows = further.matrix
+            held = self._unresisted(rows.T)
+            resisted = rows @ held - _UNNOTICED**2 * np.eye(len(rows))
+            left = left - held @ np.linalg.solve(resisted, rows @ left)
+        left = left.reshape(-1, bodies.dof, _PROBES)
+        moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
+        if bodies.dof > _SHIFTS:
+            moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
+        return np.asarray(moved)
+
+    def robots(self, further: Further | None = None) -> Bools:
+        """Find the robots that floppy motions shift, shape (N,); arguments as in `of_robots`.
+
+        Where the swarm may turn as a whole, we subtract the mean turn.
+        """
+        moved, bodies = self.of_robots(further), self.bodies
+        if bodies.has_gauge_yaw and not (further and further.fixes_yaw):
+            from_anchor = bodies.center[bodies.of_robot[:-1]] + bodies.lever[:-1]
+            moved[:, :2] -= _swept(moved[:, _SHIFTS].mean(axis=0), from_anchor)
+        shifted = np.sqrt(np.mean(moved[:, :_SHIFTS] ** 2, axis=(1, 2)))
+        return np.asarray(shifted > SHIFTED)
+
+    def _unresisted(self, motion: Reals) -> Reals:
+        if self._factors is None:
+            return motion
+        return np.asarray(-(_UNNOTICED**2) * self._factors.solve(motion))
 
 
-def floppy_robots(bodies: Bodies) -> Bools | None:
-    """Find the robots that floppy motions shift, shape (N,); None for too large structures.
+def floppy_motions(bodies: Bodies) -> FloppyMotions | None:
+    """Draw random motions that change no measurement; None for too large structures."""
+    return None if bodies.unknowns > MOST_UNKNOWNS else FloppyMotions(bodies)
 
-    Where the swarm may turn as a whole, we subtract the mean turn.
+
+def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further:
+    """Differentiate a few further measurements by the motions of bodies.
+
+    Args:
+        bodies: Bodies that other measurements of the same robots have joined.
+        rows: Further measurements.
+        position: Centers at which to linearize them [R], shape (N, 3).
     """
-    moved = floppy_motions(bodies)
-    if moved is None:
-        return None
-    if bodies.has_gauge_yaw:
-        from_anchor = bodies.center[bodies.of_robot[:-1]] + bodies.lever[:-1]
-        moved[:, :2] -= _swept(moved[:, _SHIFTS].mean(axis=0), from_anchor)
-    shifted = np.sqrt(np.mean(moved[:, :_SHIFTS] ** 2, axis=(1, 2)))
-    return np.asarray(shifted > SHIFTED)
+    world, dof = rows.robots, bodies.dof
+    direction = _directions(rows, position, yaw_unknown=dof > _SHIFTS)
+    other = np.concatenate([rows.other, np.full(len(rows.places.value), world)])
+    matrix = np.zeros((len(rows), bodies.size, dof))
+    for sign, robot in ((1.0, rows.robot), (-1.0, other)):
+        body = bodies.of_robot[robot]
+        way = sign * direction[:, None]
+        if dof > _SHIFTS:
+            way = way @ _from(bodies.center[body])
+        matrix[np.arange(len(rows)), body] += way[:, 0]
+    free = np.delete(matrix, bodies.fixed, axis=1).reshape(len(rows), -1)
+    turns = direction[len(rows.other) :, _SHIFTS:]
+    return Further(free, bool(turns.any()))
 
 
 def _swept(turn: Reals, arm: Reals) -> Reals:
