@@ -199,7 +199,7 @@ def describe_residual(log: SensingLog, estimate: Estimate) -> str:
 def advice_rows(log: SensingLog, cues: Collection[str], position: Reals) -> list[dict[str, str]]:
     """Tabulate which further measurements would constrain robots most: cells by heading.
 
-    Arguments as for `advise`. No row if nothing helps, or if there are too many robots.
+    Arguments as for `advise`. No row if nothing helps, or if there are too many robots or loops.
     """
     name, unit = log.robot_id.tolist(), log.length_unit
     rows = []
@@ -224,7 +224,8 @@ def advice_rows(log: SensingLog, cues: Collection[str], position: Reals) -> list
 def describe_advice(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
     """Align the columns of `advice_rows`, in lines."""
     if not rows:
-        yield "no further contact, height or position would help, or there are too many robots"
+        nothing = "no further contact, height or position would help"
+        yield f"{nothing}, or there are too many robots or loops"
         return
     columns = [[heading, *(row[heading] for row in rows)] for heading in rows[0]]
     widths = [max(map(len, column)) for column in columns]
@@ -236,7 +237,9 @@ def _left_open(log: SensingLog, known: Observability) -> str:
     cues = f"{', '.join(known.cues).replace('_', ' ')}{', yaw unknown' * known.yaw_unknown}"
     modes = known.floppy_modes
     if modes is None:
-        return f"{cues}: too many robots to count floppy modes of {known.unknowns} unknowns"
+        return (
+            f"{cues}: too many robots or loops to count floppy modes of {known.unknowns} unknowns"
+        )
     text = f"{cues}: {counted(modes, 'floppy mode')} of {known.unknowns} unknowns"
     if known.floppy is not None:
         text += f", {counted(known.floppy.sum(), 'floppy robot')}"

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.structures import Rule, structure
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import rigidity
 from tiswarm.measurements.contacts import hops
@@ -152,6 +153,21 @@ def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, mon
     assert unknown.floppy_modes is None
     assert peeled.floppy is unknown.floppy is None
     assert set(peeled.known) == {""}
+
+
+def test_bodies_with_too_many_loops_are_not_factored(monkeypatch):
+    """What is beyond the limit is owned to be unknown."""
+    log, _ = structure(Rule(kind="loops"), 60, 0)
+    known = observability(log, ["contacts"])
+    monkeypatch.setattr(rigidity, "MOST_LOOPS", 0)
+    factored = []
+    monkeypatch.setattr(rigidity, "splu", lambda *_, **__: factored.append(1))
+
+    unknown = observability(log, ["contacts"])
+
+    assert known.floppy is not None
+    assert unknown.floppy is None
+    assert not factored
 
 
 @pytest.mark.parametrize("turning", [False, True])

@@ -100,7 +100,7 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
 
     Returns:
         Advice by expected error, or by floppy modes for more than `MOST_ROBOTS` robots; the best
-        comes first. None if there are too many robots to find floppy motions.
+        comes first. None if there are too many robots or loops to find them.
     """
     noise = log.noise or ASSUMED
     yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms

@@ -31,6 +31,10 @@ _PROBES = 16
 MOST_UNKNOWNS = 400_000
 """Matrices of more are not factored: too much memory. Those of 100,000 robots take some 1 GB."""
 
+MOST_LOOPS = 80_000
+"""Matrices of bodies with more independent loops are not factored: in solid swarms, time grows as
+the square of their size. A grown tower has 0.6 loops a robot, a block of honeycomb layers 2.6."""
+
 
 class _Constraints(NamedTuple):
     """Constraints between bodies, all between the same two taken together."""
@@ -167,7 +171,7 @@ def floppy_modes(bodies: Bodies) -> int | None:
     does not count: the mean of all compasses fixes it.
     """
     peeled, core = _peel(bodies)
-    if core.unknowns > MOST_UNKNOWNS:
+    if _is_too_large(core):
         return None
     factors = _factors(core)
     left = 0 if factors is None else int((factors.U.diagonal() < 0.0).sum())
@@ -237,7 +241,7 @@ class FloppyMotions:
 
 def floppy_motions(bodies: Bodies) -> FloppyMotions | None:
     """Draw random motions that change no measurement; None for too large structures."""
-    return None if bodies.unknowns > MOST_UNKNOWNS else FloppyMotions(bodies)
+    return None if _is_too_large(bodies) else FloppyMotions(bodies)
 
 
 def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further:
@@ -261,6 +265,12 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
     free = np.delete(matrix, bodies.fixed, axis=1).reshape(len(rows), -1)
     turns = direction[len(rows.other) :, _SHIFTS:]
     return Further(free, bool(turns.any()))
+
+
+def _is_too_large(bodies: Bodies) -> bool:
+    first, second, _ = bodies.constraints
+    between = int(((first != bodies.fixed) & (second != bodies.fixed)).sum())
+    return bodies.unknowns > MOST_UNKNOWNS or between - (bodies.size - 1) > MOST_LOOPS
 
 
 def _swept(turn: Reals, arm: Reals) -> Reals:
