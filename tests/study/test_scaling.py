@@ -51,6 +51,7 @@ def test_scaling_tells_means_by_size(scaled):
         assert mean["joint", "grow_cpu_s", size] == pytest.approx(grown / 2)
         assert mean["joint", "localize_cpu_s", size] == pytest.approx(np.mean(joint))
         assert mean["paper", "grow_cpu_s", size] == mean["joint", "grow_cpu_s", size]
+        assert mean["paper", "localize_cpu_s", size] != mean["together", "localize_cpu_s", size]
 
 
 def test_exponents_are_slopes_on_logarithmic_axes(scaled):

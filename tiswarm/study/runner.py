@@ -13,7 +13,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
-from tiswarm.localization.params import JointParams, LocalizationParams
+from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
 from tiswarm.localization.registry import localize_many, start_for
 from tiswarm.memory import naming_shortage
 from tiswarm.params import AnyPrecision, Arch
@@ -251,9 +251,14 @@ def _precision(case: Case) -> AnyPrecision:
     return case.settings.precision
 
 
-def _method(case: Case) -> tuple[str, AnyPrecision]:
-    """Return method and precision; cases that share them are localized side by side."""
-    return case.settings.localization.method, case.settings.precision
+def _method(case: Case) -> tuple[str, str, AnyPrecision]:
+    """Return method, schedule and precision: cases that share them are localized side by side.
+
+    They also share the cost of it, which schedules differ in.
+    """
+    way = case.settings.localization
+    schedule = way.schedule if isinstance(way, VirtualForceParams) else ""
+    return way.method, schedule, case.settings.precision
 
 
 def _record(
