@@ -23,6 +23,7 @@ def observability(
     position: Reals | None = None,
     *,
     yaw_unknown: bool = False,
+    odometry: Odometry | None = None,
 ) -> Observability:
     """Find what some cues leave undetermined.
 
@@ -32,13 +33,15 @@ def observability(
         position: Estimated centers, in the log's unit, shape (N, 3). If None, they are drawn at
             random: what is determined hardly depends on where robots are.
         yaw_unknown: Whether each robot's yaw is unknown, too.
+        odometry: Walks of the robots; those of the log if None.
     """
+    walks = odometry or Odometry(log)
     center = _anywhere(log) if position is None else position / log.dock_radius
-    rows = measure(log, cues).associated(center)
+    rows = measure(log, cues, odometry=walks).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     motions = floppy_motions(bodies)
     return Observability(
-        cues=tuple(_held(log, cues)),
+        cues=tuple(_held(log, cues, walks)),
         yaw_unknown=yaw_unknown,
         unknowns=bodies.dof * (log.robot_count - 1),
         gauge_yaw_sd=(
@@ -55,13 +58,13 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
 
     Where the log states that yaw is biased, yaw counts as unknown, and at last as known once more.
     """
-    yaw_unknown = log.yaw_bias > 0.0
+    yaw_unknown, walks = log.yaw_bias > 0.0, Odometry(log)
     cues: list[str] = []
-    for cue in _held(log, cue_names()):
+    for cue in _held(log, cue_names(), walks):
         cues.append(cue)
-        yield observability(log, cues, yaw_unknown=yaw_unknown)
+        yield observability(log, cues, yaw_unknown=yaw_unknown, odometry=walks)
     if yaw_unknown:
-        yield observability(log, cues)
+        yield observability(log, cues, odometry=walks)
 
 
 def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
@@ -84,10 +87,10 @@ def _anywhere(log: SensingLog) -> Reals:
     return _SPREAD * normal(0, "anywhere", robot, np.arange(3))
 
 
-def _held(log: SensingLog, cues: Collection[str]) -> Iterator[str]:
+def _held(log: SensingLog, cues: Collection[str], walks: Odometry) -> Iterator[str]:
     """List the contacts, and each further cue that adds measurements to those before it."""
     held: list[str] = []
-    count, walks = -1, Odometry(log)
+    count = -1
     for cue in cue_names():
         if cue not in cues:
             continue
