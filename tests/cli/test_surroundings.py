@@ -15,8 +15,8 @@ import pytest
 from tests.runs import REPOSITORY
 from tiswarm.cli import main
 
-LONG = ("robots=60", "seeds=40", "localization.iterations=100000", "conditions={a: {}, b: {}}")
-"""Settings of a study of many minutes."""
+LONG = ("robots=60", "seeds=1000", "localization.iterations=3000", "conditions={a: {}, b: {}}")
+"""Settings of a study of many minutes, no launch of which takes long: signals wait for its end."""
 
 
 def _interrupt(number: signal.Signals, out: Path, *options: str):
