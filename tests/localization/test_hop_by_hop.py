@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -211,6 +211,7 @@ def test_a_turned_and_shifted_swarm_gives_turned_and_shifted_positions(seed, tur
 
 
 @settings(deadline=None, max_examples=15)
+@example(seed=4361)  # the far crossing converges in two steps more than there are
 @given(seed=st.integers(0, 10_000))
 def test_names_and_join_order_do_not_matter_by_hops(seed):
     """Robots in another join order are located at the same points."""

@@ -20,11 +20,11 @@ INDEPENDENT = 0.03
 """Least singular value of unit rows that counts [1]: three whose directions are within two degrees
 of a plane determine a point no better than two do."""
 
-_STEPS = 8
-"""Gauss-Newton steps at most; from the closed form they converge quadratically."""
+_STEPS = 16
+"""Gauss-Newton steps at most; a point that overshot took ten."""
 
-_SETTLED = 1.0 - 1e-9
-"""Steps end when none lowers the chi-square of a point below this part of it."""
+_SETTLED = 1e-9
+"""Steps of a point end when one is not longer [R]."""
 
 _DAMPING = 1e-9
 """Damping of a step relative to the information: it stops motions that no row measures."""
@@ -211,19 +211,22 @@ class Trilateration:
             The best points on the way [R], shape (n, K, 3), and their chi-square, shape (n, K).
         """
         point, best, least = start, start, np.full(start.shape[:2], np.inf)
+        is_moving = np.ones(start.shape[:2], np.bool_)  # each by itself, whoever shares the batch
         for _ in range(_STEPS):
             normal, residual = self.residual(point)
             pull = self.precision[:, None] * residual
             misfit = self.sum(pull * residual)
-            is_better = misfit < _SETTLED * least
-            if not is_better.any():
-                break
+            is_better = is_moving & (misfit < least)
             best, least = np.where(is_better[..., None], point, best), np.fmin(misfit, least)
             information = self.sum(self.precision[:, None, None, None] * outer(normal))
             damping = _DAMPING * np.trace(information, axis1=2, axis2=3) + _TINY
             damped = information + damping[..., None, None] * np.eye(3)
             slope = self.sum(pull[..., None] * normal)
-            point = point - self._bounded(np.linalg.solve(damped, slope[..., None])[..., 0])
+            step = self._bounded(np.linalg.solve(damped, slope[..., None])[..., 0])
+            is_moving &= length(step) > _SETTLED
+            if not is_moving.any():
+                break
+            point = np.where(is_moving[..., None], point - step, point)
         return best, least
 
     def _bounded(self, vector: Reals) -> Reals:
