@@ -446,3 +446,14 @@ def test_series_that_are_equal_are_one_line(tmp_path):
     )  # fmt: skip
 
     assert not draw_scaling(load_run(tmp_path)).texts
+
+
+def test_no_two_of_many_series_look_alike():
+    """Where colors repeat, dashes or markers do not."""
+    for style in (figure_style.line_style, figure_style.marker_style):
+        looks = [style(place) for place in range(3 * len(figure_style.PALETTE))]
+        looks = [
+            tuple(sorted((k, v) for k, v in look.items() if k != "linewidth")) for look in looks
+        ]
+
+        assert len(set(looks)) == len(looks)

@@ -108,8 +108,12 @@ def line_style(place: int) -> dict[str, Any]:
 
 
 def marker_style(place: int) -> dict[str, Any]:
-    """Choose color and marker of the points at a place among others."""
-    return {"color": PALETTE[place % len(PALETTE)], "marker": "osD^vPX"[place % 7]}
+    """Choose color and marker of the points at a place among others.
+
+    A color that repeats has another marker.
+    """
+    turn, color = divmod(place, len(PALETTE))
+    return {"color": PALETTE[color], "marker": "osD^vPX"[(color + turn) % 7]}
 
 
 def fit_axis(axes: "Axes", which: str, values: Reals, *, nonpositive: str = "mask") -> None:
