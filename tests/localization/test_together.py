@@ -4,12 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 
 from tests.engine.test_relax import swarm
 from tests.localization.test_virtual_force import _pair
 from tests.oracle import swarm_step
-from tests.strategies import vectors
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
@@ -78,22 +76,6 @@ def test_all_robots_step_by_the_equations_from_where_contacts_lead(log):
     assert estimate.steps.tolist() == [0] + [12] * (log.robot_count - 1)
     last = np.linalg.norm(estimate.trace[-1] - estimate.trace[-2], axis=1)
     assert estimate.residual[-1] == pytest.approx(np.sqrt(np.mean(last**2)), rel=1e-9)
-
-
-@settings(deadline=None, max_examples=10)
-@given(shift=vectors)
-def test_moving_the_anchor_moves_the_estimate(log, shift):
-    """Nothing but the anchor, the ground and the heights says where the world's origin is."""
-    moved = dataclasses.replace(
-        log,
-        anchor_position=log.anchor_position + shift,
-        ground_z=log.ground_z + shift[2],
-        flip_height=log.flip_height + shift[2],
-    )
-
-    estimate = localize(moved, SHORT).position - shift
-
-    np.testing.assert_allclose(estimate, localize(log, SHORT).position, atol=1e-6)
 
 
 def test_cues_count_as_far_as_they_are_on(log):

@@ -16,7 +16,7 @@ from tiswarm.compute.lang import Ints1, Ints2, Reals1, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
-from tiswarm.localization.params import BackPropagation, VirtualForceParams, VirtualTorque
+from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams, VirtualTorque
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.localization.virtual_force_arrays import Gains, Robots
 from tiswarm.localization.virtual_force_kernels import _dock_at, _gains_of, _move
@@ -30,6 +30,7 @@ SHORT = VirtualForceParams(  # gentle gains, for stronger ones make rounding gro
     height_gain=0.1,
     initial_offset=2.0,
 )
+TOGETHER = VirtualForceParams(schedule="together", together=Together(steps=12))
 CUES = [
     SHORT,
     dataclasses.replace(SHORT, z_correction=False),
@@ -113,9 +114,10 @@ def test_a_wrong_reference_would_be_noticed(log):
             assert np.abs(places[a] - places[b]).max() > 0.01
 
 
+@pytest.mark.parametrize("params", [SHORT, TOGETHER], ids=lambda params: params.schedule)
 @settings(deadline=None, max_examples=20)
 @given(shift=vectors)
-def test_moving_the_anchor_moves_the_estimate(log, shift):
+def test_moving_the_anchor_moves_the_estimate(log, params, shift):
     """Nothing but the anchor, the ground and the heights says where the world's origin is."""
     moved = dataclasses.replace(
         log,
@@ -124,9 +126,9 @@ def test_moving_the_anchor_moves_the_estimate(log, shift):
         flip_height=log.flip_height + shift[2],
     )
 
-    estimate = localize(moved, SHORT).position - shift
+    estimate = localize(moved, params).position - shift
 
-    np.testing.assert_allclose(estimate, localize(log, SHORT).position, atol=1e-6)
+    np.testing.assert_allclose(estimate, localize(log, params).position, atol=1e-6)
 
 
 @settings(deadline=None, max_examples=20)
