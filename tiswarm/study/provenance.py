@@ -140,8 +140,7 @@ _JOINT_S = 8e-7  # step of a robot in one chain
 _LEAST_SQUARES_S = 0.01  # localization of a robot
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
-_ROBOT_MB = 0.02  # memory of each robot of a batch
-_SOLVE_MB = 3e-7  # memory of the mechanics of the largest structure, by the square of its robots
+_ROBOT_MB = 0.05  # memory of each robot of a batch, most of all in `joint`
 
 
 class Forecast(NamedTuple):
@@ -177,7 +176,7 @@ def forecast(scenario: Scenario) -> Forecast:
         grow_s=seeds * sum(map(_grow_s, grown.values())),
         localize_s=seeds * sum(map(_localize_s, points)),
         rest_s=_START_S + _REST_S * robots,
-        memory_mb=_BASE_MB + _ROBOT_MB * at_once + _SOLVE_MB * largest**2,
+        memory_mb=_BASE_MB + _ROBOT_MB * at_once,
     )
 
 
