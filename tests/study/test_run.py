@@ -26,9 +26,9 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
     sizes = {
         "scaling": ["sweep={robots: [6, 7, 8]}"],
         "large-swarm": [
-            "robots=1000",
-            "structure.movers=10",
-            "structure.solve_every=20",
+            "robots=300",
+            "structure.movers=3",
+            "structure.solve_every=6",
             "conditions.joint.localization.steps=200",
         ],
         "robot-shape": [
@@ -37,6 +37,8 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             f"sweep={{robot.shape: {[*SHAPES]}}}",
             "conditions.joint.localization.steps=200",
         ],
+        "rungs": ["robots=8", "localization.steps=200"],
+        "sensor-sweep": ["robots=8", "localization.steps=200"],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
