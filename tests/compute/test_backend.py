@@ -51,13 +51,12 @@ def test_a_start_that_failed_is_not_taken_for_running():
     backend.start()
     with pytest.raises(EnvironmentTroubleError):
         backend.start("metal")
-    value, count = np.ones(3), np.zeros(1, np.int32)
+    value = np.ones(3)
 
     backend.current()
-    probe_arithmetic(7, value, count)
+    probe_arithmetic(value)
 
     np.testing.assert_allclose(value, 2.0)
-    assert count[0] == 7
 
 
 def test_a_start_leaves_the_arithmetic_of_python_alone():

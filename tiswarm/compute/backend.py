@@ -16,7 +16,7 @@ import gc
 import io
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,7 +35,6 @@ from tiswarm.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""
-_LONG_LOOP = 100_000
 _BLOCKS = 8
 """Blocks of threads for each multiprocessor in a loop; more wait for their turn."""
 _ROUNDINGS = 32
@@ -61,9 +60,6 @@ class Backend:
 
     card: str
     """Name of the graphics card; empty for a processor, or where the driver does not say."""
-
-    ends_long_loops: bool
-    """Whether a loop takes all its turns; software Vulkan stops each thread after 65,535."""
 
     cache: str
     """Folder of compiled kernels."""
@@ -229,10 +225,10 @@ def _run(choice: _Choice) -> Backend:
     _init(arch, count, precision, cache, blocks=_BLOCKS * card.multiprocessors if card else 0)
     _started = Backend(
         arch=arch, threads=count, precision=precision, library=library,
-        card=card.name if card else "", ends_long_loops=True, cache=str(cache),
+        card=card.name if card else "", cache=str(cache),
     )  # fmt: skip
     try:
-        _started = replace(_started, ends_long_loops=_probe(arch, precision))
+        _probe(arch, precision)
     except EnvironmentTroubleError:
         _stop()  # seals the kernels of the probe
         raise
@@ -321,27 +317,22 @@ def faulty_driver() -> EnvironmentTroubleError:
     )
 
 
-def _probe(arch: Arch, precision: Precision) -> bool:
-    """Refuse a device that computes nothing, or in float32 where float64 is wanted.
-
-    Returns:
-        Whether the device ends long loops.
-    """
+def _probe(arch: Arch, precision: Precision) -> None:
+    """Refuse a device that computes nothing, or in float32 where float64 is wanted."""
     real: type[np.floating[Any]] = np.float64 if precision == "f64" else np.float32
-    value, count = np.linspace(0.1, 3.0, 16, dtype=real), np.zeros(1, np.int32)
+    value = np.linspace(0.1, 3.0, 16, dtype=real)
     expected = value + value
     try:
         with naming_shortage():
-            probe_arithmetic(_LONG_LOOP, value, count)
+            probe_arithmetic(value)
         computes = np.allclose(value, expected, rtol=8 * np.finfo(real).eps, atol=0.0)
     except RuntimeError:
         computes = False
-    if not (computes and count[0] > 1):
+    if not computes:
         raise EnvironmentTroubleError(
             f"backend {arch} does not compute in {precision}; use --arch cpu"
             f"{'' if precision == 'f32' else ', or precision auto'}"
         )
-    return bool(count[0] == _LONG_LOOP)
 
 
 @dataclass(frozen=True)
@@ -370,6 +361,10 @@ class Allocator:
     def ints(self, *shape: int) -> DeviceArray:
         """Reserve an array of integers."""
         return np.empty(shape, np.int32) if self.on_host else ti.ndarray(ti.i32, shape)
+
+    def longs(self, *shape: int) -> DeviceArray:
+        """Reserve an array of integers of 64 bits."""
+        return np.empty(shape, np.int64) if self.on_host else ti.ndarray(ti.i64, shape)
 
     def upload(self, values: NDArray[Any]) -> DeviceArray:
         """Copy an array, in the precision of the backend if its numbers are real."""

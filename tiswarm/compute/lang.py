@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     Ints2 = Any
     Ints3 = Any
     Ints4 = Any
+    Longs2 = Any
 else:
     kernel_struct = ti.dataclass
     Float = float
@@ -105,6 +106,7 @@ else:
     # Without a dtype an array argument takes what it is given: one source for f32 and f64.
     Reals1, Reals2, Reals3 = (ti.types.ndarray(ndim=ndim) for ndim in (1, 2, 3))
     Ints1, Ints2, Ints3, Ints4 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3, 4))
+    Longs2 = ti.types.ndarray(dtype=ti.i64, ndim=2)
     if sys.version_info < (3, 11):  # where the fields of a `NamedTuple` must be callable
         ti.types.ndarray.__call__ = None
 
@@ -120,5 +122,5 @@ that many iterations: `for piece, idle in ti.ndrange(pieces, GRAIN): if idle == 
 
 __all__ = [
     "F64", "GRAIN", "I32", "LIBRARY", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3", "Ints4",
-    "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "kernel_struct", "ti",
+    "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "kernel_struct", "ti",
 ]  # fmt: skip

@@ -1,6 +1,6 @@
 """Vectors, rotations and hashes in kernels. Rotations are unit quaternions, wxyz."""
 
-from tiswarm.compute.lang import I32, Ints1, Reals1, Ref, ti
+from tiswarm.compute.lang import Reals1, Ref, ti
 
 
 @ti.func
@@ -61,23 +61,16 @@ def mixed(value):
 
 
 @ti.kernel
-def probe_arithmetic(turns: I32, value: Reals1, count: Ints1):
-    """Multiply each value by 1 + sqrt(cos^2 + sin^2) of it, which doubles it, and count.
+def probe_arithmetic(value: Reals1):
+    """Multiply each value by 1 + sqrt(cos^2 + sin^2) of it, which doubles it.
 
     Shows whether a device computes at all, in which precision, and whether it knows these
-    functions in it; and whether it ends long loops.
+    functions in it.
 
     Args:
-        turns: Turns of the loop that counts.
         value: Read and written, shape (n,).
-        count: Written: turns that the loop took, shape (1,).
     """
     for i in range(value.shape[0]):
         c = ti.cos(value[i])
         s = ti.sin(value[i])
         value[i] *= 1.0 + ti.sqrt(c * c + s * s)
-    for i in range(count.shape[0]):
-        n = 1
-        for turn in range(1, turns):
-            n += (turn ^ n ^ 1) & 1  # always 1, which no compiler finds out
-        count[i] = n

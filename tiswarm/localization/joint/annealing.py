@@ -15,7 +15,6 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.force_kernels import TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
@@ -36,8 +35,6 @@ from tiswarm.measurements.rows import SPACING
 from tiswarm.progress import ignore
 from tiswarm.records.sensing_log import SensingLog
 
-_SHORT_LOOP = 10_000
-"""Most robots of a structure on a device that stops long loops."""
 _BYTES = 1_000
 """Memory of a robot in one chain on the device, in f64 [B]."""
 
@@ -77,11 +74,6 @@ class Annealer:
             inertia_factor: Factor of every mass; 4 halves the steps.
         """
         running = backend.current()
-        if max(log.robot_count for log in logs) > _SHORT_LOOP and not running.ends_long_loops:
-            raise EnvironmentTroubleError(
-                f"{running.card or running.arch} stops long loops, and joint needs one over all "
-                f"robots; localize at most {_SHORT_LOOP} robots, or use --arch cpu"
-            )
         self.memory = memory = Allocator(running, on_host=False)
         self.on_card = running.arch != "cpu"
         self.shared = params[0]

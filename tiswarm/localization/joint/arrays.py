@@ -7,7 +7,7 @@ Copy r of robot i in chain c is number c N + i. Lengths in R.
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import Float, Ints1, Ints2, Reals1, Reals2, Reals3
+from tiswarm.compute.lang import Float, Ints1, Ints2, Longs2, Reals1, Reals2, Reals3
 
 
 class Step(NamedTuple):
@@ -113,8 +113,9 @@ class Subtrees(NamedTuple):
     """Subtree that each copy of a robot belongs to, shape (C N,)."""
 
     table: Ints2
-    """First and last own robot, parent, whether it moves along x, y and z, and its number within
-    the structure, shape (T, 7)."""
+    """First own robot, the one after the last of these, the one after the last that moves with
+    it, parent, whether it moves along x, y and z, and its number within the structure, shape
+    (T, 8)."""
 
     weight: Reals1
     """Mass of each subtree, in masses of its own robots, shape (T,)."""
@@ -129,10 +130,15 @@ class Subtrees(NamedTuple):
     """Velocity of each copy, shape (C T, 3)."""
 
     shift: Reals2
-    """Shift of each copy in this step, its ancestors' included [R], shape (C T, 3)."""
+    """Shift of each copy in this step, its ancestors' included, and, written on graphics cards,
+    without these [R], shape (C T, 6)."""
+
+    sums: Longs2
+    """Forces and masses of copies, added up run by run in parts of one, and then sums of runs;
+    `motion_kernels` says how. Written on graphics cards, shape (`sum_rows(C N)`, 4)."""
 
 
-PARENT, MOVES, ORDINAL = 2, 3, 6
+OWN_END, END, PARENT, MOVES, ORDINAL = 1, 2, 3, 4, 7
 """Columns of `Subtrees.table`."""
 
 

@@ -6,6 +6,7 @@ from tiswarm.compute.lang import (
     Float,
     Ints1,
     Ints2,
+    Longs2,
     Reals1,
     Reals2,
     Reals3,
@@ -26,9 +27,14 @@ from tiswarm.localization.joint.arrays import (
 )  # fmt: skip
 from tiswarm.localization.joint.force_kernels import pull_robot
 from tiswarm.localization.joint.motion_kernels import (
+    RUN,
+    add_up,
+    count_pull,
     gather_pulls,
+    gather_shifts,
     move_robot,
     move_subtree,
+    pull_branch,
     pull_subtree,
     spread_shifts,
 )
@@ -42,6 +48,8 @@ _SMALLEST = 0.1
 each other out of the initial heap faster than friction takes the heat away."""
 STALE = -1
 """Age of rows that have to be built anew."""
+STEPS_A_LAUNCH = 2
+"""On cards, where a launch takes as long as several steps."""
 
 
 @ti.func
@@ -109,6 +117,7 @@ def take_steps(
     subtree_pull: Reals2,
     subtree_velocity: Reals2,
     subtree_shift: Reals2,
+    subtree_sums: Longs2,
     table: Ints2,
     # Cells
     begin: Ints1,
@@ -140,6 +149,8 @@ def take_steps(
     strayed: Ints1,
 ):
     """Move every robot but the anchors, from the step that was taken last.
+
+    Graphics cards take several steps, until rows are stale.
 
     Args:
         on_card: Whether a graphics card computes; reductions are flags there, as in
@@ -176,7 +187,7 @@ def take_steps(
     trees = ti.static(
         Subtrees(
             subtree, subtree_table, subtree_weight, first_subtree, subtree_pull, subtree_velocity,
-            subtree_shift,
+            subtree_shift, subtree_sums,
         )
     )  # fmt: skip
     cells = ti.static(Cells(begin, sorted_dock, sorted_place))
@@ -221,7 +232,7 @@ def take_steps(
                             pull_subtree(k, robot_label.shape[0], trees, swarm)
                         gather_pulls(b, trees)
                         for k in range(first_subtree[b], first_subtree[b + 1]):
-                            move_subtree(k, step, trees)
+                            move_subtree(k, 0, step, trees)
                         spread_shifts(b, trees)
                         farthest = 0.0
                         for r in range(start, end):
@@ -231,48 +242,68 @@ def take_steps(
                         _grow_old(b, is_stale, _is_fast(farthest), blocks)
                         taken[b] = t + 1
     else:
-        t = taken[0]
-        growth = _growth_at(t, growing)
-        is_averaged = t >= hold
         grid = ti.Struct(own_bits=own_bits, near=near, entry_stride=entry_stride)
-        grain = ti.static(1 if on_card else GRAIN)
-        # Computed here, the bounds of loops need no launch before each loop.
-        subtrees, threads = subtree_shift.shape[0], taken.shape[0] * grain
-        for r in range(row_count.shape[0]):
-            s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
-            step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-            pull_robot(r, docks, turning, step, robots, contacts, priors, grid, rows, swarm)
-        for k in range(subtrees):
-            pull_subtree(k, robot_label.shape[0], trees, swarm)
-        # The sums along branches are few additions in a fixed order: one thread does a block's.
-        for i in range(threads):
-            if i % grain == 0:
-                gather_pulls(i // grain, trees)
-        for k in range(subtrees):
-            own = subtree_table[k % subtree_table.shape[0], 0]
-            s = sigma[robot_label[own, STRUCTURE], t]
-            step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-            move_subtree(k, step, trees)
-        for i in range(threads):
-            if i % grain == 0:
-                spread_shifts(i // grain, trees)
-        farthest = 0.0
-        strayed[0] = 0
-        strayed[1] = 0
-        for r in range(row_count.shape[0]):
-            s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
-            step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
-            distance = move_robot(r, turning, step, robots, trees, blocks, swarm)
+        for _ in ti.static(range(STEPS_A_LAUNCH if on_card else 1)):
+            t = taken[0]
+            growth = _growth_at(t, growing)
+            is_averaged = t >= hold
+            goes = age[0] != STALE and t < until
+            # Computed here, the bounds of loops need no launch before each loop.
+            copies = ti.select(goes, row_count.shape[0], 0)
+            subtrees = ti.select(goes, subtree_shift.shape[0], 0)
+            threads = taken.shape[0] * GRAIN
+            runs = (copies + RUN - 1) // RUN
+            groups = (runs + RUN - 1) // RUN
+            for r in range(copies):
+                s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
+                step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
+                pull_robot(r, docks, turning, step, robots, contacts, priors, grid, rows, swarm)
+                if ti.static(on_card):
+                    count_pull(r, subtree_sums, swarm)
             if ti.static(on_card):
-                if _is_beyond_rows(distance, 0, blocks):
-                    strayed[0] = 1
-                if _is_fast(distance):
-                    strayed[1] = 1
+                for run in range(runs):
+                    add_up(run, 0, copies, subtree_sums)
+                for group in range(groups):
+                    add_up(group, copies, copies + runs, subtree_sums)
             else:
-                ti.atomic_max(farthest, distance)
-        taken[0] = t + 1
-        is_stale = _is_beyond_rows(farthest, 0, blocks) or strayed[0] == 1
-        _grow_old(0, is_stale, _is_fast(farthest) or strayed[1] == 1, blocks)
+                for k in range(subtrees):
+                    pull_subtree(k, robot_label.shape[0], trees, swarm)
+                # These sums are few additions: one thread does a block's.
+                for i in range(threads):
+                    if i % GRAIN == 0:
+                        gather_pulls(i // GRAIN, trees)
+            for k in range(subtrees):
+                own = subtree_table[k % subtree_table.shape[0], 0]
+                s = sigma[robot_label[own, STRUCTURE], t]
+                step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
+                if ti.static(on_card):
+                    pull_branch(k, robot_label.shape[0], trees, swarm)
+                move_subtree(k, 3 if on_card else 0, step, trees)
+            if ti.static(on_card):
+                for k in range(subtrees):
+                    gather_shifts(k, trees)
+            else:
+                for i in range(threads):
+                    if i % GRAIN == 0:
+                        spread_shifts(i // GRAIN, trees)
+            farthest = 0.0
+            strayed[0] = 0
+            strayed[1] = 0
+            for r in range(copies):
+                s = sigma[robot_label[r % robot_label.shape[0], STRUCTURE], t]
+                step = ti.static(Step(t, s, growth, inertia_factor, seed, is_averaged))
+                distance = move_robot(r, turning, step, robots, trees, blocks, swarm)
+                if ti.static(on_card):
+                    if _is_beyond_rows(distance, 0, blocks):
+                        strayed[0] = 1
+                    if _is_fast(distance):
+                        strayed[1] = 1
+                else:
+                    ti.atomic_max(farthest, distance)
+            if goes:
+                taken[0] = t + 1
+                is_stale = _is_beyond_rows(farthest, 0, blocks) or strayed[0] == 1
+                _grow_old(0, is_stale, _is_fast(farthest) or strayed[1] == 1, blocks)
 
 
 @ti.kernel

@@ -2,11 +2,23 @@
 
 Motions are Langevin dynamics: each has a mass, keeps a part of its velocity, and is kicked so that
 it reaches the temperature sigma^2.
+
+On processors one thread a block adds forces along the branches. On cards, no thread does more than
+a few hundred additions: the robots that move with a subtree stand in a row, so that the force on it
+is a difference of two sums over all robots before a place.
 """
 
 from tiswarm.compute.lang import Ref, Static, ti
 from tiswarm.compute.math_kernels import mixed, vector_at
-from tiswarm.localization.joint.arrays import MOVES, NUMBER, ORDINAL, PARENT, YAW_PRECISION
+from tiswarm.localization.joint.arrays import (
+    END,
+    MOVES,
+    NUMBER,
+    ORDINAL,
+    OWN_END,
+    PARENT,
+    YAW_PRECISION,
+)
 from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
 from tiswarm.localization.virtual_force_kernels import turn_dock
 
@@ -16,6 +28,11 @@ MEMORY = 0.985
 """What friction leaves of a velocity in one step."""
 _SUBTREE_KICKS = 2**30
 """Number of the first subtree among those of robots, so that subtrees draw other random numbers."""
+RUN = 64
+"""Rows that one thread of a card adds up."""
+_PARTS = 2.0**36
+"""Parts of one in which cards count forces and masses, so that no sum depends on the order. The
+force on a subtree is off by 2^-36 R for each of its robots at most, and right below 2^27 R."""
 
 
 @ti.func
@@ -66,9 +83,15 @@ def pull_subtree(k, robots, trees: Ref, swarm: Ref):
     start = k // trees.table.shape[0] * robots
     pull = 0.0 * vector_at(swarm.force, start)
     weight = 0.0 * pull[0]
-    for r in range(start + trees.table[n, 0], start + trees.table[n, 1]):
+    for r in range(start + trees.table[n, 0], start + trees.table[n, OWN_END]):
         pull += vector_at(swarm.force, r)
         weight += trees.weight[n] * swarm.mass[r]
+    _note_pull(k, pull, weight, trees)
+
+
+@ti.func
+def _note_pull(k, pull, weight, trees: Ref):
+    """Write the force on copy k of a subtree, and its mass; velocities shrink as this grows."""
     lighter = ti.sqrt(trees.pull[k, 3] / weight)
     trees.pull[k, 3] = weight
     for c in ti.static(range(3)):
@@ -89,16 +112,102 @@ def gather_pulls(b, trees: Ref):
             trees.pull[parent, c] += trees.pull[k, c]
 
 
+def sum_rows(copies: int) -> int:
+    """Count the rows of `Subtrees.sums`: one a copy of a robot, a run, and a run of runs."""
+    runs = -(-copies // RUN)
+    return copies + runs - (-runs // RUN)
+
+
 @ti.func
-def move_subtree(k, step: Ref, trees: Ref):
-    """Write the shift of copy k of a subtree, without that of the subtrees it grows out of."""
+def count_pull(r, sums: Ref, swarm: Ref):
+    """Write the force on copy r of a robot and its mass, in parts of one, to be added up."""
+    for c in ti.static(range(3)):
+        sums[r, c] = ti.cast(_PARTS * swarm.force[r, c], ti.i64)
+    sums[r, 3] = ti.cast(_PARTS * swarm.mass[r], ti.i64)
+
+
+@ti.func
+def add_up(run, first, last, sums: Ref):
+    """Replace each row of a run by the sum of the run up to it, and write the last one.
+
+    Args:
+        run: Number of the run.
+        first: First row of all runs.
+        last: Row after their last one, and that of the sum of run 0.
+        sums: Rows of `Subtrees.sums`.
+    """
+    total = ti.Vector([ti.i64(0) for _ in range(4)])
+    for row in range(first + RUN * run, ti.min(first + RUN * (run + 1), last)):
+        for c in ti.static(range(4)):
+            total[c] += sums[row, c]
+            sums[row, c] = total[c]
+    for c in ti.static(range(4)):
+        sums[last + run, c] = total[c]
+
+
+@ti.func
+def _sum_before(i, first, sums: Ref):
+    """Sum the rows of a run before the i-th row from `first`."""
+    total = ti.Vector([ti.i64(0) for _ in range(4)])
+    if i % RUN > 0:
+        total = ti.Vector([sums[first + i - 1, c] for c in range(4)])
+    return total
+
+
+@ti.func
+def _sum_between(a, b, sums: Ref, swarm: Ref):
+    """Sum the forces on copies a to b - 1 of robots, and their masses."""
+    copies = swarm.mass.shape[0]
+    runs = (copies + RUN - 1) // RUN
+    total = _sum_before(b, 0, sums) - _sum_before(a, 0, sums)
+    total += _sum_before(b // RUN, copies, sums) - _sum_before(a // RUN, copies, sums)
+    for group in range(a // (RUN * RUN), b // (RUN * RUN)):
+        total += ti.Vector([sums[copies + runs + group, c] for c in range(4)])
+    return ti.cast(total, float) / _PARTS
+
+
+@ti.func
+def pull_branch(k, robots, trees: Ref, swarm: Ref):
+    """Write the force on all robots that move with copy k of a subtree, and its mass."""
+    n = k % trees.table.shape[0]
+    start = k // trees.table.shape[0] * robots
+    first = start + trees.table[n, 0]
+    own = _sum_between(first, start + trees.table[n, OWN_END], trees.sums, swarm)
+    every = _sum_between(first, start + trees.table[n, END], trees.sums, swarm)
+    _note_pull(k, every, trees.weight[n] * own[3], trees)
+
+
+@ti.func
+def gather_shifts(k, trees: Ref):
+    """Add to the shift of copy k of a subtree those of all that it grows out of."""
+    count = trees.table.shape[0]
+    chain = k // count
+    n = k % count
+    shift = ti.Vector([trees.shift[k, 3 + c] for c in range(3)])
+    while trees.table[n, PARENT] != n:
+        n = trees.table[n, PARENT]
+        shift += ti.Vector([trees.shift[chain * count + n, 3 + c] for c in range(3)])
+    for c in ti.static(range(3)):
+        trees.shift[k, c] = shift[c]
+
+
+@ti.func
+def move_subtree(k, column: Static, step: Ref, trees: Ref):
+    """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
+
+    Args:
+        k: Copy of the subtree.
+        column: First column of `Subtrees.shift` to write.
+        step: The step.
+        trees: Subtrees.
+    """
     count = trees.table.shape[0]
     n = k % count
     kick = _kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
     for c in ti.static(range(3)):
-        trees.shift[k, c] = 0.0
+        trees.shift[k, column + c] = 0.0
         if trees.table[n, MOVES + c] == 1:
-            trees.shift[k, c] = _moved(
+            trees.shift[k, column + c] = _moved(
                 trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
             )
 

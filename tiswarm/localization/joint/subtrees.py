@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.localization.joint.arrays import Subtrees
+from tiswarm.localization.joint.motion_kernels import sum_rows
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.contacts import touching
 
@@ -82,10 +83,16 @@ def subtree_arrays(
     # Everyone together does not move.
     moves = [np.outer(np.arange(n) > 0, e.unplaced) for e, n in zip(problems, count, strict=True)]
     end = np.cumsum(own)
-    parent = [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
+    parent = np.concatenate(
+        [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
+    )
+    last = end.copy()
+    for subtree in range(len(own) - 1, -1, -1):
+        last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
     ordinal = np.concatenate([np.arange(n) for n in count])
-    table = [end - own, end, np.concatenate(parent), np.concatenate(moves), ordinal]
+    table = [end - own, end, last, parent, np.concatenate(moves), ordinal]
     copies = chains * len(own)
+    rows = sum_rows(len(of_robot.ravel())) if memory.running.arch != "cpu" else 1
     return Subtrees(
         of_robot=memory.upload(of_robot.ravel()),
         table=memory.upload(np.column_stack(table)),
@@ -93,7 +100,8 @@ def subtree_arrays(
         first=memory.upload(np.cumsum([0, *np.tile(count, chains)])),
         pull=memory.upload(np.zeros((copies, 4))),
         velocity=memory.upload(np.zeros((copies, 3))),
-        shift=memory.upload(np.zeros((copies, 3))),
+        shift=memory.upload(np.zeros((copies, 6))),
+        sums=memory.longs(rows, 4),
     )
 
 

@@ -1,0 +1,102 @@
+"""Cards add up forces on branches in parallel; one thread of a processor walks along them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tiswarm.compute import backend
+from tiswarm.localization.joint import kernels
+from tiswarm.localization.joint.annealing import Annealer
+from tiswarm.localization.joint.motion_kernels import RUN
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.joint.subtrees import find_subtrees
+from tiswarm.localization.params import JointParams
+from tiswarm.sensing import SensingParams, observe
+
+PARAMS = JointParams(chains=46, steps=40, hold_steps=20, robust=False, end_sigma=0.1)
+
+
+@pytest.fixture
+def logs(towers):
+    """What the robots of three towers sensed."""
+    return [observe(h, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)) for h in towers]
+
+
+@pytest.fixture
+def as_card(monkeypatch):
+    """Let annealers take a processor of so many threads for a card."""
+
+    def start(threads=2):
+        monkeypatch.undo()
+        running = dataclasses.replace(backend.start(threads=threads), arch="vulkan")
+        monkeypatch.setattr(backend, "current", lambda: running)
+
+    return start
+
+
+def _annealer(logs):
+    return Annealer(logs, [PARAMS] * len(logs), [pose_problem(log, PARAMS) for log in logs])
+
+
+def test_cards_take_the_steps_of_processors(logs, as_card):
+    """But for rounding, through rows that serve one step and rows that serve several."""
+    here = _annealer(logs)
+    as_card()
+    there = _annealer(logs)
+    assert there.on_card > here.on_card
+    assert len(there.swarm.position.to_numpy()) > RUN * RUN
+
+    for until in (1, 2, 9):
+        here.advance(until)
+        there.advance(until)
+
+        place, other = (a.swarm.position.to_numpy() for a in (here, there))
+        np.testing.assert_allclose(other, place, rtol=0, atol=1e-9)
+    assert there.blocks.taken[0] == 9
+
+
+@pytest.mark.parametrize("scale", [1.0, 3000.0])
+def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
+    """2^-36 R for each robot, however far apart robots are; masses, too."""
+    as_card()
+    annealer = _annealer(logs)
+    annealer.memory.refill(annealer.swarm.position, scale * annealer.swarm.position.to_numpy())
+
+    annealer.advance(1)
+
+    force = annealer.by_robot(annealer.swarm.force)
+    mass = annealer.by_robot(annealer.swarm.mass)
+    pull = annealer.trees.pull.to_numpy().reshape(PARAMS.chains, -1, 4)
+    assert (np.abs(force).max() > 1e3) == (scale > 1.0)
+    subtree = 0
+    for log, problem, first in zip(logs, annealer.problems, annealer.start[:-1], strict=True):
+        tree = find_subtrees(problem.pair, log.robot_count)
+        member = np.eye(len(tree.parent))
+        for k in range(len(tree.parent) - 1, 0, -1):
+            member[tree.parent[k]] += member[k]
+        own = np.repeat(np.arange(len(tree.parent)), np.diff(tree.first))
+        member = member[:, own]
+        robots = first + tree.order
+        every = np.einsum("tn,cnk->ctk", member, force[:, robots])
+        found = pull[:, subtree : subtree + len(tree.parent)]
+        rounding = 1e-15 * np.einsum("tn,cnk->ctk", member, np.abs(force[:, robots]))
+        bound = 2.0**-36 * member.sum(axis=1)[:, None] + rounding
+        assert (np.abs(found[..., :3] - every) <= bound).all()
+        weight = annealer.trees.weight.to_numpy()[subtree:][: len(tree.parent)]
+        masses = np.add.reduceat(mass[:, robots], tree.first[:-1], axis=1)
+        np.testing.assert_allclose(found[..., 3], weight * masses, rtol=1e-10)
+        subtree += len(tree.parent)
+
+
+def test_sums_on_branches_do_not_depend_on_threads_or_company(logs, as_card):
+    """Integers add up to the same bits in any order."""
+    places = []
+    for threads, every in ((1, logs), (2, logs), (2, logs[:1])):
+        as_card(threads)
+        annealer = _annealer(every)
+        annealer.advance(2 * kernels.STEPS_A_LAUNCH + 1)
+        places.append(annealer.by_robot(annealer.swarm.position))
+
+    assert places[0].tobytes() == places[1].tobytes()
+    assert places[0][:, : logs[0].robot_count].tobytes() == places[2].tobytes()
