@@ -91,17 +91,19 @@ class _GrowthBatch:
 
     def spawn(self) -> bool:
         """Fill the free slots of unfinished structures; return whether any robot moves."""
-        for slot in range(len(self.structure_of)):
+        climbing = np.bincount(self.structure_of[self.moving], minlength=len(self.structures))
+        for slot in np.flatnonzero(~self.moving):
             structure = self._climbed_by(slot)
-            climbing = int(self.moving[self.structure_of == structure.number].sum())
-            is_complete = len(structure.walks) + climbing >= self.robots
+            others = climbing[structure.number]
+            is_complete = len(structure.walks) + others >= self.robots
             # Founders come one by one, since they found what the others climb.
-            is_crowded = structure.founding and climbing > 0
-            if not (self.moving[slot] or is_crowded or structure.ended or is_complete):
+            is_crowded = structure.founding and others > 0
+            if not (is_crowded or structure.ended or is_complete):
                 spawn = structure.spawn(self.arrays.dock[structure.number])
                 if spawn is not None:
                     self.walks.start(slot, spawn)
                     self.moving[slot] = True
+                    climbing[structure.number] += 1
         return bool(self.moving.any())
 
     def round(self) -> int:
@@ -159,7 +161,7 @@ class GrowingStructure:
         self.clearance = robot.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
         self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
-        self.low_docks: Reals = np.empty((0, 3))
+        self.low_docks: dict[tuple[int, int], list[Reals]] = {}
         self.surveyed = 0
         self.walks: list[Walk] = []
         self.loads: list[LoadSummary] = []
@@ -199,8 +201,7 @@ class GrowingStructure:
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
             center, orientation = self._pose(x, y, np.pi * draw[2])
-            distance = np.linalg.norm(self.low_docks - center, axis=1)
-            if distance.min(initial=np.inf) > self.clearance:
+            if self._is_free(center):
                 return Spawn(
                     center=center,
                     orientation_wxyz=orientation,
@@ -224,13 +225,29 @@ class GrowingStructure:
     def _survey(self, docks: Reals) -> None:
         """Note where the robots stand that have joined since the last spawn."""
         new = docks[self.surveyed : self.docks * len(self.walks)]
+        if not len(new):
+            return
         skipped = self.docks * (self.surveyed == 0 and self.params.spawn_behind == "placed")
         self.surveyed += len(new)
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
-        self.low_docks = np.concatenate([self.low_docks, new[is_low]])
+        for dock in new[is_low]:
+            self.low_docks.setdefault(self._square(dock), []).append(dock)
+
+    def _is_free(self, center: Reals) -> bool:
+        """Whether no dock near the ground touches a robot that is put there."""
+        x, y = self._square(center)
+        squares = [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        near = [dock for square in squares for dock in self.low_docks.get(square, ())]
+        return not near or bool(
+            np.linalg.norm(np.array(near) - center, axis=1).min() > self.clearance
+        )
+
+    def _square(self, place: Reals) -> tuple[int, int]:
+        """Square of the ground below a place; its side is the clearance."""
+        return int(place[0] // self.clearance), int(place[1] // self.clearance)
 
     def turn_away(self) -> None:
         """Count a robot that found no place; end growth after too many in a row."""

@@ -150,13 +150,13 @@ class Walks:
         """Copy one walk out, with the way back to where the robot stays at its end."""
         stances = self.stances
         last, best = int(stances.last[slot]), int(stances.best[slot])
-        order = np.r_[0 : last + 1, np.arange(last - 1, best - 1, -1)]
+        order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
         # Out and back between two stances go about the same dock.
         pivot = stances.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
         if stances.stay[slot] > last:
             order = np.append(order, last + 1)
             pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
-        touching = stances.touching[slot, order]
+        touching = np.sort(stances.touching[slot, order], axis=2)
         stance, own, place = np.nonzero(touching >= 0)
         item = touching[stance, own, place]
         contacts = np.column_stack([stance, own, item // self.docks, item % self.docks])
@@ -165,7 +165,7 @@ class Walks:
             center=stances.center[slot, order],
             orientation_wxyz=stances.orientation[slot, order],
             pivot_dock=pivot,
-            contacts=contacts[np.lexsort(contacts.T[::-1])].astype(np.int32),
+            contacts=contacts.astype(np.int32),
             ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
             recruited=bool(self.state[slot] == flip_kernels.RECRUITED),
