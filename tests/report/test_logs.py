@@ -14,7 +14,7 @@ from tiswarm.cli import main
 from tiswarm.drawing import draw_log, render_log
 from tiswarm.interop.exports import export_view
 from tiswarm.progress import Progress
-from tiswarm.records.estimate import Estimate, Solution
+from tiswarm.records.estimate import MOST_WITHIN, Estimate, Solution
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.render import pictures
 from tiswarm.report.render.pictures import build_pictures
@@ -37,6 +37,30 @@ found.quantity = document.getElementById("quantity").value;
 document.body.dataset.found = JSON.stringify(found);
 """
 """Points at a robot, then chooses the third entry of the menu."""
+
+SPHERES = """
+const click = (name) => document.getElementById(`show-${name}`).click();
+const pixels = () => {
+  view.dispatchEvent(Object.assign(new Event("keydown"), {key: "0"})); // draws again
+  return new Promise((done) => setTimeout(() => done(
+    view.getContext("2d").getImageData(0, 0, view.width, view.height).data), 500));
+};
+(async () => {
+  found.on = document.getElementById("show-spheres").checked;
+  ["estimate", "ground"].forEach(click);
+  const without = await pixels();
+  click("spheres");
+  const drawn = await pixels();
+  found.area = drawn.reduce((sum, v, k) => sum + (k % 4 === 3 && v > without[k]), 0);
+  found.missing = !document.getElementById("no-spheres").hidden;
+  const data = JSON.parse(document.getElementById("data").textContent), [shown] = data.cases;
+  const box = boxOf([shown], data.radius), {clientWidth: width, clientHeight: height} = view;
+  const {place} = cameraOf(box, START, fitOf(box, width, height), width, height);
+  found.scale = place(shown.estimate[7])[2];
+  document.body.dataset.found = JSON.stringify(found);
+})();
+"""
+"""Counts the pixels that spheres alone cover, and the pixels per R of robot 7."""
 
 MM = 32.9
 """Radius of a dock of the log [mm]."""
@@ -131,6 +155,23 @@ def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):
     assert seen["quantity"] == "distance from the estimate"
 
 
+@pytest.mark.parametrize("options", [(), ("--disable-3d-apis",)], ids=["webgl", "canvas"])
+def test_spheres_contain_nine_of_ten_positions(options, log, estimate, tmp_path):
+    """A switch, off at first, draws them with their radius; without WebGL the page says so."""
+    sd = np.where(np.arange(30) == 7, 3.0 * MM, 0.0)
+    sd[9] = np.nan
+    text, _ = _page(tmp_path, log, replace(estimate, sd=sd, solutions=()))
+
+    seen = probe(text, SPHERES, tmp_path, more=options)
+
+    assert not seen["on"]
+    assert seen["troubles"] == []
+    assert seen["missing"] == bool(options)
+    area = 0.0 if options else np.pi * (MOST_WITHIN * 3.0 * seen["scale"]) ** 2
+    assert seen["area"] == pytest.approx(area, rel=0.05)  # without lines of the box
+    assert f"a ball of radius {MOST_WITHIN} sd" in text
+
+
 def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):
     """The sentence, the table of robots and the view agree."""
     text, data = _page(tmp_path, log, estimate, true=true)
@@ -158,10 +199,11 @@ def test_the_view_is_in_radii_and_its_labels_in_the_unit_of_the_log(log, estimat
 
 def test_a_method_without_uncertainty_has_no_colors_of_its_own(log, estimate, tmp_path):
     """The page colors robots by join index, which is always known."""
-    _, data = _page(tmp_path, log, replace(estimate, sd=None, solutions=()))
+    text, data = _page(tmp_path, log, replace(estimate, sd=None, solutions=()))
 
     (case,) = data["cases"]
     assert (case["name"], case["colors"]) == ("estimate", [])
+    assert "a ball of radius" not in text
 
 
 def test_texts_of_a_log_stay_texts(log, estimate, tmp_path):

@@ -110,6 +110,7 @@ class Estimate:
     sd: Reals | None = None
     """Standard deviation of each position [log unit], shape (N,); None where the method has none.
 
+    It is the root of the mean square distance to the true position, over all three axes.
     Half of the robots should be within `HALF_WITHIN` sd, nine of ten within `MOST_WITHIN` sd."""
 
     undetermined: Bools | None = None

@@ -13,7 +13,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page
 from tiswarm.report.page_tables import MOST_ROWS, Table
-from tiswarm.report.space import MOST_ROBOTS, Coloring, View, space_data, view_data
+from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
 
 
@@ -136,7 +136,7 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
     radius, unit = view.log.dock_radius, view.log.length_unit
     sd = np.where(estimate.disconnected, np.nan, view.sd)
-    values = [("error", view.error), ("sd", sd)]
+    values = [("error", view.error), (SD, sd)]
     colorings = [Coloring(label, unit, value * radius) for label, value in values]
     shown = [view_data(replace(view, name="estimate"), colorings)]
     solutions = estimate.solutions if len(estimate.solutions) > 1 else ()

@@ -8,6 +8,7 @@ import numpy as np
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
+from tiswarm.records.estimate import MOST_WITHIN
 from tiswarm.report.ground import ground_pieces
 from tiswarm.report.run_data import RunData
 from tiswarm.report.swarm_view import SwarmView, read_case_view
@@ -15,6 +16,9 @@ from tiswarm.report.swarm_view import SwarmView, read_case_view
 _MOST_CASES = 12  # in the view
 MOST_ROBOTS = 100_000
 """Robots in the view, in all cases together."""
+
+SD = "sd"
+"""Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 _DIGITS = 4  # decimals of positions
 
@@ -32,6 +36,11 @@ class View(NamedTuple):
         """Whether a case has true poses."""
         return any(case["true"] for case in self.data["cases"])
 
+    @property
+    def has_sd(self) -> bool:
+        """Whether a case has standard deviations, which spheres show."""
+        return any(color["label"] == SD for case in self.data["cases"] for color in case["colors"])
+
 
 class Coloring(NamedTuple):
     """A quantity that colors the estimate; the view adds hops and the join index."""
@@ -47,7 +56,7 @@ def build_view(run: RunData) -> View | None:
     notes = []
     for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
         view = read_case_view(case)
-        values = [("error", "R", view.error), ("sd", "R", view.sd)]
+        values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
@@ -79,7 +88,13 @@ def space_data(
         radius: R in the unit of the labels.
         unit: Unit of the labels along the axes.
     """
-    return {"offsets": _rounded(offset), "cases": cases, "radius": radius, "unit": unit}
+    return {
+        "offsets": _rounded(offset),
+        "cases": cases,
+        "radius": radius,
+        "unit": unit,
+        "sphere": MOST_WITHIN,  # radius of a sphere [sd]
+    }
 
 
 def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, Any]:

@@ -9,6 +9,7 @@ const SIDES = [0, 1, 2]; // x, y, z
 const START = { turn: -1.0, tilt: 0.22, zoom: 1, right: 0, down: 0 }; // the last two in pixels
 const GHOST = { opacity: 0.35, gap: 0.3, back: 1 }; // of true robots beside estimated ones: opacity; error from which they are drawn, and how much they are drawn behind their place [R]
 const EARTH = 0.75; // opacity of the ground
+const SPHERE = 0.3; // opacity of spheres
 const RAISED = 1.5; // contacts are drawn as if they were this much nearer [R]
 
 const rgb = (color) => `rgb(${color.map(Math.round).join(" ")})`;
@@ -261,19 +262,29 @@ function coloringsOf({ colors, robot, contacts }) {
   return [...given, ...Object.entries(counts).map(([label, value]) => ({ label, unit: "", value, scale: "--joins", most: value.reduce((most, v) => Math.max(most, v), 1) }))];
 }
 
+// Radii of a case's spheres [R], 0 where the standard deviation is unknown; undefined where no robot has one.
+function spheresOf({ colors }, { sphere, radius }) {
+  return colors.find(({ label }) => label === "sd")?.value.map((sd) => ((sd ?? 0) * sphere) / radius);
+}
+
 function showSpace(view) {
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   const [picker, quantity, slider, joined, pointed] = ["case", "quantity", "joins", "joined", "pointed"].map(byId);
-  const boxes = ["truth", "estimate", "error", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
+  const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
   const pen = view.getContext("2d");
   const balls = { unknown: ball(UNKNOWN_COLOR) };
-  const many = data.cases.some(({ robot }) => robot.length > SOLID) ? manyRobots() : null;
   if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
   for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
-  let look = { ...START }, shown, colorings, box, place, due = 0;
+  let look = { ...START }, shown, spheres, colorings, box, place, due = 0, many;
   data.cases.forEach((each, n) => picker.add(new Option(each.name, n)));
 
+  // What draws many robots and spheres; null where the browser has no WebGL.
+  const painter = () => {
+    if (many === undefined) many = manyRobots();
+    many?.load(shown, data.offsets, box.middle, spheres);
+    return many;
+  };
   const draw = () => {
     due = 0;
     const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
@@ -288,7 +299,10 @@ function showSpace(view) {
     balls.truth = ball(colorsOf("--true")[0]); // dark pages have another
     place = camera.place;
     drawBox(pen, box, data, camera);
-    const drawn = many && shown.robot.length > SOLID && many.draw(pen, slider.valueAsNumber, wanted, coloring, { ...camera, width, height, dense });
+    wanted.spheres &&= !!spheres;
+    const drawn = (wanted.spheres || shown.robot.length > SOLID)
+      && painter()?.draw(pen, slider.valueAsNumber, wanted, coloring, { ...camera, width, height, dense });
+    byId("no-spheres").hidden = drawn || !wanted.spheres;
     if (!drawn) {
       slider.max = Math.min(PAINTED, shown.robot.length);
       const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
@@ -301,6 +315,8 @@ function showSpace(view) {
   const choose = () => {
     const label = quantity.value;
     shown = data.cases[picker.value];
+    spheres = spheresOf(shown, data);
+    byId("show-spheres").parentElement.hidden = !spheres;
     colorings = coloringsOf(shown);
     quantity.replaceChildren(...colorings.map((each) => new Option(each.label)));
     quantity.selectedIndex = Math.max(0, colorings.findIndex((each) => each.label === label));
@@ -308,7 +324,6 @@ function showSpace(view) {
     box = boxOf(data.cases.filter((other) => other.robot.length === shown.robot.length), data.radius);
     slider.max = shown.robot.length; // before the value, which it bounds
     slider.value = slider.max;
-    if (shown.robot.length > SOLID) many?.load(shown, data.offsets, box.middle);
     draw();
   };
   // The robot whose true or estimated center is nearest to the pointer.

@@ -4,6 +4,7 @@ const VERTEX = `#version 300 es
 in vec2 corner; // of a ball's square, or beside (x) and along (y) a bar, -1 to 1
 in vec3 from, to; // center of a ball, ends of a bar [R]
 in vec4 tint; // opacity 0 leaves the shape out
+in float size; // factor of the width
 uniform vec3 rightward, upward, toward;
 uniform vec4 lens; // pixels per R times distance of the eye, that distance [R], width, height [pixels]
 uniform vec2 shift; // [pixels]
@@ -13,7 +14,7 @@ uniform float back; // how much shapes lie behind their place [R]
 uniform bool round;
 out vec2 inside;
 out vec4 color;
-out float away;
+out float away, radius;
 
 vec3 seen(vec3 point) { // pixels from the middle times distance, distance
   float w = max(lens.y - dot(toward, point), 0.05 * lens.y);
@@ -24,32 +25,35 @@ void main() {
   vec3 a = seen(from), b = seen(to), here = round ? a : mix(a, b, 0.5 + 0.5 * corner.y);
   vec2 along = b.xy / b.z - a.xy / a.z;
   vec2 beside = vec2(along.y, -along.x) / max(length(along), 1e-6);
-  here.xy += max(wide.x * lens.x, wide.y * here.z) * (round ? corner : corner.x * beside);
+  here.xy += max(size * wide.x * lens.x, wide.y * here.z) * (round ? corner : corner.x * beside);
   away = here.z + back;
   gl_Position = vec4(2.0 * here.xy / lens.zw, (depth.x + depth.y / away) * here.z, here.z);
   if (tint.a == 0.0) gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   inside = corner;
   color = tint;
+  radius = size * wide.x;
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
 in vec2 inside;
 in vec4 color;
-in float away;
+in float away, radius;
 uniform vec2 depth;
-uniform bool round;
+uniform bool round, hull;
 out vec4 drawn;
 
 void main() {
   vec3 lit = color.rgb;
+  float opacity = color.a;
   gl_FragDepth = gl_FragCoord.z;
   if (round) { // lit from the upper left, as in ball()
     float rim = dot(inside, inside), dark = length(inside - vec2(-0.28, 0.28));
     if (rim > 1.0) discard;
-    lit = dark < 0.65 ? mix(mix(lit, vec3(1.0), 0.5), lit, dark / 0.65) : mix(lit, 0.55 * lit, (dark - 0.65) / 0.65);
-    gl_FragDepth = 0.5 + 0.5 * (depth.x + depth.y / (away - sqrt(1.0 - rim)));
+    if (hull) opacity *= mix(0.6, 2.0, rim * rim * rim); // its edge stands out
+    else lit = dark < 0.65 ? mix(mix(lit, vec3(1.0), 0.5), lit, dark / 0.65) : mix(lit, 0.55 * lit, (dark - 0.65) / 0.65);
+    gl_FragDepth = 0.5 + 0.5 * (depth.x + depth.y / (away - radius * sqrt(1.0 - rim)));
   }
-  drawn = vec4(lit * color.a, color.a);
+  drawn = vec4(lit * opacity, opacity);
 }`;
 
 // A program, or null where the browser has no WebGL.
@@ -65,6 +69,9 @@ function programOn(gl) {
   gl.linkProgram(program);
   return gl.getProgramParameter(program, gl.LINK_STATUS) ? program : null;
 }
+
+// The color of a CSS variable with an opacity, each 0 to 1.
+const tintOf = (variable, opacity = 1) => [...colorsOf(variable)[0].map((value) => value / 255), opacity];
 
 // A painter of robots, contacts and ground on a canvas of its own; null where the browser has no WebGL.
 function manyRobots() {
@@ -83,33 +90,34 @@ function manyRobots() {
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers[name] ||= gl.createBuffer());
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
   };
-  // Feeds an attribute from a buffer, a new item each `every` instances (0: each vertex), or with one color.
+  // Feeds an attribute from a buffer, a new item each `every` instances (0: each vertex), or with one value.
   const feed = (name, buffer, every, { step = 0, start = 0 } = {}) => {
     const place = gl.getAttribLocation(program, name);
     if (typeof buffer !== "string") {
       gl.disableVertexAttribArray(place);
-      gl.vertexAttrib4f(place, ...buffer.map((value, k) => (k < 3 ? value / 255 : value)));
+      gl.vertexAttrib4f(place, ...buffer);
       return;
     }
-    const bytes = name === "tint", size = { corner: 2, tint: 4 }[name] || 3;
+    const bytes = name === "tint", size = { corner: 2, tint: 4, size: 1 }[name] || 3;
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers[buffer]);
     gl.enableVertexAttribArray(place);
     gl.vertexAttribPointer(place, size, bytes ? gl.UNSIGNED_BYTE : gl.FLOAT, bytes, step, start);
     gl.vertexAttribDivisor(place, every);
   };
-  const shapes = (count, { round = false, wide, back = 0 }) => {
+  const shapes = (count, { round = false, wide, back = 0, size = [1, 0, 0, 0] }) => {
     gl.uniform1i(uniform("round"), round);
     gl.uniform2f(uniform("wide"), ...wide);
     gl.uniform1f(uniform("back"), back);
     feed("corner", "corner", 0);
+    feed("size", size, 1);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
   };
   // Robots at true or estimated poses; their colors and opacities are filled in again if `key` is another.
-  const robots = (poses, count, key, tintOf, arm, back) => {
+  const robots = (poses, count, key, colorOf, arm, back) => {
     const each = offsets.length;
     if (tinted[poses] !== key) {
       const tints = new Uint8Array(4 * shown.robot.length);
-      shown.robot.forEach((_, n) => tints.set(tintOf(n), 4 * n));
+      shown.robot.forEach((_, n) => tints.set(colorOf(n), 4 * n));
       keep(`${poses} tints`, tints);
       tinted[poses] = key;
     }
@@ -121,6 +129,20 @@ function manyRobots() {
     if (arm) feed("tint", arm, 0);
     shapes(count * each, { wide: [0.15, 0.4], back });
   };
+  // The nearest surface of all spheres, once: depths first, then color where a sphere has that depth.
+  const spheres = (count) => {
+    feed("from", "estimate", 1);
+    feed("to", "estimate", 1);
+    feed("tint", tintOf("--sphere", SPHERE), 0);
+    gl.uniform1i(uniform("hull"), 1);
+    for (const seen of [false, true]) {
+      gl.colorMask(seen, seen, seen, seen);
+      gl.depthFunc(seen ? gl.EQUAL : gl.LESS);
+      shapes(count, { round: true, wide: [1, 0], size: "spheres" });
+    }
+    gl.uniform1i(uniform("hull"), 0);
+    gl.depthFunc(gl.LESS);
+  };
   const bars = (from, to, count, color, width, back, step) => {
     feed("from", from, 1, step);
     feed("to", to, 1, step && { step: step.step, start: step.step / 2 });
@@ -129,8 +151,8 @@ function manyRobots() {
   };
 
   return {
-    // Takes a case; places are relative to the middle of its box, where 32 bits are fine.
-    load(chosen, docks, middle) {
+    // Takes a case and the radii of its spheres [R]; places are relative to the middle of its box, where 32 bits are fine.
+    load(chosen, docks, middle, radii) {
       if (shown === chosen) return;
       [shown, offsets, tinted] = [chosen, docks, {}];
       const flat = (points) => new Float32Array(points.flatMap((point) => minus(point, middle)));
@@ -144,12 +166,14 @@ function manyRobots() {
       keep("true", flat(shown.true));
       keep("true docks", flat(around(shown.true, shown.turn).flat()));
       keep("contacts", flat(contacts.flatMap(([i, a, j, b]) => [sensed[i][a], sensed[j][b]])));
+      if (radii) keep("spheres", new Float32Array(radii));
       keep("ground", flat(shown.ground.flat().flatMap(([a, b, c, d]) => [a, b, c, a, c, d])));
     },
     // Draws the first `count` robots; false if the graphics card was lost.
     draw(pen, count, wanted, coloring, { look, fit, radius, toward, width, height, dense }) {
       if (gl.isContextLost()) return false;
-      [canvas.width, canvas.height] = [width * dense, height * dense];
+      const sharp = shown.robot.length > SOLID ? dense : 2 * dense; // few robots have smooth edges
+      [canvas.width, canvas.height] = [width * sharp, height * sharp];
       gl.viewport(0, 0, canvas.width, canvas.height);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       fine = look.zoom * fit;
@@ -163,19 +187,19 @@ function manyRobots() {
       gl.uniform2f(uniform("depth"), (far + near) / (far - near), -2 * far * near / (far - near));
       if (wanted.estimate) {
         const scale = colorsOf(coloring.scale);
-        const tintOf = (n) => [...(coloring.value[n] === null ? UNKNOWN_COLOR : along(scale, coloring.value[n] / coloring.most)), 255];
-        robots("estimate", count, coloring, tintOf, [...colorsOf("--arm")[0], 1], 0);
+        const colorOf = (n) => [...(coloring.value[n] === null ? UNKNOWN_COLOR : along(scale, coloring.value[n] / coloring.most)), 255];
+        robots("estimate", count, coloring, colorOf, tintOf("--arm"), 0);
       }
       if (wanted.contacts) {
         const many = reach.findIndex((robot) => robot >= count);
-        bars("contacts", "contacts", many < 0 ? reach.length : many, [...colorsOf("--contact")[0], 1], 2.5, -RAISED, { step: 24 });
+        bars("contacts", "contacts", many < 0 ? reach.length : many, tintOf("--contact"), 2.5, -RAISED, { step: 24 });
       }
-      if (wanted.error) bars("true", "estimate", count, [...colorsOf("--ink")[0], 1], 1.5, 0);
+      if (wanted.error) bars("true", "estimate", count, tintOf("--ink"), 1.5, 0);
       if (wanted.truth) {
         const [blue, ghost] = [colorsOf("--true")[0], wanted.estimate];
         const near = (n) => Math.hypot(...minus(shown.true[n], shown.estimate[n])) < GHOST.gap;
-        const tintOf = (n) => [...blue, !ghost ? 255 : near(n) ? 0 : 255 * GHOST.opacity];
-        robots("true", count, `${blue} ${ghost}`, tintOf, null, ghost ? GHOST.back : 0);
+        const colorOf = (n) => [...blue, !ghost ? 255 : near(n) ? 0 : 255 * GHOST.opacity];
+        robots("true", count, `${blue} ${ghost}`, colorOf, null, ghost ? GHOST.back : 0);
       }
       if (wanted.ground) {
         gl.uniform1i(uniform("round"), 0);
@@ -183,9 +207,10 @@ function manyRobots() {
         gl.uniform1f(uniform("back"), 0);
         for (const name of ["from", "to"]) feed(name, "ground", 0);
         feed("corner", [0, 0, 0, 0], 0);
-        feed("tint", [...colorsOf("--ground")[0], EARTH], 0);
+        feed("tint", tintOf("--ground", EARTH), 0);
         gl.drawArrays(gl.TRIANGLES, 0, 6 * shown.ground.flat().length);
       }
+      if (wanted.spheres) spheres(count);
       pen.drawImage(canvas, 0, 0, width, height);
       return true;
     },
