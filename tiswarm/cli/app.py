@@ -5,6 +5,7 @@ import signal
 import sys
 import warnings
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -73,16 +74,23 @@ def _enter_working_folder() -> None:
         raise EnvironmentTroubleError(msg) from error
 
 
-def show_page(page: Path, *, opened: bool) -> None:
-    """Print how to open a page, or open it in the user's browser.
+def show_page(page: Path | str, *, opened: bool) -> None:
+    """Print how to open a page, a file or an address, or open it in the user's browser.
 
     Raises:
         EnvironmentTroubleError: there is no browser.
     """
     if not opened:
         typer.echo(f"open {page}")
-    elif not webbrowser.open(page.absolute().as_uri()):
+    elif not webbrowser.open(page if isinstance(page, str) else page.absolute().as_uri()):
         raise EnvironmentTroubleError(f"no browser to open {page}; copy it to a machine with one")
+
+
+def refuse(given: Mapping[str, object], reason: str) -> None:
+    """Refuse the first argument that has a value."""
+    for name, value in given.items():
+        if value:
+            raise InputError(f"{reason}; leave it out", key=name)
 
 
 def _show_warning(

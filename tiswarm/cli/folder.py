@@ -1,16 +1,14 @@
 """Commands on run folders: redraw, compare, export. Pictures and exports show logs, too."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import Animate, Movie, Open, Pdf, Quiet, RunFolderPath, app, show_page
+from tiswarm.cli.app import Animate, Movie, Open, Pdf, Quiet, RunFolderPath, app, refuse, show_page
 from tiswarm.cli.log import EstimateTable, Truth, read_estimated
 from tiswarm.console import ConsoleProgress
-from tiswarm.errors import InputError
 from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 
@@ -60,11 +58,11 @@ def render(
 
     progress = ConsoleProgress(quiet=quiet)
     if not source.is_dir():
-        _refuse({"--animate": animate, "--case": case}, "a log is no run")
+        refuse({"--animate": animate, "--case": case}, "a log is no run")
         view = view_log(*read_estimated(source, estimate, progress, truth))
         render_log(view, out or Path("renders"), progress, renderer=renderer)
         return
-    _refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "a run has its own")
+    refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "a run has its own")
     draw(
         load_run(source), progress,
         renders=True, movie=movie if animate else None, renderer=renderer, case=case,
@@ -114,16 +112,9 @@ def export(
 
     progress = ConsoleProgress(quiet=quiet)
     if source.is_dir():
-        _refuse({"ESTIMATE": estimate, "--truth": truth}, "a run has its own")
+        refuse({"ESTIMATE": estimate, "--truth": truth}, "a run has its own")
         folder, view = source / "export", read_case_view(load_run(source).choose(case))
     else:
-        _refuse({"--case": case}, "a log is no run")
+        refuse({"--case": case}, "a log is no run")
         folder, view = Path("export"), view_log(*read_estimated(source, estimate, progress, truth))
     export_view(view, form, out or folder, progress)
-
-
-def _refuse(given: Mapping[str, object], reason: str) -> None:
-    """Refuse the first argument that has a value."""
-    for name, value in given.items():
-        if value:
-            raise InputError(f"{reason}; leave it out", key=name)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, show_page
+from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, refuse, show_page
 from tiswarm.console import ConsoleProgress
 from tiswarm.params import AnyPrecision
 from tiswarm.progress import Progress
@@ -113,18 +113,37 @@ def localize(
 
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
 def view(
-    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
+    log: Annotated[
+        Path, Argument(metavar="LOG|RUN", help="Sensing log, or with --live a run folder.")
+    ],
     estimate: EstimateTable = None,
     truth: Truth = None,
-    out: Annotated[Path, Option(help="Page to write.")] = Path("view.html"),
+    out: Annotated[
+        Path | None, Option(help="Page to write (default: view.html).", show_default=False)
+    ] = None,
+    port: Annotated[
+        int | None, Option(min=1, max=65535, help="Port of --live (default: a free one).")
+    ] = None,
     *,
+    live: Annotated[
+        bool, Option("--live", help="Serve a run to this machine's browser as cases finish.")
+    ] = False,
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
     """Show an estimate on a page with a 3D view.
 
-    The page has the estimate's uncertainty, and what the log leaves open.
+    The page has the estimate's uncertainty, and what the log leaves open. With --live, it has the
+    cases of a run that is still computed, and the 3D view of one; Ctrl-C ends the command.
     """
+    if live:
+        from tiswarm.live import serve
+
+        refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
+        serve(log, port or 0, lambda page: show_page(page, opened=opened))
+        return
+    refuse({"--port": port}, "only --live serves a page")
+    out = out or Path("view.html")
     from tiswarm.drawing import draw_log
     from tiswarm.inspection import explain_estimate
 

@@ -89,15 +89,20 @@ class Page:
 
     def html(self) -> str:
         """Render the page."""
-        from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
-
-        environment = Environment(
-            loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
-            autoescape=True, trim_blocks=True, lstrip_blocks=True,
-        )  # fmt: skip
-        environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "sort_keys": True}
         colors = {"true": TRUE_BLUE, "errors": ERROR_COLORS, "joins": JOIN_COLORS}
-        return environment.get_template("report.html").render(page=self, colors=colors) + "\n"
+        return render("report.html", page=self, colors=colors)
+
+
+def render(template: str, **content: object) -> str:
+    """Fill in one of the templates of pages; text is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow
+
+    environment = Environment(
+        loader=PackageLoader("tiswarm.report"), undefined=StrictUndefined,
+        autoescape=True, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "sort_keys": True}
+    return environment.get_template(template).render(content) + "\n"
 
 
 def write_page(run: RunData, progress: Progress) -> Path:

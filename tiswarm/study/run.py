@@ -170,17 +170,26 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
         write_frame(content, folder.path / f"{name}.csv")
 
 
+def open_folder(path: Path) -> tuple[RunFolder, list[Case]]:
+    """Open the folder of a run, finished or not; returns it and all cases of its scenario.
+
+    Raises:
+        InputError: it is no folder of a run.
+    """
+    resolved = path / "scenario.yaml"
+    if not resolved.exists():
+        msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
+        raise InputError(msg, path=path)
+    return RunFolder(path), plan(load_scenario(run_file(resolved)))
+
+
 def tabulate(path: Path, progress: Progress) -> None:
     """Write the tables of a run folder again, from its stored cases.
 
     Raises:
         InputError: it is no folder of a run, or no case is intact.
     """
-    resolved = path / "scenario.yaml"
-    if not resolved.exists():
-        msg = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
-        raise InputError(msg, path=path)
-    folder, cases = RunFolder(path), plan(load_scenario(run_file(resolved)))
+    folder, cases = open_folder(path)
     stored = folder.read_cases(cases)
     kept = [case for case in cases if case.name in stored]
     if not kept:
