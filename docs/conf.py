@@ -25,12 +25,16 @@ html_show_copyright = html_copy_source = False
 
 
 def read_page(_app: Sphinx, page: str, source: list[str]) -> None:
-    """Fill in pages of the root, and lead links to them to their place on the site."""
+    """Fill in pages of the root, and lead links to them to their place on the site.
+
+    No line ends within a number and the half width of its confidence interval.
+    """
     if page in IN_ROOT:
         text = re.sub(r"\]\((?!https?:|#)", "](../", (ROOT / IN_ROOT[page]).read_text())
         source[0] = text.replace("](../docs/", "](") + source[0].partition("---")[2]
     for target, name in IN_ROOT.items():
         source[0] = re.sub(rf"\]\((\.\./)*{name}", f"](/{target}.md", source[0])
+    source[0] = re.sub(r"(?<=[\d)]) (?=± [\d.])|(?<=±) (?=[\d.])", "\N{NO-BREAK SPACE}", source[0])
 
 
 def setup(app: Sphinx) -> None:
