@@ -92,14 +92,14 @@ def test_a_full_disk_behind_standard_output_is_one_line(tmp_path):
     assert (done.returncode, done.stderr) == (1, f"tiswarm: error: {what}\n")
 
 
-@pytest.mark.parametrize("name", ["getcwd", "chdir"])
-def test_a_working_folder_that_is_gone_or_closed_is_one_line(monkeypatch, capsys, name):
+@pytest.mark.parametrize(("room", "name"), [(Path, "cwd"), (os, "chdir")])
+def test_a_working_folder_that_is_gone_or_closed_is_one_line(monkeypatch, capsys, room, name):
     """The kernel library and open3d would end in a traceback, or abort the process."""
 
     def refuse(*_):
         raise OSError(errno.ENOENT, os.strerror(errno.ENOENT))
 
-    monkeypatch.setattr(os, name, refuse)
+    monkeypatch.setattr(room, name, refuse)
 
     status, said = _said(monkeypatch, capsys, "schema")
 
