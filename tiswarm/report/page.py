@@ -4,7 +4,9 @@ import base64
 import io
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -176,8 +178,12 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
     `case` is what pictures show whose names do not say it.
     """
     pictures = []
-    for path in sorted([*folder.glob("*.png"), *folder.glob("*.gif")], key=_place):
-        kind, data, (width, height) = _encoded(path, lossless=folder.name != "renders")
+    paths = sorted([*folder.glob("*.png"), *folder.glob("*.gif")], key=_place)
+    encode = partial(_encoded, lossless=folder.name != "renders")
+    with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        encoded = list(pool.map(encode, paths))
+    for path, (kind, data, (width, height)) in zip(paths, encoded, strict=True):
         # GIFs have a screen's resolution
         share = 0.72 if kind == "gif" else 0.36 if folder.name == "renders" else 0.42
         source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
@@ -200,14 +206,12 @@ def _encoded(path: Path, *, lossless: bool) -> tuple[str, bytes, tuple[int, int]
     form = path.suffix[1:].upper()
     run_file(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=[form]) as image:
-                if form == "GIF":
-                    return "gif", path.read_bytes(), image.size
-                stream = io.BytesIO()
-                image.convert("RGB").save(stream, "WEBP", lossless=lossless, quality=85, method=4)
-                return "webp", stream.getvalue(), image.size
+        with Image.open(path, formats=[form]) as image:
+            if form == "GIF":
+                return "gif", path.read_bytes(), image.size
+            stream = io.BytesIO()
+            image.convert("RGB").save(stream, "WEBP", lossless=lossless, quality=85, method=4)
+            return "webp", stream.getvalue(), image.size
     except Exception as error:  # a damaged picture can raise any error
         problem = f"is no {form} picture that can be shown: {error}; delete it, or draw it again"
         raise InputError(problem, path=path) from error

@@ -60,16 +60,18 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
     around = structure.dock.reshape(-1, 3)
     by_join = Scale(JOIN_COLORS, "join index  0", f"{len(view.pose) - 1}")
     name = "structure" if view.has_truth else "estimate"
-    pictures = {name: Picture(build_scene(structure, view.terrain), by_join)}
+    scene = build_scene(structure, view.terrain)
+    pictures = {name: Picture(scene, by_join)}
     if np.isfinite(view.force).any():
         title = "sensed force [dock weights]"
-        pictures["sensed-force"] = _scaled(view, view.force, FORCE_COLORS, title)
+        pictures["sensed-force"] = _scaled(view, scene, view.force, FORCE_COLORS, title)
     if view.has_truth:
         pictures["truth-and-estimate"] = _truth_and_estimate(view, around)
     for name, lengths in [("error", view.error), ("sd", view.sd)]:
         if np.isfinite(lengths).any():
             length, unit = lengths * view.log.dock_radius, view.log.length_unit
-            pictures[name] = _scaled(view, length, ERROR_COLORS, f"{name} [{unit}]")
+            title = f"{name} [{unit}]"
+            pictures[name] = _scaled(view, scene, length, ERROR_COLORS, title)
     pictures["contact-graph"] = _contact_graph(view, around)
     return pictures
 
@@ -84,12 +86,14 @@ def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
     return Picture(build_scene(estimate, view.terrain, ghosts=truth, around=around), keys)
 
 
-def _scaled(view: SwarmView, value: Reals, colors: tuple[str, ...], title: str) -> Picture:
+def _scaled(
+    view: SwarmView, scene: Scene, value: Reals, colors: tuple[str, ...], title: str
+) -> Picture:
     """Color the structure by a value of each robot, from zero to the greatest."""
     color, greatest = colors_from_zero(value, colors)
     robots = view.robots(view.best_pose, color, TRUE_SIZE)
     legend = Scale(colors, f"{title}  0", three_digits(greatest))
-    return Picture(build_scene(robots, view.terrain), legend)
+    return Picture(scene.painted(robots), legend)
 
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:

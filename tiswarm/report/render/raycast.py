@@ -48,7 +48,7 @@ def draw_scenes(
     Args:
         scenes: What to draw.
         renderer: Name of the renderer; the first that works if None.
-        advance: Called with 1 after each picture, and with fewer if a renderer fails.
+        advance: Called with the number of pictures drawn since, less than 0 if a renderer fails.
 
     Returns:
         The pictures, of shape (height, width, 3), the name of their renderer, and why a better
@@ -64,82 +64,72 @@ def draw_scenes(
         raise InputError(problem, argument="renderer")
     reason = ""
     for name in TRACERS if renderer is None else (renderer,):
-        pictures: list[Picture] = []
+        pictures: dict[int, Picture] = {}
         try:
-            tracer = _sharing(scenes, TRACERS[name])
-            for scene in scenes:
-                pictures.append(_draw(scene, tracer))
-                advance(1)
+            for alike in _alike(scenes):
+                drawn = _draw([scenes[number] for number in alike], TRACERS[name])
+                pictures |= zip(alike, drawn, strict=True)
+                advance(len(alike))
         except (ImportError, OSError, RuntimeError) as error:
             advance(-len(pictures))
             reason = f"{name}: {error}; `tiswarm doctor` names what to install"
         else:
-            return pictures, name, reason
+            return [pictures[number] for number in range(len(scenes))], name, reason
     raise EnvironmentTroubleError(f"cannot draw with {reason}")
 
 
-def _sharing(scenes: list[Scene], tracer: Callable[[Scene], Trace]) -> Callable[[Scene], Trace]:
-    """Let scenes that differ by colors alone share what their rays hit."""
-    shared: list[tuple[Scene, Trace]] = []
-
-    def share(scene: Scene) -> Trace:
-        for other, trace in shared:
-            if other.looks_like(scene):
-                return trace
-        trace = tracer(scene)
-        if sum(other.looks_like(scene) for other in scenes) > 1:
-            trace = _remembering(trace)
-            shared.append((scene, trace))
-        return trace
-
-    return share
+def _alike(scenes: list[Scene]) -> list[list[int]]:
+    """Group the numbers of scenes that differ by colors alone."""
+    groups: list[list[int]] = []
+    for number, scene in enumerate(scenes):
+        group = next((group for group in groups if scenes[group[0]].looks_like(scene)), None)
+        if group is None:
+            groups.append([number])
+        else:
+            group.append(number)
+    return groups
 
 
-def _remembering(trace: Trace) -> Trace:
-    """Keep the results of a trace, for rays that are cast again."""
-    results: list[tuple[Array32, tuple[Array32, Ints]]] = []
-
-    def cast(pixels: Array32, direction: Array32) -> tuple[Array32, Ints]:
-        for known, (depth, capsule) in results:
-            if np.array_equal(known, pixels):
-                return depth.copy(), capsule.copy()
-        depth, capsule = trace(pixels, direction)
-        results.append((pixels, (depth.copy(), capsule.copy())))
-        return depth, capsule
-
-    return cast
-
-
-def _draw(scene: Scene, tracer: Callable[[Scene], Trace]) -> Picture:
-    """Draw a scene, shape (height, width, 3)."""
+def _draw(scenes: list[Scene], tracer: Callable[[Scene], Trace]) -> list[Picture]:
+    """Draw scenes that differ by colors alone, each of shape (height, width, 3)."""
+    scene, colors = scenes[0], np.array([scene.color for scene in scenes])
     layers = [(part, tracer(part)) for part in (scene, scene.ghost) if part]
     width, height = scene.camera.width, scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
-    color, seen = _cast(layers, corner + np.float32(0.5))
+    color, seen = _cast(layers, colors, corner + np.float32(0.5))
     edge = np.flatnonzero(_edges(seen.reshape(height, width)))
     places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
-    finer = [_cast(layers, corner[edge] + place)[0] for place in places]
-    color[edge] = np.mean(finer, axis=0)
-    return np.round(255.0 * color).astype(np.uint8).reshape(height, width, 3)
+    finer = [_cast(layers, colors, corner[edge] + place)[0] for place in places]
+    color[:, edge] = np.mean(finer, axis=0)
+    return [np.round(255.0 * one).astype(np.uint8).reshape(height, width, 3) for one in color]
 
 
-def _cast(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Array32, Ints]:
-    """Find color and object at pixels; different numbers are different objects."""
+def _cast(
+    layers: list[tuple[Scene, Trace]], colors: Array32, pixels: Array32
+) -> tuple[Array32, Ints]:
+    """Find K colors, shape (K, n, 3), and one object at each pixel.
+
+    Different numbers are different objects.
+    """
     parts = [
-        _cast_chunk(layers, pixels[first : first + _CHUNK])
+        _cast_chunk(layers, colors, pixels[first : first + _CHUNK])
         for first in range(0, max(len(pixels), 1), _CHUNK)
     ]
-    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+    color, seen = zip(*parts, strict=True)
+    return np.concatenate(color, axis=1), np.concatenate(seen)
 
 
-def _cast_chunk(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Array32, Ints]:
+def _cast_chunk(
+    layers: list[tuple[Scene, Trace]], colors: Array32, pixels: Array32
+) -> tuple[Array32, Ints]:
     (scene, trace), *ghosts = layers
     eye, direction = scene.camera.eye.astype(np.float32), scene.camera.directions(pixels)
     depth, seen = trace(pixels, direction)
-    color = np.ones((len(pixels), 3), np.float32)
+    color = np.ones((len(colors), len(pixels), 3), np.float32)
     hit = np.flatnonzero(seen >= 0)
-    color[hit] = color_of_capsules(scene, seen[hit], eye + depth[hit, None] * direction[hit])
+    points = eye + depth[hit, None] * direction[hit]
+    color[:, hit] = color_of_capsules(scene, seen[hit], points, colors)
     ground = scene.ground
     if ground is not None:
         first, last = scene.camera.frame(ground.corners)
@@ -150,7 +140,7 @@ def _cast_chunk(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Arr
         low, ground_depth, normal = low[nearer], ground_depth[nearer], normal[nearer]
         light = relative_light(scene, normal)
         gray, opacity = ground.paint(eye + ground_depth[:, None] * direction[low], light)
-        color[low] += opacity * (gray - color[low])
+        color[:, low] += opacity * (gray - color[:, low])
         there = np.flatnonzero(opacity > _FAINT)
         depth[low[there]] = ground_depth[there]
         seen[low[there]] = _FACES[np.abs(normal[there]).argmax(axis=1)]
@@ -158,9 +148,9 @@ def _cast_chunk(layers: list[tuple[Scene, Trace]], pixels: Array32) -> tuple[Arr
         ghost_depth, capsule = ghost_trace(pixels, direction)
         hit = np.flatnonzero(ghost_depth < depth - _GHOST_GAP)
         points = eye + ghost_depth[hit, None] * direction[hit]
-        tint = color_of_capsules(ghost, capsule[hit], points)
+        tint = color_of_capsules(ghost, capsule[hit], points, ghost.color[None])
         opacity = np.where(seen[hit] >= 0, np.float32(_GHOST_VEIL), np.float32(_GHOST_OPACITY))
-        color[hit] += opacity[:, None] * (tint - color[hit])
+        color[:, hit] += opacity[:, None] * (tint - color[:, hit])
         seen[hit] += (capsule[hit] + 1) * (len(scene.radius) + _OTHERS)
     return color, seen
 

@@ -6,7 +6,7 @@ and one set of formulas turns it into color, so that all renderers draw the same
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -95,17 +95,15 @@ class Scene:
         width, height = self.camera.width // times, self.camera.height // times
         return self.seen_by(replace(self.camera, width=width, height=height))
 
+    def painted(self, robots: "Robots") -> "Scene":
+        """Return a scene of robots alone in their present colors."""
+        parts = _capsules(robots)
+        return replace(self, color=np.concatenate([part[3] for part in parts]).astype(np.float32))
+
     def looks_like(self, other: "Scene") -> bool:
-        """Whether both show the same capsules, up to their colors, from the same eye."""
-        mine, its = self.camera, other.camera
-        return (
-            (mine.width, mine.height, mine.half_height) == (its.width, its.height, its.half_height)
-            and np.array_equal(mine.eye, its.eye)
-            and np.array_equal(mine.axes, its.axes)
-            and np.array_equal(self.radius, other.radius)
-            and np.array_equal(self.start, other.start)
-            and np.array_equal(self.end, other.end)
-        )
+        """Whether both have the very same parts, up to colors."""
+        names = {field.name for field in fields(self)} - {"color"}
+        return all(getattr(self, name) is getattr(other, name) for name in names)
 
     def seen_by(self, camera: Camera) -> "Scene":
         """Return the same scene before another camera."""
@@ -255,8 +253,11 @@ def capsule_normals(scene: Scene, which: Ints, points: Array32) -> Array32:
     return unit(points - start - along[:, None] * span)
 
 
-def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
-    """Color points on the surfaces [R] of given capsules, shape (n, 3)."""
+def color_of_capsules(scene: Scene, which: Ints, points: Array32, colors: Array32) -> Array32:
+    """Color points on the surfaces [R] of given capsules, shape (K, n, 3).
+
+    `colors` are K times red, green, blue of each capsule, shape (K, P, 3).
+    """
     normal = capsule_normals(scene, which, points)
     sun = scene.camera.sun
     to_eye = unit(scene.camera.eye.astype(np.float32) - points)
@@ -268,7 +269,7 @@ def color_of_capsules(scene: Scene, which: Ints, points: Array32) -> Array32:
     light = open_sky * (0.62 + 0.16 * normal[:, 2])
     light += open_sun * 0.55 * np.maximum(normal @ sun, 0.0)
     light *= 0.62 + 0.38 * np.minimum(facing / 0.45, 1.0)  # dark rims separate spheres
-    color: Array32 = scene.color[which] * light[:, None]
+    color: Array32 = colors[:, which] * light[:, None]
     color += (0.16 * open_sun * shine)[:, None]
     return np.asarray(np.clip(color, 0.0, 1.0))
 
