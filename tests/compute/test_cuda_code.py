@@ -38,7 +38,7 @@ class Limits(NamedTuple):
 KERNELS = {  # registers rounded up to eights, in which a card grants them
     "turn_docks": Limits(2, 40, 32, 0),
     "place_docks": Limits(2, 32, 32, 0),
-    "sort_docks": Limits(10, 32, 32, 2),
+    "sort_docks": Limits(11, 32, 32, 2),
     "fill_rows": Limits(2, 176, 128, 1),
     "start_interval": Limits(3, 16, 16, 0),
     "step_robots": Limits(9, 64, 40, 4),  # four steps

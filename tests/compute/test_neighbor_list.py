@@ -1,11 +1,20 @@
-"""The neighbor list's hash, for swarms of any shape."""
+"""The neighbor list's rows and its hash, for swarms of any shape."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
+from tests.engine.test_relax import arms, swarm
+from tiswarm.compute import backend
+from tiswarm.compute.backend import Allocator
 from tiswarm.compute.neighbor_kernels import LONGEST_RUN
-from tiswarm.compute.neighbor_list import FEWEST_BUCKETS, hash_strides, morton_order
+from tiswarm.compute.neighbor_list import (
+    FEWEST_BUCKETS,
+    NeighborList,
+    hash_strides,
+    morton_order,
+)
 
 SIDE = st.floats(0.0, 1e12)
 
@@ -29,3 +38,37 @@ def test_neighbors_along_the_curve_are_neighbors_in_space():
     order = morton_order(corner, np.zeros(8, np.int64))
     assert corner[order].tolist() == sorted(corner.tolist(), key=lambda c: c[::-1])
     assert morton_order(corner, np.arange(8)[::-1]).tolist() == list(range(8))[::-1]
+
+
+def test_rows_list_connected_docks_and_every_near_one_once():
+    """24,000 robots: so many buckets that the totals of their blocks are summed in blocks too."""
+    position, orientation, contacts = swarm(24_000)
+    dock = (position[:, None] + arms(orientation)).reshape(-1, 3)
+    memory = Allocator(backend.current(), on_host=False)
+    lists = NeighborList(memory, position, contacts, docks=3, reach=2.0, cutoff=2.5)
+    assert lists.totals[1].shape[0] > 1
+
+    lists.build(memory.upload(np.column_stack([dock, np.zeros(len(dock))]).ravel()), 0)
+
+    near = cKDTree(dock).query_pairs(2.5, output_type="ndarray")
+    near = near[near[:, 0] // 3 != near[:, 1] // 3]
+    pairs = np.concatenate([contacts[:, [0, 2]] * 3 + contacts[:, [1, 3]], near])
+    first, at = np.unique(np.sort(pairs, axis=1), axis=0, return_index=True)
+    flag = at < len(contacts)
+    expected = np.concatenate([np.c_[first, flag], np.c_[first[:, ::-1], flag]])
+    np.testing.assert_array_equal(in_order(listed(lists)), in_order(expected))
+
+
+def listed(lists):
+    """Decode all rows: own dock, other dock, and whether they are connected."""
+    entry, first, count = (array.to_numpy() for array in lists.rows)
+    row = np.repeat(np.arange(len(count)), count)
+    within = np.arange(len(row)) - np.repeat(count.cumsum() - count, count)
+    found, bits = entry[first[row] + within * lists.entry_stride], lists.own_bits
+    own = row * lists.docks + found % (1 << bits)
+    return np.column_stack([own, found >> (bits + 1), found >> bits & 1])
+
+
+def in_order(table):
+    """Sort the rows of a table."""
+    return table[np.lexsort(table.T[::-1])]

@@ -27,8 +27,8 @@ CELL_WIDTH = 2.0
 """Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
 BLOCK = 16
 """Sorted docks that are compared at a time."""
-SCAN_BLOCK = 512
-"""Buckets that one thread sums up at a time."""
+SCAN_BLOCK = 256
+"""Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
 _REACH_MARGIN = 1e-3
@@ -280,10 +280,20 @@ def list_structure(
     return _fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
 
 
+@ti.func
+def _sum_up(value: Ref, first, past):
+    """Add to each of some numbers those before it; return the sum of all."""
+    total = 0
+    for k in range(first, past):
+        total += value[k]
+        value[k] = total
+    return total
+
+
 @ti.kernel
 def sort_docks(
     docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
-    block_total: Ints1,
+    block_total: Ints1, group_total: Ints1,
     begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells, written
 ):  # fmt: skip
     """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
@@ -293,31 +303,36 @@ def sort_docks(
     Args:
         base: Where the current docks start in `dock`.
         dock: Places, last the structure, rows of four.
-        block_total: Scratch, shape (ceil(buckets / SCAN_BLOCK),).
+        block_total: Scratch, shape (B,) with B = ceil(buckets / SCAN_BLOCK).
+        group_total: Scratch, shape (ceil(B / SCAN_BLOCK),).
     """
     cells = ti.static(Cells(begin, sorted_dock, sorted_place))
     grid = ti.Struct(
         docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
         buckets=begin.shape[0] - 2, table=0, slot=0,
     )  # fmt: skip
+    # Computed here, the bounds of loops need no launch before each loop.
+    buckets, blocks, groups = grid.buckets, block_total.shape[0], group_total.shape[0]
     for k in range(begin.shape[0]):
         begin[k] = 0
     for m in range(sorted_dock.shape[0]):
         _count_dock(grid, base, m, dock, cells)
-    for block in range(block_total.shape[0]):
-        total = 0
-        for k in range(block * SCAN_BLOCK, ti.min((block + 1) * SCAN_BLOCK, grid.buckets)):
-            total += begin[k + 2]
-            begin[k + 2] = total
-        block_total[block] = total
+    for block in range(blocks):
+        past = ti.min((block + 1) * SCAN_BLOCK, buckets)
+        block_total[block] = _sum_up(begin, block * SCAN_BLOCK + 2, past + 2)
+    for group in range(groups):
+        past = ti.min((group + 1) * SCAN_BLOCK, blocks)
+        group_total[group] = _sum_up(block_total, group * SCAN_BLOCK, past)
     ti.loop_config(serialize=True)
-    for block in range(1, block_total.shape[0]):
-        block_total[block] += block_total[block - 1]
-    for k in range(SCAN_BLOCK, begin.shape[0] - 2):
+    for group in range(1, groups):
+        group_total[group] += group_total[group - 1]
+    for block in range(SCAN_BLOCK, blocks):
+        block_total[block] += group_total[block // SCAN_BLOCK - 1]
+    for k in range(SCAN_BLOCK, buckets):
         begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
     for m in range(sorted_dock.shape[0]):
         _scatter_dock(grid, base, m, dock, cells)
-    for bucket in range(begin.shape[0] - 2):
+    for bucket in range(buckets):
         _sort_bucket(grid, base, bucket, dock, cells)
 
 

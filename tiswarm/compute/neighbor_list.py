@@ -159,7 +159,8 @@ class NeighborList:
             dock=seldom.ints(robots * docks),
             place=seldom.reals(4 * (robots * docks + kernels.BLOCK)),
         )
-        self.block_total = seldom.ints(-(-self.table_size // kernels.SCAN_BLOCK))
+        blocks = -(-self.table_size // kernels.SCAN_BLOCK)
+        self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // kernels.SCAN_BLOCK))
         self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
         entries, first, count = (memory.ints(n) for n in (self._row_size(), robots, robots))
         self.rows = Rows(entries, first, count)
@@ -186,7 +187,7 @@ class NeighborList:
             base: Where in `dock` the current ones start.
         """
         kernels.sort_docks(
-            self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, self.block_total,
+            self.docks, self.cutoff, self.stride_y, self.stride_z, base, dock, *self.totals,
             *self.cells,
         )  # fmt: skip
         while True:
