@@ -39,9 +39,9 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "turn_docks": Limits(2, 40, 32, 0),
     "place_docks": Limits(2, 32, 32, 0),
     "sort_docks": Limits(11, 32, 32, 2),
-    "fill_rows": Limits(2, 176, 128, 1),
+    "fill_rows": Limits(2, 80, 72, 1),
     "start_interval": Limits(3, 16, 16, 0),
-    "step_robots": Limits(9, 64, 40, 4),  # four steps
+    "step_robots": Limits(9, 72, 48, 4),  # four steps
     "note_places": Limits(2, 16, 16, 0),
     "take_steps": Limits(17, 176, 96, 0),  # two steps
 }

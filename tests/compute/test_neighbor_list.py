@@ -1,13 +1,14 @@
 """The neighbor list's rows and its hash, for swarms of any shape."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from tests.engine.test_relax import arms, swarm
 from tiswarm.compute import backend
-from tiswarm.compute.backend import Allocator
+from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_kernels import LONGEST_RUN
 from tiswarm.compute.neighbor_list import (
     FEWEST_BUCKETS,
@@ -40,8 +41,10 @@ def test_neighbors_along_the_curve_are_neighbors_in_space():
     assert morton_order(corner, np.arange(8)[::-1]).tolist() == list(range(8))[::-1]
 
 
-def test_rows_list_connected_docks_and_every_near_one_once():
+@pytest.mark.parametrize("on_card", [False, True], ids=["processor", "card"])
+def test_rows_list_connected_docks_and_every_near_one_once(monkeypatch, on_card):
     """24,000 robots: so many buckets that the totals of their blocks are summed in blocks too."""
+    monkeypatch.setattr(Backend, "on_card", on_card)
     position, orientation, contacts = swarm(24_000)
     dock = (position[:, None] + arms(orientation)).reshape(-1, 3)
     memory = Allocator(backend.current(), on_host=False)
@@ -65,7 +68,7 @@ def listed(lists):
     row = np.repeat(np.arange(len(count)), count)
     within = np.arange(len(row)) - np.repeat(count.cumsum() - count, count)
     found, bits = entry[first[row] + within * lists.entry_stride], lists.own_bits
-    own = row * lists.docks + found % (1 << bits)
+    own = row * lists.row_docks + found % (1 << bits)
     return np.column_stack([own, found >> (bits + 1), found >> bits & 1])
 
 

@@ -69,6 +69,11 @@ class Backend:
         return f"{self.arch}{f' ({self.card})' if self.card else ''} in {self.precision}"
 
     @property
+    def on_card(self) -> bool:
+        """Whether a graphics card computes."""
+        return self.arch != "cpu"
+
+    @property
     def is_cold(self) -> bool:
         """Whether no compiled kernels are stored, so that what needs one compiles it first."""
         return not any(Path(self.cache).rglob("*.*"))
@@ -350,7 +355,7 @@ class Allocator:
 
     def for_few_launches(self) -> "Allocator":
         """Return the allocator for arrays that few launches use."""
-        return Allocator(self.running, on_host=self.running.arch == "cpu")
+        return Allocator(self.running, on_host=not self.running.on_card)
 
     def reals(self, *shape: int) -> DeviceArray:
         """Reserve an array of real numbers."""

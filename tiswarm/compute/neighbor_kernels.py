@@ -1,14 +1,15 @@
-"""Kernels of the neighbor list: docks are sorted into cells, then a Verlet row is written a robot.
+"""Kernels of the neighbor list: docks are sorted into cells, then Verlet rows are written.
 
-Functions work for one dock, bucket or robot at a time. A swarm-wide loop over threads and one
+Functions work for one dock, bucket or row at a time. A swarm-wide loop over threads and one
 thread that lists a whole small structure therefore run the same lines.
 
-An entry of a row is one integer: other dock, whether the two are connected, own dock. `dock` holds
-places of docks and, last, the number of their structure: rows of four numbers, the current ones
-from `base` on. `grid` is a struct:
+A robot has one row, or, where a graphics card computes (`on_card`), each of its docks has one: a
+card needs many threads that each do little. An entry of a row is one integer: other dock, whether
+the two are connected, own dock. `dock` holds places of docks and, last, the number of their
+structure: rows of four numbers, the current ones from `base` on. `grid` is a struct:
 
 - docks: docks of a robot
-- own_bits: bits of an entry that number the robot's own dock
+- own_bits: bits of an entry that number the own dock within its row
 - entry_stride: from one entry of a row to the next
 - cutoff: docks nearer than this are neighbors
 - stride_y, stride_z: from a bucket to that of the next cell along y and z; 1 along x
@@ -18,7 +19,7 @@ from `base` on. `grid` is a struct:
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, ti
+from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, Static, ti
 
 _STRIDE_STRUCTURE = 1_779_033_703
 CELL_LENGTH = 0.25
@@ -50,26 +51,26 @@ class Cells(NamedTuple):
 
 
 class Connections(NamedTuple):
-    """Connected docks, as entries of the rows of both robots."""
+    """Connected docks, as entries of the rows of both."""
 
     start: Ints1
-    """First entry of each robot, shape (N + 1,)."""
+    """First entry of each row, shape (rows + 1,)."""
 
     entry: Ints1
-    """Entries robot by robot, shape (2 C,)."""
+    """Entries row by row, shape (2 C,)."""
 
 
 class Rows(NamedTuple):
-    """Verlet rows: the neighbors of each robot, connected docks first."""
+    """Verlet rows: the neighbors of each robot, or of each dock, connected docks first."""
 
     entry: Ints1
     """Entries of all rows."""
 
     first: Ints1
-    """Where each robot's row starts, shape (N,)."""
+    """Where each row starts, shape (rows,)."""
 
     count: Ints1
-    """Entries of each row, those that did not fit included, shape (N,)."""
+    """Entries of each row, those that did not fit included, shape (rows,)."""
 
 
 @ti.func
@@ -144,47 +145,71 @@ def _nearer_side(value, index, per_width):
 
 
 @ti.func
+def _square_distance(here, slot, cells: Ref):
+    """Square the distance of a sorted dock from a place."""
+    docks = cells.place.shape[0] // 4
+    to_x = cells.place[slot] - here[0]
+    to_y = cells.place[slot + docks] - here[1]
+    to_z = cells.place[slot + 2 * docks] - here[2]
+    return to_x * to_x + to_y * to_y + to_z * to_z
+
+
+@ti.func
 def _near_slots(here, square_cutoff, first, cells: Ref):
     """Set a bit for each of the BLOCK sorted docks from `first` on that is near.
 
     The loop writes nothing and leaves none out, so that compilers compare many docks at a time.
     """
     near = 0
-    docks = cells.place.shape[0] // 4
     for k in range(BLOCK):
-        to_x = cells.place[first + k] - here[0]
-        to_y = cells.place[first + k + docks] - here[1]
-        to_z = cells.place[first + k + 2 * docks] - here[2]
-        square = to_x * to_x + to_y * to_y + to_z * to_z
-        near |= ti.cast(square < square_cutoff, ti.i32) << k
+        near |= ti.cast(_square_distance(here, first + k, cells) < square_cutoff, ti.i32) << k
     return near
 
 
 @ti.func
-def _add_run(grid: Ref, here, own, own_first, slots, cells: Ref, rows: Ref, place, room, count):
+def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, place, room, count):
+    """Add a sorted dock to a row if it is another robot's of the same structure."""
+    other = cells.dock[slot]
+    # Always write, and count neighbors only: a branch could not be predicted.
+    entry = place + ti.min(count, room) * grid.entry_stride
+    rows.entry[entry] = (other << (grid.own_bits + 1)) | own
+    foreign = (other < robot_first) | (other >= robot_first + grid.docks)
+    fellow = cells.place[slot + cells.place.shape[0] // 4 * 3] == here[3]
+    return count + (ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32))
+
+
+@ti.func
+def _add_run(
+    on_card: Static, grid: Ref, here, own, robot_first, slots, cells: Ref, rows: Ref, place, room,
+    count,
+):  # fmt: skip
     """Add to a row those of the sorted docks in a range of slots that are near an own dock."""
     square_cutoff = grid.cutoff * grid.cutoff
-    structures = cells.place.shape[0] // 4 * 3
-    at = slots[0]
-    while at < slots[1]:
-        wanted = (1 << ti.min(slots[1] - at, BLOCK)) - 1
-        near = wanted & _near_slots(here, square_cutoff, at, cells)
-        while near != 0:
-            slot = at + ti.math.popcnt((near & -near) - 1)
-            near &= near - 1
-            other = cells.dock[slot]
-            # Always write, and count neighbors only: a branch could not be predicted.
-            entry = place + ti.min(count, room) * grid.entry_stride
-            rows.entry[entry] = (other << (grid.own_bits + 1)) | own
-            foreign = (other < own_first) | (other >= own_first + grid.docks)
-            fellow = cells.place[slot + structures] == here[3]
-            count += ti.cast(foreign, ti.i32) & ti.cast(fellow, ti.i32)
-        at += BLOCK
+    if ti.static(on_card):
+        for slot in range(slots[0], slots[1]):
+            if _square_distance(here, slot, cells) < square_cutoff:
+                count = _add_slot(
+                    grid, here, own, robot_first, slot, cells, rows, place, room, count
+                )
+    else:
+        at = slots[0]
+        while at < slots[1]:
+            wanted = (1 << ti.min(slots[1] - at, BLOCK)) - 1
+            near = wanted & _near_slots(here, square_cutoff, at, cells)
+            while near != 0:
+                slot = at + ti.math.popcnt((near & -near) - 1)
+                near &= near - 1
+                count = _add_slot(
+                    grid, here, own, robot_first, slot, cells, rows, place, room, count
+                )
+            at += BLOCK
     return count
 
 
 @ti.func
-def _add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, room, count):
+def _add_dock(
+    on_card: Static, grid: Ref, here, own, robot_first, cells: Ref, rows: Ref, place, room, count
+):
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
@@ -209,10 +234,14 @@ def _add_dock(grid: Ref, here, own, own_first, cells: Ref, rows: Ref, place, roo
             if past > grid.buckets:  # the run goes round the end of the table
                 last += cells.begin[grid.table + past - grid.buckets]
             slots = grid.slot + ti.Vector([first, ti.min(last, end)])
-            count = _add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
+            count = _add_run(
+                on_card, grid, here, own, robot_first, slots, cells, rows, place, room, count
+            )
             if last > end:
                 slots = grid.slot + ti.Vector([0, last - end])
-                count = _add_run(grid, here, own, own_first, slots, cells, rows, place, room, count)
+                count = _add_run(
+                    on_card, grid, here, own, robot_first, slots, cells, rows, place, room, count
+                )
     return count
 
 
@@ -235,29 +264,32 @@ def _without_connected(grid: Ref, connected, rows: Ref, place, count):
 
 @ti.func
 def _fill_rows_of(
-    grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
-):
-    """Write the rows of robots `first` to `last` in succession; return how many entries.
+    on_card: Static, grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref,
+    rows: Ref, place, room,
+):  # fmt: skip
+    """Write rows `first` to `last` in succession; return how many entries.
 
-    A row lists the docks connected to a robot, then all others near its own. From `place` on
-    `room` entries fit and a spare one. Entries that do not fit are counted, not written.
+    A row lists the connected docks, then all others that are near. From `place` on `room` entries
+    fit and a spare one. Entries that do not fit are counted, not written.
     """
+    row_docks = 1 if ti.static(on_card) else grid.docks
     used = 0
-    for robot in range(first, last):
+    for row in range(first, last):
         at = place + ti.min(used, room)
         free = room - ti.min(used, room)
-        connected = connections.start[robot + 1] - connections.start[robot]
+        connected = connections.start[row + 1] - connections.start[row]
         for c in range(ti.min(connected, free)):
-            entry = connections.entry[connections.start[robot] + c]
+            entry = connections.entry[connections.start[row] + c]
             rows.entry[at + c * grid.entry_stride] = entry
         count = connected
-        for own in range(grid.docks):
-            here = _dock_at(dock, base, robot * grid.docks + own)
-            count = _add_dock(grid, here, own, robot * grid.docks, cells, rows, at, free, count)
+        robot_first = row - row % grid.docks if ti.static(on_card) else row * grid.docks
+        for own in range(row_docks):
+            here = _dock_at(dock, base, row * row_docks + own)
+            count = _add_dock(on_card, grid, here, own, robot_first, cells, rows, at, free, count)
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)
-        rows.first[robot] = at
-        rows.count[robot] = count
+        rows.first[row] = at
+        rows.count[row] = count
         used += count
     return used
 
@@ -277,7 +309,9 @@ def list_structure(
         _scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
         _sort_bucket(grid, base, bucket, dock, cells)
-    return _fill_rows_of(grid, base, first, last, dock, cells, connections, rows, place, room)
+    return _fill_rows_of(
+        False, grid, base, first, last, dock, cells, connections, rows, place, room
+    )
 
 
 @ti.func
@@ -338,17 +372,19 @@ def sort_docks(
 
 @ti.kernel
 def fill_rows(
-    docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32, entry_stride: I32,
-    run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1, longest: Ints1,
+    on_card: Static, docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32,
+    entry_stride: I32, run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1,
+    longest: Ints1,
     begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
     start: Ints1, connection: Ints1,  # Connections
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows, written
 ):  # fmt: skip
-    """Write every robot's row. Numbers are those of `grid`, with one table for all docks.
+    """Write all rows. Numbers are those of `grid`, with one table for all docks.
 
     Args:
-        run: Robots whose rows one thread writes in succession.
-        run_stride: From the start of one run's rows to that of the next.
+        on_card: Whether each dock has a row, and many threads compare docks one by one.
+        run: Rows that one thread writes in succession; 1 on cards.
+        run_stride: From the start of one run's rows to that of the next; unused on cards.
         room: Entries that fit for a run's rows.
         base: Where the current docks start in `dock`.
         dock: Places, last the structure, rows of four.
@@ -362,13 +398,15 @@ def fill_rows(
         buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
     )  # fmt: skip
     longest[0] = 0
-    robots = row_count.shape[0]
-    for first in range(robots):
+    count = row_count.shape[0]
+    for first in range(count):
         if first % run == 0:
-            last = ti.min(first + run, robots)
+            place = first // run * run_stride
+            if ti.static(on_card):  # threads that each walk the rows of a robot read side by side
+                place = first // docks + first % docks * (count // docks)
+            last = ti.min(first + run, count)
             used = _fill_rows_of(
-                grid, base, first, last, dock, cells, connections, rows,
-                first // run * run_stride, room,
-            )  # fmt: skip
+                on_card, grid, base, first, last, dock, cells, connections, rows, place, room
+            )
             if used > longest[0]:  # most runs need no atomic operation then
                 ti.atomic_max(longest[0], used)

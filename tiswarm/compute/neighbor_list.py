@@ -1,8 +1,9 @@
 """The neighbor list: for each robot, the docks of others near its own.
 
-A counting sort puts docks into cells, by a linear hash, so that boxes of any size do. Each robot's
-neighbors then stand in a row (a Verlet list), which is valid until a robot has moved by half the
-skin. Rows that do not fit are counted, given more room and written again: no neighbor is dropped.
+A counting sort puts docks into cells, by a linear hash, so that boxes of any size do. The neighbors
+of each robot, on graphics cards of each dock, then stand in a row (a Verlet list), which is valid
+until a robot has moved by half the skin. Rows that do not fit are counted, given more room and
+written again: no neighbor is dropped.
 """
 
 from itertools import pairwise
@@ -22,9 +23,9 @@ MOST_ITEMS = 2**31 - 1
 FEWEST_BUCKETS = 64
 """Smallest table in which no two cells around a dock share a bucket."""
 _FIRST_CAPACITY = 8
-"""Entries to begin with, for each dock of a robot, where rows of many robots share their room."""
+"""Entries to begin with, for each dock of a row, where many rows share their room."""
 _RUN = 512
-"""Robots whose rows a core writes in succession, so that they lie close in memory."""
+"""Rows that a core writes in succession, so that they lie close in memory."""
 _ROOM = 1.25
 """Factor of the room that was needed, when more is made."""
 
@@ -137,14 +138,16 @@ class NeighborList:
         self.memory = memory
         self.robots = robots = len(position)
         self.docks = docks
-        self.own_bits = max(1, (docks - 1).bit_length())
         self.cutoff = cutoff
-        on_cpu = memory.running.arch == "cpu"
-        self.run = _RUN if on_cpu else 1
+        self.on_card = memory.running.on_card
+        self.row_docks = row_docks = 1 if self.on_card else docks
+        self.row_count = robots * docks // row_docks
+        self.own_bits = (row_docks - 1).bit_length()
+        self.run = 1 if self.on_card else _RUN
         # A core reads along a row, a graphics card the same entry of many rows at once.
-        self.entry_stride = 1 if on_cpu else robots
+        self.entry_stride = self.row_count if self.on_card else 1
         # A row of its own has to hold more than what rows need on average.
-        self.capacity = _FIRST_CAPACITY * docks * (1 if on_cpu else 2)
+        self.capacity = _FIRST_CAPACITY * row_docks * (2 if self.on_card else 1)
         bounds = np.array([0, robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
         self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
@@ -162,22 +165,25 @@ class NeighborList:
         blocks = -(-self.table_size // kernels.SCAN_BLOCK)
         self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // kernels.SCAN_BLOCK))
         self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
-        entries, first, count = (memory.ints(n) for n in (self._row_size(), robots, robots))
+        sizes = self._row_size(), self.row_count, self.row_count
+        entries, first, count = (memory.ints(size) for size in sizes)
         self.rows = Rows(entries, first, count)
         self.builds = 0
 
     def _pack(self, contacts: Ints) -> tuple[Ints, Ints]:
-        """Write contacts as row entries of both robots, in an order that is the contacts' own.
+        """Write contacts as entries of the rows of both, in an order that is the contacts' own.
 
         Returns:
-            First entry of each robot, shape (N + 1,), and entries, shape (2 C,).
+            First entry of each row, shape (rows + 1,), and entries, shape (2 C,).
         """
-        robot, own, other, dock = np.concatenate([contacts, contacts[:, [2, 3, 0, 1]]]).T
+        robot, dock, other_robot, other_dock = contacts.T
+        one, other = robot * self.docks + dock, other_robot * self.docks + other_dock
+        row, own = np.divmod(np.concatenate([one, other]), self.row_docks)
         bits = self.own_bits
-        entry = ((other * self.docks + dock) << (bits + 1)) | (1 << bits) | own
-        start = np.bincount(robot, minlength=self.robots).cumsum()
-        by_robot = np.sort((robot << 32) | entry) & MOST_ITEMS
-        return np.r_[0, start], by_robot if len(by_robot) else np.zeros(1, np.int64)
+        entry = (np.concatenate([other, one]) << (bits + 1)) | (1 << bits) | own
+        start = np.bincount(row, minlength=self.row_count).cumsum()
+        by_row = np.sort((row << 32) | entry) & MOST_ITEMS
+        return np.r_[0, start], by_row if len(by_row) else np.zeros(1, np.int64)
 
     def build(self, dock: DeviceArray, base: int) -> None:
         """Write all rows anew, as long as they need to be.
@@ -194,7 +200,7 @@ class NeighborList:
             room = self.run * self.capacity
             run_stride = room + 1 if self.run > 1 else 1
             kernels.fill_rows(
-                self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
+                self.on_card, self.docks, self.own_bits, self.cutoff, self.stride_y, self.stride_z,
                 self.entry_stride, self.run, run_stride, room, base, dock, self.longest,
                 *self.cells, *self.connections, *self.rows,
             )  # fmt: skip
@@ -209,7 +215,7 @@ class NeighborList:
         return float((self.longest / self.size).max())
 
     def make_room(self, entries: float) -> None:
-        """Make room for `entries` a robot, and some more.
+        """Make room for `entries` a row, and some more.
 
         Raises:
             InputError: where that is more than can be numbered.
@@ -220,8 +226,8 @@ class NeighborList:
 
     def _row_size(self) -> int:
         """Count the numbers that rows need, run by run or structure by structure."""
-        runs = -(-self.robots // self.run)
-        return max(runs * (self.run * self.capacity + 1), self.robots * (self.capacity + 1))
+        runs = -(-self.row_count // self.run)
+        return max(runs * (self.run * self.capacity + 1), self.row_count * (self.capacity + 1))
 
     def _check_size(self) -> None:
         """Refuse swarms that the kernels' integers cannot number."""

@@ -1,8 +1,8 @@
 """Virtual forces between docks, and steps of the whole swarm under them.
 
 A force is the step of a robot's center in one iteration [R]. Offsets point from the robot's own
-dock to the other one: a positive magnitude pulls toward it. Forces are gathered from a robot's row,
-never scattered, so runs repeat bit for bit. `grid` is the struct of
+dock to the other one: a positive magnitude pulls toward it. Forces are gathered from a robot's
+rows, never scattered, so runs repeat bit for bit. `grid` is the struct of
 `tiswarm.compute.neighbor_kernels`.
 """
 
@@ -115,16 +115,18 @@ def capped(step, max_step):
 
 
 @ti.func
-def _force_of_row(grid: Ref, gains: Ref, guided: Static, ramp, base, robot, rows: Ref, robots: Ref):
-    """Sum Eqs. (1) and (2) over a robot's row; if guided, connected docks nearer than D part."""
-    force = ti.Vector([0.0, 0.0, 0.0])
+def _add_row(
+    grid: Ref, gains: Ref, guided: Static, ramp, base, row, row_docks, rows: Ref, robots: Ref,
+    force,
+):  # fmt: skip
+    """Add Eqs. (1) and (2) over a row; if guided, connected docks nearer than D part."""
     flag = 1 << grid.own_bits
     attraction = gains.attraction_gain * ramp
     repulsion = gains.repulsion_gain * (1.0 - ramp)
-    first = rows.first[robot]
-    for e in range(rows.count[robot]):
+    first = rows.first[row]
+    for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
-        own = base + 4 * (robot * grid.docks + (entry & (flag - 1)))
+        own = base + 4 * (row * row_docks + (entry & (flag - 1)))
         other = base + 4 * (entry >> (grid.own_bits + 1))
         offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
         distance = offset.norm()
@@ -138,12 +140,28 @@ def _force_of_row(grid: Ref, gains: Ref, guided: Static, ramp, base, robot, rows
 
 
 @ti.func
+def _force_on_robot(
+    on_card: Static, grid: Ref, gains: Ref, guided: Static, ramp, base, robot, rows: Ref,
+    robots: Ref,
+):  # fmt: skip
+    """Sum the forces of a robot's rows."""
+    force = ti.Vector([0.0, 0.0, 0.0])
+    if ti.static(on_card):
+        for row in range(robot * grid.docks, (robot + 1) * grid.docks):
+            force = _add_row(grid, gains, guided, ramp, base, row, 1, rows, robots, force)
+    else:
+        force = _add_row(grid, gains, guided, ramp, base, robot, grid.docks, rows, robots, force)
+    return force
+
+
+@ti.func
 def _step_robot(
-    grid: Ref, gains: Ref, guided: Static, ramp, base, next_base, robot, rows: Ref, robots: Ref
-):
+    on_card: Static, grid: Ref, gains: Ref, guided: Static, ramp, base, next_base, robot,
+    rows: Ref, robots: Ref,
+):  # fmt: skip
     """Move a robot by its forces; return its squared step and distance from its reference."""
+    force = _force_on_robot(on_card, grid, gains, guided, ramp, base, robot, rows, robots)
     here = vector_at(robots.position, robot)
-    force = _force_of_row(grid, gains, guided, ramp, base, robot, rows, robots)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
             force[2] += gains.height_gain * (robots.height[robot] - here[2])
@@ -199,18 +217,22 @@ def step_robots(
     gains = ti.static(Gains(
         attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
     ))  # fmt: skip
-    grid = ti.Struct(docks=docks, own_bits=own_bits, entry_stride=entry_stride)
+    # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
+    grid = ti.Struct(
+        docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride
+    )
     half = dock.shape[0] // 2
     for k in ti.static(range(STEPS_A_LAUNCH)):
         t = first_t + k
         moved = 0.0
         strayed = 0.0
-        for robot in range(row_count.shape[0]):
+        for robot in range(position.shape[0]):
             if control[STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = _step_robot(
-                    grid, gains, guided, ramp[first_t + k], base, half - base, robot, rows, robots
-                )
+                    on_card, grid, gains, guided, ramp[first_t + k], base, half - base, robot,
+                    rows, robots,
+                )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
                         control[STRAYED] = 1
@@ -340,8 +362,9 @@ def relax_structures(
                     moved = 0.0
                     for robot in range(start[s], start[s + 1]):
                         moved_by, way = _step_robot(
-                            grid, gains, guided, ramp[t], base, half - base, robot, rows, robots
-                        )
+                            False, grid, gains, guided, ramp[t], base, half - base, robot, rows,
+                            robots,
+                        )  # fmt: skip
                         moved = ti.max(moved, moved_by)
                         if way > stray_limit * stray_limit:
                             stale = 1

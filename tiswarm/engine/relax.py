@@ -179,7 +179,7 @@ class PreparedSwarm:
         if robots == 0:
             return
         size = np.bincount(ids)
-        self.by_structure = running.arch == "cpu" and size.max() <= SMALL
+        self.by_structure = not running.on_card and size.max() <= SMALL
         self.order = order = morton_order(center, ids)
         self.start = np.concatenate([[0], size.cumsum()])
         per_robot = _bytes_of_robot(running.dtype, len(body), guided=self.guided)
@@ -298,7 +298,7 @@ class PreparedSwarm:
                         taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
                     ):
                         kernels.step_robots(
-                            self.running.arch != "cpu", self.guided, neighbors.docks,
+                            neighbors.on_card, self.guided, neighbors.docks,
                             neighbors.own_bits, neighbors.entry_stride, *gains,
                             0.5 * _SKIN * self.spacing, t, self.ramp,
                             *neighbors.rows, *robots, control, self.moves,

@@ -75,7 +75,7 @@ class Annealer:
         """
         running = backend.current()
         self.memory = memory = Allocator(running, on_host=False)
-        self.on_card = running.arch != "cpu"
+        self.on_card = running.on_card
         self.shared = params[0]
         self.problems = problems
         self.robust = [p.robust for p in params]
@@ -135,7 +135,7 @@ class Annealer:
 
     def _is_quicker_by_block(self, running: Backend) -> bool:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
-        if running.arch != "cpu":
+        if running.on_card:
             return False
         copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
         shared = AnnealSchedule.launch + GRAIN * -(-copies // (GRAIN * running.threads))
