@@ -41,7 +41,7 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "sort_docks": Limits(11, 32, 32, 2),
     "fill_rows": Limits(2, 80, 72, 1),
     "start_interval": Limits(3, 16, 16, 0),
-    "step_robots": Limits(9, 72, 48, 4),  # four steps
+    "step_robots": Limits(33, 72, 48, 16),  # 16 steps
     "note_places": Limits(2, 16, 16, 0),
     "take_steps": Limits(17, 176, 96, 0),  # two steps
 }

@@ -60,6 +60,7 @@ def _way(request, monkeypatch):
     """All ways in which steps are taken; the processor runs a card's kernels too."""
     monkeypatch.setattr(engine, "SMALL", 2_000 if request.param == "by structure" else 0)
     monkeypatch.setattr(backend.Backend, "on_card", request.param == "as on a card")
+    monkeypatch.setattr(engine, "_STEPS_ON_CARD", 4)  # fewer to compile
 
 
 @pytest.mark.usefixtures("_way")

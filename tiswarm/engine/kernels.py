@@ -14,7 +14,6 @@ from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_stru
 
 _TINY = 1e-20
 """Docks nearer than this [R] have no direction to part in, and no force acts on them."""
-STEPS_A_LAUNCH = 4
 UNKNOWN = -1e30
 """Height of robots that no height pulls."""
 
@@ -186,7 +185,7 @@ def _step_robot(
 
 @ti.kernel
 def step_robots(
-    on_card: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
+    on_card: Static, steps: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
     stray_limit: Float, first_t: I32, ramp: Reals1,
@@ -197,13 +196,14 @@ def step_robots(
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
 
-    One launch takes several steps, since a launch takes as long as a thousand robots do.
+    One call takes several steps, since a call takes as long as a thousand robots do.
 
     On cards a reduction of real numbers would be a loop of compare-and-swap in every warp. There
     one robot at most writes a flag, and few the bits of a step, which order as integers do.
 
     Args:
         on_card: Whether a graphics card computes.
+        steps: Most steps of a call.
         guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
@@ -222,7 +222,7 @@ def step_robots(
         docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride
     )
     half = dock.shape[0] // 2
-    for k in ti.static(range(STEPS_A_LAUNCH)):
+    for k in ti.static(range(steps)):
         t = first_t + k
         moved = 0.0
         strayed = 0.0

@@ -29,8 +29,11 @@ _SKIN = 0.25
 """Reach of rows of neighbors beyond D [D]."""
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
-_LAUNCHES = 2
-"""Launches between two questions to the device whether rows are stale."""
+_STEPS, _STEPS_ON_CARD = 4, 16
+"""Most steps of a call. On a card Python needs longer for a call than the card for its steps; rows
+serve some 13, and the card skips the rest."""
+_CALLS = 2
+"""Calls on a processor between two questions whether rows are stale."""
 _NO_LIMIT = 1e30
 _LARGEST_GAIN = 1e12
 _NORM_SLACK = 1e-6
@@ -288,17 +291,16 @@ class PreparedSwarm:
             self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
         self.memory.refill(self.ramp, ramp)
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
+        most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
         control.fill(0)
         while taken < steps:
             neighbors.build(robots.dock, taken % 2 * half)
             kernels.start_interval(robots.position, robots.reference, control)
             while not control[kernels.STALE]:
                 with backend.fast_arithmetic():
-                    for t in range(
-                        taken, taken + _LAUNCHES * kernels.STEPS_A_LAUNCH, kernels.STEPS_A_LAUNCH
-                    ):
+                    for t in range(taken, taken + calls * most, most):
                         kernels.step_robots(
-                            neighbors.on_card, self.guided, neighbors.docks,
+                            neighbors.on_card, most, self.guided, neighbors.docks,
                             neighbors.own_bits, neighbors.entry_stride, *gains,
                             0.5 * _SKIN * self.spacing, t, self.ramp,
                             *neighbors.rows, *robots, control, self.moves,
