@@ -210,22 +210,49 @@ def _without_bounds_checks():
     return {name: value for name, value in os.environ.items() if name != "TISWARM_DEBUG"}
 
 
-@pytest.mark.parametrize(("top", "agreement"), [(64.0, 3e-5), (6_374.0, 3e-3)])
-def test_single_precision_is_as_good_as_the_height_allows(top, agreement):
-    """The relative error of forces grows with the distance from the origin."""
+@pytest.mark.parametrize("small", [2_000, 0], ids=["by structure", "all at once"])
+def test_single_precision_is_as_good_far_from_the_origin(monkeypatch, small):
+    """Forces 2,000 R away are within the stated error, which is that of a swarm at the origin."""
+    monkeypatch.setattr(engine, "SMALL", small)
     position, orientation, contacts = swarm(500, 4)
-    position[:, 2] += top - position[:, 2].max()
-    gains = GAINS | {"max_step": None}
-    step = {}
-    for precision in ("f64", "f32"):
-        result = relax(
-            position, orientation, contacts, robot=ROBOT, ramp=0.5, steps=1,
-            precision=precision, **gains,
-        )  # fmt: skip
-        start = position.astype(np.float32) if precision == "f32" else position
-        step[precision] = result.position - start
-    error = np.sqrt(np.mean((step["f32"] - step["f64"]) ** 2) / np.mean(step["f64"] ** 2))
-    assert error < agreement
+    options = {"robot": ROBOT, "ramp": 0.5, "steps": 1, **GAINS, "max_step": None}
+    right = relax(position, orientation, contacts, **options)
+    force = right.position - position
+
+    for far in (0.0, 2_000.0):
+        result = relax(position + far, orientation, contacts, precision="f32", **options)
+
+        error = np.abs(result.position - (position + far) - force).max() / np.abs(force).max()
+        assert error < result.force_error < 100 * np.finfo(np.float32).eps
+
+
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 10**6), shift=st.tuples(*[st.integers(-(10**6), 10**6)] * 3))
+def test_a_shift_by_whole_units_changes_no_bit(seed, shift):
+    """In f32, where centers are whole numbers of a unit, of which 2^-10 R is a multiple."""
+    position, orientation, contacts = swarm(20, seed)
+    position, far = np.rint(position * 2**10) / 2**10, np.array(shift) / 2**10
+    options = {"robot": ROBOT, "ramp": 0.5, "steps": 5, "precision": "f32", **GAINS}
+
+    here = relax(position, orientation, contacts, **options)
+    there = relax(position + far, orientation, contacts, **options)
+
+    np.testing.assert_array_equal(there.position - far, here.position)
+    assert there.force_error == here.force_error
+
+
+def test_a_swarm_that_outgrows_its_unit_starts_again_with_a_coarser_one():
+    """Two robots blown apart by thousands of R, as in f64; the stated error grows."""
+    position, level = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), [[1, 0, 0, 0]] * 2
+    gains = GAINS | {"repulsion_gain": 1e3, "max_step": None}
+    found = [
+        relax(position, level, [], robot=ROBOT, ramp=0.0, steps=2, precision=precision, **gains)
+        for precision in ("f64", "f32")
+    ]
+
+    assert np.ptp(found[0].position) > 1_000.0
+    np.testing.assert_allclose(found[1].position, found[0].position, rtol=1e-5)
+    assert found[1].force_error > 1e-4
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,12 @@ else:
     if sys.version_info < (3, 11):  # where the fields of a `NamedTuple` must be callable
         ti.types.ndarray.__call__ = None
 
+
+def holds_integers(array: Any) -> bool:  # noqa: ANN401 - an argument of a kernel
+    """Whether an array argument holds 32-bit integers; to be asked in `ti.static`."""
+    return bool(array.get_type().element_type == ti.i32)
+
+
 DeviceArray = Any
 """Array on the device that a kernel takes; `to_numpy` copies it back."""
 
@@ -145,5 +151,6 @@ that many iterations: `for piece, idle in ti.ndrange(pieces, GRAIN): if idle == 
 
 __all__ = [
     "F64", "GRAIN", "I32", "LIBRARY", "DeviceArray", "Float", "Ints1", "Ints2", "Ints3", "Ints4",
-    "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "kernel_struct", "ti",
+    "Longs2", "Reals1", "Reals2", "Reals3", "Ref", "Static", "Vec3", "Vec4", "holds_integers",
+    "kernel_struct", "ti",
 ]  # fmt: skip

@@ -6,7 +6,8 @@ thread that lists a whole small structure therefore run the same lines.
 A robot has one row, or, where a graphics card computes (`on_card`), each of its docks has one: a
 card needs many threads that each do little. An entry of a row is one integer: other dock, whether
 the two are connected, own dock. `dock` holds places of docks and, last, the number of their
-structure: rows of four numbers, the current ones from `base` on. `grid` is a struct:
+structure: rows of four numbers, the current ones from `base` on. They are real, or whole numbers of
+some unit of length, which is that of the cutoff then. `grid` is a struct:
 
 - docks: docks of a robot
 - own_bits: bits of an entry that number the own dock within its row
@@ -148,9 +149,9 @@ def _nearer_side(value, index, per_width):
 def _square_distance(here, slot, cells: Ref):
     """Square the distance of a sorted dock from a place."""
     docks = cells.place.shape[0] // 4
-    to_x = cells.place[slot] - here[0]
-    to_y = cells.place[slot + docks] - here[1]
-    to_z = cells.place[slot + 2 * docks] - here[2]
+    to_x = ti.cast(cells.place[slot] - here[0], float)
+    to_y = ti.cast(cells.place[slot + docks] - here[1], float)
+    to_z = ti.cast(cells.place[slot + 2 * docks] - here[2], float)
     return to_x * to_x + to_y * to_y + to_z * to_z
 
 

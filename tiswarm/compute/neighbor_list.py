@@ -119,6 +119,7 @@ class NeighborList:
         reach: float,
         cutoff: float,
         start: Ints | None = None,
+        unit: float | None = None,
     ) -> None:
         """Reserve memory.
 
@@ -131,6 +132,7 @@ class NeighborList:
             cutoff: Docks nearer than this are neighbors; it may be set farther later.
             start: First robot of each structure, shape (S + 1,), for a table each; None for
                 one table.
+            unit: What places of docks are whole numbers of; None for real places.
 
         Raises:
             InputError: where there are more docks than an entry can number.
@@ -138,7 +140,7 @@ class NeighborList:
         self.memory = memory
         self.robots = robots = len(position)
         self.docks = docks
-        self.cutoff = cutoff
+        self.cutoff = cutoff / (unit or 1.0)
         self.on_card = memory.running.on_card
         self.row_docks = row_docks = 1 if self.on_card else docks
         self.row_count = robots * docks // row_docks
@@ -157,10 +159,11 @@ class NeighborList:
         self.table = seldom.upload(tables)
         first, entry = self._pack(contacts)
         self.connections = Connections(start=seldom.upload(first), entry=seldom.upload(entry))
+        places = seldom.reals if unit is None else seldom.ints
         self.cells = Cells(
             begin=seldom.ints(self.table_size),
             dock=seldom.ints(robots * docks),
-            place=seldom.reals(4 * (robots * docks + kernels.BLOCK)),
+            place=places(4 * (robots * docks + kernels.BLOCK)),
         )
         blocks = -(-self.table_size // kernels.SCAN_BLOCK)
         self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // kernels.SCAN_BLOCK))

@@ -4,18 +4,35 @@ A force is the step of a robot's center in one iteration [R]. Offsets point from
 dock to the other one: a positive magnitude pulls toward it. Forces are gathered from a robot's
 rows, never scattered, so runs repeat bit for bit. `grid` is the struct of
 `tiswarm.compute.neighbor_kernels`.
+
+Centers and docks are real numbers, or whole numbers of a unit: an offset is then exact wherever the
+swarm is, while real numbers in f32 lose what is far from the origin. All other lengths are real.
 """
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2, Ref, Static, ti
+from tiswarm.compute.lang import (
+    GRAIN,
+    I32,
+    Float,
+    Ints1,
+    Ints2,
+    Reals1,
+    Reals2,
+    Ref,
+    Static,
+    holds_integers,
+    ti,
+)  # fmt: skip
 from tiswarm.compute.math_kernels import rotate, vector_at
 from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
 
 _TINY = 1e-20
 """Docks nearer than this [R] have no direction to part in, and no force acts on them."""
-UNKNOWN = -1e30
+UNKNOWN = -(2.0**31)
 """Height of robots that no height pulls."""
+WALL = 3.0 * 2.0**28
+"""Largest whole number of a center; two docks' numbers then differ by one that fits in 32 bits."""
 
 TAKEN, STALE, STRAYED, LONGEST = 0, 1, 2, 3
 """Columns of `control`: steps taken; whether rows are stale or no step is left; on cards, whether a
@@ -51,13 +68,13 @@ class Robots(NamedTuple):
     """N robots with M docks in all."""
 
     position: Reals2
-    """Centers [R], shape (N, 3)."""
+    """Centers [R or units], shape (N, 3)."""
 
     reference: Reals2
-    """Centers as the rows were made [R], shape (N, 3)."""
+    """Centers as the rows were made [R or units], shape (N, 3)."""
 
     height: Reals1
-    """Height that is pulled toward, or UNKNOWN [R], shape (N,), or (1,) if unused."""
+    """Height that is pulled toward, or UNKNOWN, as z of centers, shape (N,), or (1,) if unused."""
 
     arm: Reals2
     """Center to dock, world frame [R], shape (M, 3)."""
@@ -71,6 +88,22 @@ class Robots(NamedTuple):
 
     last_step: Reals2
     """Last step of each robot [R], shape (N, 3), or (1, 1) if not guided."""
+
+
+@ti.func
+def _in_length(difference, unit, places: Ref):
+    """Convert a difference of numbers in `places` to a length."""
+    return ti.cast(difference, float) * unit if ti.static(holds_integers(places)) else difference
+
+
+@ti.func
+def _in_places(length, unit, places: Ref):
+    """Convert a length, no vector, to the numbers that `places` holds."""
+    return (
+        ti.cast(ti.round(ti.max(-WALL, ti.min(length / unit, WALL))), ti.i32)
+        if ti.static(holds_integers(places))
+        else length
+    )
 
 
 @ti.func
@@ -127,7 +160,8 @@ def _add_row(
         entry = rows.entry[first + e * grid.entry_stride]
         own = base + 4 * (row * row_docks + (entry & (flag - 1)))
         other = base + 4 * (entry >> (grid.own_bits + 1))
-        offset = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
+        apart = ti.Vector([robots.dock[other + c] - robots.dock[own + c] for c in range(3)])
+        offset = _in_length(apart, grid.unit, robots.dock)
         distance = offset.norm()
         connected = (entry & flag) != 0
         pull = _pull_of(distance, connected, attraction, repulsion, gains.spacing)
@@ -163,7 +197,8 @@ def _step_robot(
     here = vector_at(robots.position, robot)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
-            force[2] += gains.height_gain * (robots.height[robot] - here[2])
+            rise = _in_length(robots.height[robot] - here[2], grid.unit, robots.height)
+            force[2] += gains.height_gain * rise
     if ti.static(guided):
         for c in ti.static(range(3)):
             force[c] *= robots.mobility[robot, c]
@@ -172,14 +207,18 @@ def _step_robot(
     if ti.static(guided):
         for c in ti.static(range(3)):
             robots.last_step[robot, c] = step[c]
-    here += step
     strayed = 0.0
     for c in ti.static(range(3)):
+        here[c] += _in_places(step[c], grid.unit, robots.position)
+        if ti.static(holds_integers(robots.position)):
+            here[c] = ti.max(-int(WALL), ti.min(here[c], int(WALL)))
         robots.position[robot, c] = here[c]
-        strayed += (here[c] - robots.reference[robot, c]) ** 2
+        moved = here[c] - robots.reference[robot, c]
+        strayed += _in_length(moved, grid.unit, robots.position) ** 2
     for m in range(robot * grid.docks, (robot + 1) * grid.docks):
         for c in ti.static(range(3)):
-            robots.dock[next_base + 4 * m + c] = here[c] + robots.arm[m, c]
+            arm = _in_places(robots.arm[m, c], grid.unit, robots.dock)
+            robots.dock[next_base + 4 * m + c] = here[c] + arm
     return step.norm_sqr(), strayed
 
 
@@ -188,7 +227,7 @@ def step_robots(
     on_card: Static, steps: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
-    stray_limit: Float, first_t: I32, ramp: Reals1,
+    stray_limit: Float, unit: Float, first_t: I32, ramp: Reals1,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
     mobility: Reals2, last_step: Reals2,  # Robots
@@ -207,6 +246,7 @@ def step_robots(
         guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
+        unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
         ramp: Share of attraction in each step, shape (T,).
         control: Columns as TAKEN and others name them; read and written.
@@ -219,8 +259,9 @@ def step_robots(
     ))  # fmt: skip
     # The one dock of a card's row needs no bits; known to the compiler, this saves registers.
     grid = ti.Struct(
-        docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride
-    )
+        docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
+        unit=unit,
+    )  # fmt: skip
     half = dock.shape[0] // 2
     for k in ti.static(range(steps)):
         t = first_t + k
@@ -271,22 +312,22 @@ def turn_docks(orientation_wxyz: Reals2, dock_offset_body: Reals2, arm: Reals2):
 
 
 @ti.kernel
-def place_docks(structure: Ints1, position: Reals2, arm: Reals2, dock: Reals1):
+def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, dock: Reals1):
     """Place every robot's docks, in both halves of `dock`.
 
     Args:
+        unit: As for `step_robots`.
         structure: Number of each robot's structure, shape (N,).
-        position: Centers [R], shape (N, 3).
+        position: Centers, as `Robots` describes them.
         arm: Center to dock, world frame [R], shape (M, 3).
         dock: Written, as `Robots` describes it.
     """
     docks = arm.shape[0] // position.shape[0]
     for m in range(arm.shape[0]):
-        place = vector_at(position, m // docks) + vector_at(arm, m)
         for half in ti.static(range(2)):
             at = 4 * (half * arm.shape[0] + m)
             for c in ti.static(range(3)):
-                dock[at + c] = place[c]
+                dock[at + c] = position[m // docks, c] + _in_places(arm[m, c], unit, dock)
             dock[at + 3] = structure[m // docks]
 
 
@@ -301,7 +342,8 @@ def start_interval(position: Reals2, reference: Reals2, control: Ints1):
 
 @ti.kernel
 def relax_structures(
-    guided: Static, docks: I32, own_bits: I32, cutoff: Float, capacity: I32,
+    guided: Static, docks: I32, own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
+    capacity: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
     start: Ints1, ramp: Reals1, table: Ints2,
@@ -317,6 +359,7 @@ def relax_structures(
     Args:
         guided: Whether robots have a mobility and inertia.
         docks: First number of `grid`.
+        stray_limit: As for `step_robots`, like `unit`.
         capacity: Entries that fit in rows, a robot on average.
         start: First robot of each structure, shape (S + 1,).
         ramp: Share of attraction in each step, shape (T,).
@@ -333,14 +376,13 @@ def relax_structures(
     gains = ti.static(Gains(
         attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
     ))  # fmt: skip
-    stray_limit = 0.5 * (cutoff - spacing)
     half = dock.shape[0] // 2
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:
             grid = ti.Struct(
                 docks=docks, own_bits=own_bits, cutoff=cutoff, table=table[s, 0],
                 buckets=table[s, 1], stride_y=table[s, 2], stride_z=table[s, 3],
-                slot=start[s] * docks, entry_stride=1,
+                slot=start[s] * docks, entry_stride=1, unit=unit,
             )  # fmt: skip
             room = capacity * (start[s + 1] - start[s])
             stale = 1

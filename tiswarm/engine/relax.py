@@ -21,6 +21,7 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import Gains, Robots
+from tiswarm.engine.places import Places
 from tiswarm.errors import InputError
 from tiswarm.params import AnyArch, AnyPrecision, Precision
 from tiswarm.robot import Robot
@@ -38,8 +39,6 @@ _NO_LIMIT = 1e30
 _LARGEST_GAIN = 1e12
 _NORM_SLACK = 1e-6
 """Largest deviation of a quaternion's norm from 1."""
-_FINEST = 0.01
-"""Coarsest resolution of a coordinate [D]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +104,8 @@ def relax(
         max_step: Longest step of a robot; None for no limit.
         structure: Number of each robot's structure, shape (N,); robots of different structures
             never interact. None for one structure.
-        precision: f32 halves the memory and loses what is far from the origin; `auto` as for
-            `tiswarm.compute.backend.choose`.
+        precision: f32 halves the memory and rounds the more the larger the swarm, wherever it is;
+            `auto` as for `tiswarm.compute.backend.choose`.
         arch: Device; it computes there or an error is raised. `auto` takes a card if one works.
         threads: CPU threads; all that this process may use if None.
 
@@ -173,14 +172,19 @@ class PreparedSwarm:
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
-        if not self._is_resolved(center):
-            way_out = " or use precision f64" if running.precision == "f32" else ""
-            raise InputError(
-                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
-                f"{running.precision} resolves; move the swarm to the origin{way_out}"
-            )
         if robots == 0:
             return
+        reach = float(np.linalg.norm(body, axis=1).max())
+        self.target = np.full(1, np.nan) if target is None else target
+        self.places = Places(origin=np.zeros(3), unit=None, spacing=self.spacing)
+        if running.precision == "f32":
+            self.places = Places.choose(center, self.target, reach=reach, spacing=self.spacing)
+        if not self.places.is_resolved(center):
+            way_out = ", or use precision f64" if running.precision == "f32" else ""
+            raise InputError(
+                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
+                f"{running.precision} resolves; bring robots nearer together{way_out}"
+            )
         size = np.bincount(ids)
         self.by_structure = not running.on_card and size.max() <= SMALL
         self.order = order = morton_order(center, ids)
@@ -190,20 +194,20 @@ class PreparedSwarm:
         new = np.argsort(order)
         connected[:, [0, 2]] = new[connected[:, [0, 2]]]
         self.memory = memory = Allocator(running, on_host=self.by_structure)
-        reach, start = np.linalg.norm(body, axis=1).max(), self.start if self.by_structure else None
         self.neighbors = NeighborList(
             memory, center[order], connected,
-            docks=len(body), reach=reach, cutoff=(1.0 + _SKIN) * self.spacing, start=start,
+            docks=len(body), reach=reach, cutoff=(1.0 + _SKIN) * self.spacing,
+            start=self.start if self.by_structure else None, unit=self.places.unit,
         )  # fmt: skip
-        heights = (
-            np.zeros(1) if target is None else np.nan_to_num(target[order], nan=kernels.UNKNOWN)
-        )
+        if target is not None:
+            self.target = target[order]
+        numbers = memory.reals if self.places.unit is None else memory.ints
         self.robots = Robots(
-            position=memory.reals(robots, 3),
-            reference=memory.reals(robots, 3),
-            height=memory.upload(heights),
+            position=numbers(robots, 3),
+            reference=numbers(robots, 3),
+            height=numbers(len(self.target)),
             arm=memory.reals(robots * len(body), 3),
-            dock=memory.reals(2 * robots * len(body) * 4),
+            dock=numbers(2 * robots * len(body) * 4),
             mobility=memory.upload(share[order] if self.guided else share),
             last_step=memory.reals(*share.shape),
         )
@@ -254,17 +258,27 @@ class PreparedSwarm:
             self.position = self.start_position[self.order]
             self.last_step = np.zeros(self.robots.last_step.shape)
         relax = self._by_structure if self.by_structure else self._all_at_once
-        self._go_to_start()
-        moves, builds = relax(gains, np.broadcast_to(ramps, steps))
-        self.position = self.memory.download(self.robots.position)
+        while True:
+            self._go_to_start()
+            moves, builds = relax(gains, np.broadcast_to(ramps, steps))
+            numbers = self.memory.download(self.robots.position)
+            end, is_full = self.places.to_lengths(numbers), self.places.are_full(numbers)
+            if is_full:
+                self.places = self.places.coarser()
+                self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / self.places.scale
+            if not self.places.is_resolved(end):
+                raise InputError("the forces diverged; lower the gains or give max_step")
+            if not is_full:
+                break
         self.last_step = self.memory.download(self.robots.last_step)
-        position[self.order] = self.position
-        if not self._is_resolved(position):
-            raise InputError("the forces diverged; lower the gains or give max_step")
+        position[self.order] = self.position = end
         return self._result(position, moves, builds)
 
     def _result(self, position: Reals, moves: Reals, builds: int) -> RelaxResult:
         farthest = max(np.abs(p).max(initial=0.0) for p in (self.start_position, position))
+        if self.running.precision == "f32" and len(position):
+            # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
+            farthest = 2.0 * self.places.scale / np.finfo(np.float32).eps
         return RelaxResult(
             position=position,
             largest_move=moves,
@@ -273,16 +287,12 @@ class PreparedSwarm:
             force_error=self.running.force_error(2.0 * farthest / self.spacing),
         )
 
-    def _is_resolved(self, position: Reals) -> bool:
-        """Whether every coordinate is a number that the precision resolves finely enough."""
-        farthest = np.abs(position).max(initial=0.0)
-        return bool(farthest * np.finfo(self.running.dtype).eps <= _FINEST * self.spacing)
-
     def _go_to_start(self) -> None:
-        robots = self.robots
-        self.memory.refill(robots.position, self.position)
+        robots, places = self.robots, self.places
+        self.memory.refill(robots.position, places.to_numbers(self.position, places.origin))
+        self.memory.refill(robots.height, places.to_numbers(self.target, places.origin[2]))
         self.memory.refill(robots.last_step, self.last_step)
-        kernels.place_docks(self.structure, robots.position, robots.arm, robots.dock)
+        kernels.place_docks(places.scale, self.structure, robots.position, robots.arm, robots.dock)
 
     def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
@@ -302,7 +312,7 @@ class PreparedSwarm:
                         kernels.step_robots(
                             neighbors.on_card, most, self.guided, neighbors.docks,
                             neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * _SKIN * self.spacing, t, self.ramp,
+                            0.5 * _SKIN * self.spacing, self.places.scale, t, self.ramp,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
@@ -317,12 +327,13 @@ class PreparedSwarm:
         start, ramps = self.memory.upload(self.start), self.memory.upload(ramp)
         moves = self.memory.reals(structures, len(ramp))
         builds = self.memory.ints(structures)
+        stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
         while True:
             with backend.fast_arithmetic():
                 kernels.relax_structures(
-                    self.guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff,
-                    neighbors.capacity, *gains, start, ramps, neighbors.table, *neighbors.cells,
-                    *neighbors.connections, *neighbors.rows, *self.robots, builds,
+                    self.guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff, stray_limit,
+                    self.places.scale, neighbors.capacity, *gains, start, ramps, neighbors.table,
+                    *neighbors.cells, *neighbors.connections, *neighbors.rows, *self.robots, builds,
                     neighbors.longest, moves,
                 )  # fmt: skip
             if (entries := neighbors.fullest()) <= neighbors.capacity:
