@@ -168,11 +168,11 @@ def _near_slots(here, square_cutoff, first, cells: Ref):
 
 
 @ti.func
-def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, place, room, count):
+def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, space, count):
     """Add a sorted dock to a row if it is another robot's of the same structure."""
     other = cells.dock[slot]
     # Always write, and count neighbors only: a branch could not be predicted.
-    entry = place + ti.min(count, room) * grid.entry_stride
+    entry = space[0] + ti.min(count, space[1]) * grid.entry_stride
     rows.entry[entry] = (other << (grid.own_bits + 1)) | own
     foreign = (other < robot_first) | (other >= robot_first + grid.docks)
     fellow = cells.place[slot + cells.place.shape[0] // 4 * 3] == here[3]
@@ -181,7 +181,7 @@ def _add_slot(grid: Ref, here, own, robot_first, slot, cells: Ref, rows: Ref, pl
 
 @ti.func
 def _add_run(
-    on_card: Static, grid: Ref, here, own, robot_first, slots, cells: Ref, rows: Ref, place, room,
+    on_card: Static, grid: Ref, here, own, robot_first, slots, cells: Ref, rows: Ref, space,
     count,
 ):  # fmt: skip
     """Add to a row those of the sorted docks in a range of slots that are near an own dock."""
@@ -189,9 +189,7 @@ def _add_run(
     if ti.static(on_card):
         for slot in range(slots[0], slots[1]):
             if _square_distance(here, slot, cells) < square_cutoff:
-                count = _add_slot(
-                    grid, here, own, robot_first, slot, cells, rows, place, room, count
-                )
+                count = _add_slot(grid, here, own, robot_first, slot, cells, rows, space, count)
     else:
         at = slots[0]
         while at < slots[1]:
@@ -200,16 +198,14 @@ def _add_run(
             while near != 0:
                 slot = at + ti.math.popcnt((near & -near) - 1)
                 near &= near - 1
-                count = _add_slot(
-                    grid, here, own, robot_first, slot, cells, rows, place, room, count
-                )
+                count = _add_slot(grid, here, own, robot_first, slot, cells, rows, space, count)
             at += BLOCK
     return count
 
 
 @ti.func
 def _add_dock(
-    on_card: Static, grid: Ref, here, own, robot_first, cells: Ref, rows: Ref, place, room, count
+    on_card: Static, grid: Ref, here, own, robot_first, cells: Ref, rows: Ref, space, count
 ):
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
@@ -236,12 +232,12 @@ def _add_dock(
                 last += cells.begin[grid.table + past - grid.buckets]
             slots = grid.slot + ti.Vector([first, ti.min(last, end)])
             count = _add_run(
-                on_card, grid, here, own, robot_first, slots, cells, rows, place, room, count
+                on_card, grid, here, own, robot_first, slots, cells, rows, space, count
             )
             if last > end:
                 slots = grid.slot + ti.Vector([0, last - end])
                 count = _add_run(
-                    on_card, grid, here, own, robot_first, slots, cells, rows, place, room, count
+                    on_card, grid, here, own, robot_first, slots, cells, rows, space, count
                 )
     return count
 
@@ -266,18 +262,18 @@ def _without_connected(grid: Ref, connected, rows: Ref, place, count):
 @ti.func
 def _fill_rows_of(
     on_card: Static, grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref,
-    rows: Ref, place, room,
+    rows: Ref, space,
 ):  # fmt: skip
     """Write rows `first` to `last` in succession; return how many entries.
 
-    A row lists the connected docks, then all others that are near. From `place` on `room` entries
-    fit and a spare one. Entries that do not fit are counted, not written.
+    A row lists the connected docks, then all others that are near. From `space[0]` on `space[1]`
+    entries fit and a spare one. Entries that do not fit are counted, not written.
     """
     row_docks = 1 if ti.static(on_card) else grid.docks
     used = 0
     for row in range(first, last):
-        at = place + ti.min(used, room)
-        free = room - ti.min(used, room)
+        at = space[0] + ti.min(used, space[1])
+        free = space[1] - ti.min(used, space[1])
         connected = connections.start[row + 1] - connections.start[row]
         for c in range(ti.min(connected, free)):
             entry = connections.entry[connections.start[row] + c]
@@ -286,7 +282,9 @@ def _fill_rows_of(
         robot_first = row - row % grid.docks if ti.static(on_card) else row * grid.docks
         for own in range(row_docks):
             here = _dock_at(dock, base, row * row_docks + own)
-            count = _add_dock(on_card, grid, here, own, robot_first, cells, rows, at, free, count)
+            count = _add_dock(
+                on_card, grid, here, own, robot_first, cells, rows, ti.Vector([at, free]), count
+            )
         if count <= free:
             count = _without_connected(grid, connected, rows, at, count)
         rows.first[row] = at
@@ -311,7 +309,7 @@ def list_structure(
     for bucket in range(grid.buckets):
         _sort_bucket(grid, base, bucket, dock, cells)
     return _fill_rows_of(
-        False, grid, base, first, last, dock, cells, connections, rows, place, room
+        False, grid, base, first, last, dock, cells, connections, rows, ti.Vector([place, room])
     )
 
 
@@ -407,7 +405,16 @@ def fill_rows(
                 place = first // docks + first % docks * (count // docks)
             last = ti.min(first + run, count)
             used = _fill_rows_of(
-                on_card, grid, base, first, last, dock, cells, connections, rows, place, room
+                on_card,
+                grid,
+                base,
+                first,
+                last,
+                dock,
+                cells,
+                connections,
+                rows,
+                ti.Vector([place, room]),
             )
             if used > longest[0]:  # most runs need no atomic operation then
                 ti.atomic_max(longest[0], used)

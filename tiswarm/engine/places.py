@@ -6,7 +6,6 @@ may grow to half as large again at least.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -36,7 +35,7 @@ class Places:
     """D."""
 
     @classmethod
-    def choose(cls, center: Reals, height: Reals, *, reach: float, spacing: float) -> Self:
+    def choose(cls, center: Reals, height: Reals, *, reach: float, spacing: float) -> "Places":
         """Choose the unit for centers, shape (N, 3), and heights that robots are pulled toward."""
         known = height[np.isfinite(height)]
         z = np.concatenate([center[:, 2], known])
@@ -47,7 +46,7 @@ class Places:
         origin = np.floor(np.add(low, high) / 2.0 / unit) * unit
         return cls(origin=origin, unit=float(unit), spacing=spacing)
 
-    def coarser(self) -> Self:
+    def coarser(self) -> "Places":
         """Return the same with a larger unit, for swarms that grew beyond what numbers hold."""
         return replace(self, unit=_COARSER * self.scale)
 
