@@ -9,7 +9,7 @@ from tests.runs import REPOSITORY
 from tiswarm import study
 from tiswarm.report.headline import headline
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import tables
+from tiswarm.study import compare, tables
 from tiswarm.study.runner import failure
 
 TOWER, CANTILEVER = [1.64, 1.84, 2.36], [3.91, 5.26, 5.12]
@@ -69,7 +69,7 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
         (tmp_path / run / "table.csv").write_text(f"{header}\n{name},1,2.0,,0.5,,2,2\n")
 
     (line,) = headline(tmp_path / "a").splitlines()
-    tables.compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
+    compare([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
 
     assert line == f"{name}: RMSE 2 R, disparity 0.5, 1 structure"
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()

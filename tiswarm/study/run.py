@@ -28,6 +28,7 @@ from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, sha
 from tiswarm.study.executors import Execution, Executor, open_executor, reason
 from tiswarm.study.provenance import Used, manifest
 from tiswarm.study.runner import Job, Outcome, failure
+from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord, RunFolder, remove
 
 _HERE = Execution()
@@ -163,7 +164,7 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
         "profiles": tables.profiles(records, folder.cases),
     }
     if len({setting.robots for setting in settings}) > 1:
-        written["scaling"] = tables.scaling(cases, records, costs)
+        written["scaling"] = scaling(cases, records, costs)
     if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
         written["suites"] = tables.suites(records, settings, folder.cases)
     for name, content in written.items():

@@ -1,4 +1,4 @@
-"""Tables of a run, and of several runs side by side.
+"""Tables of a run; `scaling.csv` and `comparison.csv` have modules of their own.
 
 | file | one row for each |
 |---|---|
@@ -6,9 +6,7 @@
 | `table.csv` | condition and point, with the paper's numbers |
 | `paired.csv` | measure and pair of conditions, on the same structures |
 | `profiles.csv` | condition and range of robots that are alike |
-| `scaling.csv` | series, measure and number of robots |
 | `suites.csv` | condition and point, with the price of the sensors |
-| `comparison.csv` | row of `table.csv` of each run |
 """
 
 import itertools
@@ -21,21 +19,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.errors import InputError
-from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference, power_law_exponent
+from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.frames import read_frame, write_frame
-from tiswarm.records.io import make_folder
+from tiswarm.records.frames import read_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
-from tiswarm.study.cases import Case, point_text, series_text, structures
-from tiswarm.study.provenance import Cost
-from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.study.cases import point_text
+from tiswarm.study.store import CaseRecord
 
 _ACCURACY = (
     "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
@@ -50,9 +45,6 @@ _AVERAGED = (
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
 _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
-
-_SCALED = ("rmse_R", "procrustes_disparity")
-_COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
@@ -173,21 +165,21 @@ def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
             names = {"condition": second[0].condition, "against": first[0].condition}
-            rows += _differences(
+            rows += differences(
                 {**names, **first[0].point},
-                _accuracy({record.seed: record for record in first}),
-                _accuracy({record.seed: record for record in second}),
+                accuracy_by_key({record.seed: record for record in first}),
+                accuracy_by_key({record.seed: record for record in second}),
             )
     return pd.DataFrame(rows, columns=None if rows else ["condition", "against", "measure"])
 
 
-def _accuracy(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
+def accuracy_by_key(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
     """Tabulate the accuracy of finished cases by structure, under the keys of these."""
     done = {key: record.scores for key, record in records.items() if record.is_done}
     return pd.DataFrame(list(done.values()), index=pd.Index(list(done)), columns=list(_ACCURACY))
 
 
-def _differences(
+def differences(
     first_columns: Mapping[str, Any], before: pd.DataFrame, after: pd.DataFrame
 ) -> list[dict[str, Any]]:
     """Return a row for each measure: difference `after - before` over shared structures."""
@@ -220,9 +212,6 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         return pd.DataFrame(columns=["condition", "by"])
     every = pd.concat(parts, ignore_index=True)
     return pd.concat([pd.DataFrame(names_of), every], axis=1)
-
-
-# --- sensor suites ---------------------------------------------------------------------------
 
 
 def suites(
@@ -272,112 +261,6 @@ def _located(case: Path) -> dict[str, float]:
     else:
         is_located = estimate["known"] == "yes"
     return {"located": is_located.mean(), "rmse_located_R": square[is_located].mean() ** 0.5}
-
-
-# --- size of the swarm -----------------------------------------------------------------------
-
-
-def scaling(
-    cases: Sequence[Case], records: Sequence[CaseRecord], costs: Sequence[Mapping[str, Cost]]
-) -> pd.DataFrame:
-    """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
-
-    `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
-    constant costs matter less. The growth of a structure counts once for any number of its
-    conditions. Memory is that of the whole batch that a structure was computed in. `records` and
-    `costs`, by stage, are those of each case.
-    """
-    record_of = {record.case: record for record in records}
-    cost_of = {case.name: cost for case, cost in zip(cases, costs, strict=True)}
-    rows = []
-    for group in structures(cases):
-        done = [case for case in group if record_of[case.name].is_done]
-        grown = _together([cost_of[case.name].get("grow", {}) for case in done])
-        for case in done:
-            point = {key: value for key, value in case.variant.point.items() if key != "robots"}
-            measured = {name: record_of[case.name].scores[name] for name in _SCALED}
-            for stage, cost in {**cost_of[case.name], "grow": grown}.items():
-                measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
-            series = series_text(point, case.variant.condition)
-            row = {"series": series, "robots": case.settings.robots}
-            rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
-    table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
-    alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)
-    points = alike.agg({"mean": "mean"}).sort_values("robots", kind="stable")
-    parts = [_with_powers(part) for _, part in points.groupby(["series", "measure"], sort=False)]
-    return pd.concat(parts) if parts else _with_powers(points)
-
-
-def _together(costs: Sequence[Cost]) -> Cost:
-    """Return the cost that cases share."""
-    known = [cost for cost in costs if cost]
-    peak = max((cost["peak_memory_MB"] for cost in known), default=math.nan)
-    times = {unit: sum(cost[unit] for cost in known) for unit in ("wall_s", "cpu_s")}
-    return {**times, "peak_memory_MB": peak} if known else {}
-
-
-def _with_powers(points: pd.DataFrame) -> pd.DataFrame:
-    """Add the columns `exponent` and `slope` to the means of one measure, by ascending N."""
-    robots, mean = points["robots"].to_numpy(float), points["mean"].to_numpy(float)
-    known = np.log(np.where(mean > 0.0, mean, math.nan))
-    slope = np.diff(known, prepend=math.nan) / np.diff(np.log(robots), prepend=math.nan)
-    return points.assign(exponent=power_law_exponent(robots, mean), slope=slope)
-
-
-# --- several runs ----------------------------------------------------------------------------
-
-
-def compare(runs: Sequence[Path], out: Path) -> None:
-    """Write `comparison.csv`, all rows of the runs' `table.csv`, and `paired.csv`, differences.
-
-    Differences are on the structures that two runs share: those with the same true positions to
-    the last bit; names of scenarios do not matter.
-
-    Raises:
-        InputError: fewer than two different runs are given, or a folder has no `table.csv`.
-        EnvironmentTroubleError: `out` cannot be made.
-    """
-    if len({run.resolve() for run in runs}) < max(2, len(runs)):
-        raise InputError("give two or more different run folders", key="RUN")
-    names = [run.resolve().name for run in runs]
-    if len(set(names)) < len(names):
-        names = [str(run) for run in runs]
-    tables = [_read_table(run).assign(run=name) for run, name in zip(runs, names, strict=True)]
-    swept = [list(table.columns[1 : table.columns.get_loc("cases")]) for table in tables]
-    first = ["run", "condition", *dict.fromkeys(itertools.chain.from_iterable(swept))]
-    both = pd.concat(tables, ignore_index=True)
-    series = {
-        (name, label): accuracy
-        for run, name in zip(runs, names, strict=True)
-        for label, accuracy in _by_series(RunFolder(run)).items()
-    }
-    rows = []
-    for (one, before), (other, after) in itertools.combinations(series.items(), 2):
-        if one[0] != other[0] and not before.index.intersection(after.index).empty:
-            pair = dict(zip(_COMPARED, (*other, *one), strict=False))
-            rows += _differences(pair, before, after)
-    make_folder(out)
-    write_frame(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
-    write_frame(pd.DataFrame(rows, columns=None if rows else _COMPARED), out / "paired.csv")
-
-
-def _read_table(run: Path) -> pd.DataFrame:
-    path = run / "table.csv"
-    if not path.exists():
-        msg = "has no table.csv; give a folder that `tiswarm run` made"
-        raise InputError(msg, path=run)
-    measures = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
-    return read_frame(path, ["condition"], ["cases"], gaps=measures, numbers_after="cases")
-
-
-def _by_series(folder: RunFolder) -> dict[str, pd.DataFrame]:
-    """Return the accuracy of each series of a run, by the digest of each structure's truth."""
-    series: dict[str, dict[str, CaseRecord]] = {}
-    for path in sorted(folder.cases.glob("[!.]*")):
-        record = folder.read_case(path.name)
-        if record is not None and record.is_done:
-            series.setdefault(record.series, {})[record.files["truth.csv"]] = record
-    return {name: _accuracy(records) for name, records in series.items()}
 
 
 def _grouped(
