@@ -5,7 +5,6 @@ import os
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tiswarm.compute import lang
@@ -41,34 +40,6 @@ def test_kernels_stand_in_files_named_for_them():
     files = {file for file, _, _ in _kernel_functions()}
 
     assert {file for file in files if not file.endswith("kernels.py")} == set()
-
-
-def test_kernels_of_classes_are_recognized():
-    """Users may have such kernels beside ours, and the library binds them to their objects."""
-
-    @lang.ti.data_oriented
-    class Doubler:
-        @lang.ti.kernel
-        def double(self, values: lang.ti.types.ndarray()):
-            for k in range(values.shape[0]):
-                values[k] *= 2.0
-
-    values = np.ones(3)
-
-    Doubler().double(values)
-
-    assert values.tolist() == [2.0, 2.0, 2.0]
-
-
-def test_errors_of_kernels_quote_and_mark_their_source():
-    """Whoever writes a kernel finds the mistake by it."""
-
-    @lang.ti.kernel
-    def mistaken():
-        lang.ti.no_such_function()
-
-    with pytest.raises(lang.ti.TaichiCompilationError, match=r"no_such_function\(\)\n *\^{5}"):
-        mistaken()
 
 
 @pytest.fixture

@@ -75,29 +75,6 @@ def load_library() -> tuple[str, Any]:
 
 LIBRARY, ti = load_library()
 
-
-class _Unwrapped:
-    """Leaves lines of source as they are."""
-
-    def __init__(self, width: int) -> None:
-        """Ignore the width of a line."""
-
-    def wrap(self, line: str) -> list[str]:
-        """Return a line that is not blank."""
-        return [line] if line.strip() else []
-
-
-def _is_in_class(level_of_class_stackframe: int) -> bool:
-    """Return whether a decorator is called in the body of a class, which has a `__qualname__`."""
-    return "__qualname__" in sys._getframe(level_of_class_stackframe - 1).f_locals  # noqa: SLF001
-
-
-if (
-    LIBRARY == "taichi"
-):  # it wraps each line compiled, for errors, and reads files for `_is_in_class`
-    import_module("taichi.lang.ast.ast_transformer_utils").TextWrapper = _Unwrapped  # type: ignore[attr-defined]
-    import_module("taichi.lang.kernel_impl")._inside_class = _is_in_class  # type: ignore[attr-defined] # noqa: SLF001
-
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct
 
