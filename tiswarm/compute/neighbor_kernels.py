@@ -1,4 +1,4 @@
-"""Kernels of the neighbor list: docks are sorted into cells, then Verlet rows are written.
+"""Kernels of the neighbor list: Verlet rows are written of docks that are sorted into cells.
 
 Functions work for one dock, bucket or row at a time. A swarm-wide loop over threads and one
 thread that lists a whole small structure therefore run the same lines.
@@ -21,34 +21,23 @@ some unit of length, which is that of the cutoff then. `grid` is a struct:
 from typing import NamedTuple
 
 from tiswarm.compute.lang import I32, Float, Ints1, Reals1, Ref, Static, ti
+from tiswarm.compute.sorting_kernels import (
+    BLOCK,
+    CELL_LENGTH,
+    CELL_WIDTH,
+    Cells,
+    bucket_of_cell,
+    cell,
+    count_dock,
+    dock_at,
+    scatter_dock,
+    sort_bucket,
+)
 
-_STRIDE_STRUCTURE = 1_779_033_703
-CELL_LENGTH = 0.25
-"""Edge of a cell along x, in cutoffs: short, since runs of cells along x are cheap."""
-CELL_WIDTH = 2.0
-"""Edge along y and z, in cutoffs: the ball around a dock reaches at most one cell more."""
-BLOCK = 16
-"""Sorted docks that are compared at a time."""
-SCAN_BLOCK = 256
-"""Numbers that one thread sums up: buckets, then totals of these, then totals of those."""
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
 _REACH_MARGIN = 1e-3
 """Lengthening of a reach, so that rounding cannot shorten it [cutoff]."""
-
-
-class Cells(NamedTuple):
-    """M docks in the order of the buckets of their cells, one table after the other."""
-
-    begin: Ints1
-    """First slot of each bucket, then M and a spare, shape (buckets + 2,) a table."""
-
-    dock: Ints1
-    """Dock in each slot; docks of a bucket in ascending order, shape (M,)."""
-
-    place: Reals1
-    """x of the docks slot by slot, then all y, all z, all structures, each followed by room for
-    BLOCK more, shape (4 (M + BLOCK),)."""
 
 
 class Connections(NamedTuple):
@@ -72,69 +61,6 @@ class Rows(NamedTuple):
 
     count: Ints1
     """Entries of each row, those that did not fit included, shape (rows,)."""
-
-
-@ti.func
-def _dock_at(dock: Ref, base, m):
-    """Read the place of dock `m` and, last, the number of its structure."""
-    at = base + 4 * m
-    return ti.Vector([dock[at], dock[at + 1], dock[at + 2], dock[at + 3]])
-
-
-@ti.func
-def _cell(value, per_length):
-    """Find the index of a cell along one axis."""
-    return ti.cast(ti.floor(value * per_length), ti.i64)
-
-
-@ti.func
-def _bucket_of_cell(grid: Ref, x, y, z, structure):
-    """Hash a cell to its bucket, linearly: cells along x have buckets in succession."""
-    key = x + grid.stride_y * y + grid.stride_z * z
-    key += _STRIDE_STRUCTURE * ti.cast(structure, ti.i64)
-    return ti.cast(key & ti.cast(grid.buckets - 1, ti.i64), ti.i32)
-
-
-@ti.func
-def _own_bucket(grid: Ref, at):
-    """Find the bucket of the cell that holds a dock."""
-    per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
-    per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    return _bucket_of_cell(
-        grid, _cell(at[0], per_length), _cell(at[1], per_width), _cell(at[2], per_width), at[3]
-    )
-
-
-@ti.func
-def _count_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
-    """Count a dock in its bucket; offset by two, so that scan and scatter yield starts in place."""
-    ti.atomic_add(cells.begin[grid.table + _own_bucket(grid, _dock_at(dock, base, m)) + 2], 1)
-
-
-@ti.func
-def _scatter_dock(grid: Ref, base, m, dock: Ref, cells: Ref):
-    """Put a dock into the next free slot of its bucket."""
-    bucket = _own_bucket(grid, _dock_at(dock, base, m))
-    slot = grid.slot + ti.atomic_add(cells.begin[grid.table + bucket + 1], 1)
-    cells.dock[slot] = m
-
-
-@ti.func
-def _sort_bucket(grid: Ref, base, bucket, dock: Ref, cells: Ref):
-    """Order the docks of a bucket by number, since threads have scattered them in any order."""
-    first = grid.slot + cells.begin[grid.table + bucket]
-    last = grid.slot + cells.begin[grid.table + bucket + 1]
-    for slot in range(first + 1, last):
-        m = cells.dock[slot]
-        to = slot
-        while to > first and cells.dock[ti.max(to - 1, 0)] > m:
-            cells.dock[to] = cells.dock[to - 1]
-            to -= 1
-        cells.dock[to] = m
-    for slot in range(first, last):
-        at = _dock_at(dock, base, cells.dock[slot])
-        for c in ti.static(range(4)):
-            cells.place[slot + c * (cells.place.shape[0] // 4)] = at[c]
 
 
 @ti.func
@@ -210,8 +136,8 @@ def _add_dock(
     """Add the docks near an own dock to a row; return how many entries it has then."""
     per_length = 1.0 / (CELL_LENGTH * grid.cutoff)
     per_width = 1.0 / (CELL_WIDTH * grid.cutoff)
-    y = _cell(here[1], per_width)
-    z = _cell(here[2], per_width)
+    y = cell(here[1], per_width)
+    z = cell(here[2], per_width)
     side_y, gap_y = _nearer_side(here[1], y, per_width)
     side_z, gap_z = _nearer_side(here[2], z, per_width)
     end = cells.begin[grid.table + grid.buckets]
@@ -222,9 +148,9 @@ def _add_dock(
         square = 1.0 - one_y * gap_y * gap_y - one_z * gap_z * gap_z
         if square > -_REACH_MARGIN:
             reach = (ti.sqrt(ti.max(square, 0.0)) + _REACH_MARGIN) * grid.cutoff
-            left = _cell(here[0] - reach, per_length)
-            length = ti.min(_cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
-            bucket = _bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
+            left = cell(here[0] - reach, per_length)
+            length = ti.min(cell(here[0] + reach, per_length) - left + 1, LONGEST_RUN)
+            bucket = bucket_of_cell(grid, left, y + one_y * side_y, z + one_z * side_z, here[3])
             past = bucket + ti.cast(length, ti.i32)
             first = cells.begin[grid.table + bucket]
             last = cells.begin[grid.table + ti.min(past, grid.buckets)]
@@ -281,7 +207,7 @@ def _fill_rows_of(
         count = connected
         robot_first = row - row % grid.docks if ti.static(on_card) else row * grid.docks
         for own in range(row_docks):
-            here = _dock_at(dock, base, row * row_docks + own)
+            here = dock_at(dock, base, row * row_docks + own)
             count = _add_dock(
                 on_card, grid, here, own, robot_first, cells, rows, ti.Vector([at, free]), count
             )
@@ -301,72 +227,16 @@ def list_structure(
     for k in range(grid.buckets + 2):
         cells.begin[grid.table + k] = 0
     for m in range(first * grid.docks, last * grid.docks):
-        _count_dock(grid, base, m, dock, cells)
+        count_dock(grid, base, m, dock, cells)
     for k in range(1, grid.buckets):
         cells.begin[grid.table + k + 2] += cells.begin[grid.table + k + 1]
     for m in range(first * grid.docks, last * grid.docks):
-        _scatter_dock(grid, base, m, dock, cells)
+        scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
-        _sort_bucket(grid, base, bucket, dock, cells)
+        sort_bucket(grid, base, bucket, dock, cells)
     return _fill_rows_of(
         False, grid, base, first, last, dock, cells, connections, rows, ti.Vector([place, room])
     )
-
-
-@ti.func
-def _sum_up(value: Ref, first, past):
-    """Add to each of some numbers those before it; return the sum of all."""
-    total = 0
-    for k in range(first, past):
-        total += value[k]
-        value[k] = total
-    return total
-
-
-@ti.kernel
-def sort_docks(
-    docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
-    block_total: Ints1, group_total: Ints1,
-    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells, written
-):  # fmt: skip
-    """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
-
-    Numbers are those of `grid`, with one table for all docks.
-
-    Args:
-        base: Where the current docks start in `dock`.
-        dock: Places, last the structure, rows of four.
-        block_total: Scratch, shape (B,) with B = ceil(buckets / SCAN_BLOCK).
-        group_total: Scratch, shape (ceil(B / SCAN_BLOCK),).
-    """
-    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
-    grid = ti.Struct(
-        docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
-        buckets=begin.shape[0] - 2, table=0, slot=0,
-    )  # fmt: skip
-    # Computed here, the bounds of loops need no launch before each loop.
-    buckets, blocks, groups = grid.buckets, block_total.shape[0], group_total.shape[0]
-    for k in range(begin.shape[0]):
-        begin[k] = 0
-    for m in range(sorted_dock.shape[0]):
-        _count_dock(grid, base, m, dock, cells)
-    for block in range(blocks):
-        past = ti.min((block + 1) * SCAN_BLOCK, buckets)
-        block_total[block] = _sum_up(begin, block * SCAN_BLOCK + 2, past + 2)
-    for group in range(groups):
-        past = ti.min((group + 1) * SCAN_BLOCK, blocks)
-        group_total[group] = _sum_up(block_total, group * SCAN_BLOCK, past)
-    ti.loop_config(serialize=True)
-    for group in range(1, groups):
-        group_total[group] += group_total[group - 1]
-    for block in range(SCAN_BLOCK, blocks):
-        block_total[block] += group_total[block // SCAN_BLOCK - 1]
-    for k in range(SCAN_BLOCK, buckets):
-        begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
-    for m in range(sorted_dock.shape[0]):
-        _scatter_dock(grid, base, m, dock, cells)
-    for bucket in range(buckets):
-        _sort_bucket(grid, base, bucket, dock, cells)
 
 
 @ti.kernel

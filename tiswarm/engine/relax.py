@@ -22,6 +22,7 @@ from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import Gains, Robots
 from tiswarm.engine.places import Places
+from tiswarm.engine.structure_kernels import relax_structures
 from tiswarm.errors import InputError
 from tiswarm.params import AnyArch, AnyPrecision, Precision
 from tiswarm.robot import Robot
@@ -330,7 +331,7 @@ class PreparedSwarm:
         stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
         while True:
             with backend.fast_arithmetic():
-                kernels.relax_structures(
+                relax_structures(
                     self.guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff, stray_limit,
                     self.places.scale, neighbors.capacity, *gains, start, ramps, neighbors.table,
                     *neighbors.cells, *neighbors.connections, *neighbors.rows, *self.robots, builds,

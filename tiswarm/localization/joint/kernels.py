@@ -14,7 +14,8 @@ from tiswarm.compute.lang import (
     Static,
     ti,
 )  # fmt: skip
-from tiswarm.compute.neighbor_kernels import Cells, Connections, Rows, list_structure
+from tiswarm.compute.neighbor_kernels import Connections, Rows, list_structure
+from tiswarm.compute.sorting_kernels import Cells
 from tiswarm.localization.joint.arrays import (
     STRUCTURE,
     Blocks,
