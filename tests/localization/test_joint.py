@@ -161,19 +161,6 @@ def test_anchors_stay_where_they_are(towers):
         np.testing.assert_allclose(positions[:, 0] - log.anchor_position, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("robot", [0, 5])
-def test_branches_are_held_by_fixes_of_others_than_their_root(towers, robot):
-    """A part that its first robot ties to the world moves as freely as the anchor's."""
-    log = observe(towers[0], dataclasses.replace(NOISY, heights=False))
-    fix = [robot, 1.0, 0.0, 0.0, log.anchor_position[0], 0.1]
-    params = dataclasses.replace(SHORT, walk_contacts=False)
-
-    known = pose_problem(dataclasses.replace(log, ground_z=None, fixes=np.array([fix])), params)
-
-    assert known.roots.tolist() == [0]
-    assert known.unplaced.tolist() == [robot == 0, True, True]
-
-
 @pytest.mark.parametrize("spawn_noise", [None, 0.2])
 def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
     """What pulls at a branch pulls at its robots; where places are known, none is shifted."""
@@ -181,8 +168,7 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = pose_problem(log, params)
     annealer = annealing.Annealer([log], [params], [known])
-    pair = np.column_stack([known.robot, known.other])
-    tree = find_subtrees(pair, log.robot_count, np.zeros(1, np.int64))
+    tree = find_subtrees(np.column_stack([known.robot, known.other]), log.robot_count)
     count = len(tree.parent)
     pull, speed = annealer.trees.pull, annealer.trees.velocity
     annealer.advance(4)

@@ -1,4 +1,4 @@
-"""Branches are what robots far from the roots fall apart into."""
+"""Branches are what robots far from the anchor fall apart into."""
 
 import numpy as np
 from hypothesis import given
@@ -17,13 +17,13 @@ PAIRS = st.lists(
 )
 
 
-@given(pairs=PAIRS, roots=st.sets(st.integers(1, ROBOTS - 1), max_size=2).map({0}.union))
-def test_branches_are_the_parts_of_what_is_so_far_from_the_roots_or_more(pairs, roots):
+@given(pairs=PAIRS)
+def test_branches_are_the_parts_of_what_is_so_far_from_the_anchor_or_more(pairs):
     """Each in one row, own robots first, and each after the one that it grows out of."""
     pair = np.array(pairs, np.int64).reshape(-1, 2)
-    level = _levels(pairs, roots)
+    level = _levels(pairs)
 
-    tree = find_subtrees(pair, ROBOTS, np.array(sorted(roots)))
+    tree = find_subtrees(pair, ROBOTS)
 
     own = np.split(tree.order, tree.first[1:-1])
     members = [set(robots.tolist()) for robots in own]
@@ -50,16 +50,15 @@ def test_branches_do_not_depend_on_how_contacts_are_told(pairs, seed):
     other = rng.permutation(np.concatenate([pair, pair[:3]]))
     other = np.where(rng.random(len(other))[:, None] < 0.5, other, other[:, ::-1])
 
-    anchor = np.zeros(1, np.int64)
-    told, retold = (find_subtrees(each, ROBOTS, anchor) for each in (pair, other))
+    told, retold = find_subtrees(pair, ROBOTS), find_subtrees(other, ROBOTS)
 
     np.testing.assert_array_equal(told.order, retold.order)
     np.testing.assert_array_equal(told.first, retold.first)
     np.testing.assert_array_equal(told.parent, retold.parent)
 
 
-def _levels(pairs, roots):
-    level = [0 if robot in roots else -1 for robot in range(ROBOTS)]
+def _levels(pairs):
+    level = [0] + [-1] * (ROBOTS - 1)
     for hops in range(1, ROBOTS):
         for i, j in [*pairs, *((j, i) for i, j in pairs)]:
             if level[i] == hops - 1 and level[j] < 0:

@@ -99,7 +99,7 @@ class Annealer:
         )
         self.target = thermostat(self.sigma)
         # Robots of a subtree stand in a row in memory.
-        trees = [find_subtrees(p.pair, len(p.place), p.roots) for p in problems]
+        trees = [find_subtrees(p.pair, len(p.place)) for p in problems]
         offsets = self.start[:-1]
         self.order = np.concatenate([a + t.order for t, a in zip(trees, offsets, strict=True)])
         guess = [

@@ -85,12 +85,6 @@ class Problem:
         return is_untied
 
     @property
-    def roots(self) -> Ints:
-        """First robot of each part that the anchor or fixes tie to the world."""
-        firsts = np.unique(self.part, return_index=True)[1]
-        return firsts[~self.untied[firsts]]
-
-    @property
     def unobserved(self) -> Bools:
         """Coordinates that nothing ties to the anchor, shape (N, 3)."""
         is_loose: Bools = np.diagonal(self.loose, axis1=1, axis2=2) > 1.0 - _PERPENDICULAR
@@ -220,10 +214,9 @@ class Problem:
 
     @property
     def unplaced(self) -> Bools:
-        """Axes along which nothing but contacts measures where robots but roots are, shape (3,)."""
+        """Axes along which nothing but contacts measures where robots are, shape (3,)."""
         is_held = (self.precision[1:] > 0.0) & ~self.unobserved[1:]
-        of_others = ~np.isin(self.fixes.robot, self.roots)
-        is_fixed = np.abs(self.fixes.direction[of_others]) > _PERPENDICULAR
+        is_fixed = np.abs(self.fixes.direction) > _PERPENDICULAR
         return np.logical_not(is_held.any(axis=0) | is_fixed.any(axis=0))
 
     @property

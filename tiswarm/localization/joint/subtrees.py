@@ -1,6 +1,4 @@
-"""Subtrees of the contact graph: robots tied to a root only by way of robots nearer to it.
-
-A root is the first robot of a part that contacts connect, and that the anchor or fixes hold.
+"""Subtrees of the contact graph: robots tied to the anchor only by way of robots nearer to it.
 
 With orientations sensed, a subtree can move as one only by a shift. Moving its robots one by one
 would take ever longer the more there are, so the annealer shifts whole subtrees too.
@@ -34,8 +32,8 @@ generated trees, loops, balls and chains are alike with 1 and with 3."""
 class Forest:
     """Subtrees of one structure of N robots, each before those that grow out of it.
 
-    All robots that are a number of hops or more from the roots fall apart into subtrees. The own
-    robots of a subtree are its nearest to a root; its others are own ones of subtrees that grow
+    All robots that are a number of hops or more from the anchor fall apart into subtrees. The own
+    robots of a subtree are its nearest to the anchor; its others are own ones of subtrees that grow
     out of it. The first subtree is everyone.
     """
 
@@ -49,16 +47,15 @@ class Forest:
     """Subtree that each grows out of, 0 of the first, shape (T,)."""
 
 
-def find_subtrees(pair: Ints, robots: int, roots: Ints) -> Forest:
-    """Split a structure into subtrees; robots that contacts tie to no root are in the first.
+def find_subtrees(pair: Ints, robots: int) -> Forest:
+    """Split a structure into subtrees; robots that nothing ties to the anchor are in the first.
 
     Args:
         pair: Robots that touch each other at any stance, as often as they do, shape (C, 2).
         robots: N.
-        roots: Robots to count hops from.
     """
     pair = np.unique(pair, axis=0)
-    level = _levels(robots, pair, roots)
+    level = _levels(robots, pair)
     owner, parent = _grown(level, pair[level[pair[:, 0]] >= 0])
     number = _from_the_anchor(parent)
     owner = number[owner]
@@ -124,16 +121,15 @@ def weights(tree: Forest) -> Reals:
     return _SUBTREE_WEIGHT * np.maximum(1.0, total / _MOST_MOBILITY)
 
 
-def _levels(robots: int, pair: Ints, roots: Ints) -> Ints:
-    """Count the hops from the nearest root to each robot, -1 if none lead there, shape (N,)."""
-    hops = dijkstra(
-        touching(pair, robots), directed=False, indices=roots, unweighted=True, min_only=True
-    )
+def _levels(robots: int, pair: Ints) -> Ints:
+    """Count the hops from the anchor to each robot, -1 if none lead there, shape (N,)."""
+    anchor = np.zeros(1, np.int64)
+    hops = dijkstra(touching(pair, robots), directed=False, indices=anchor, unweighted=True)[0]
     return np.where(np.isfinite(hops), hops, -1).astype(np.int64)
 
 
 def _grown(level: Ints, pair: Ints) -> tuple[Ints, Ints]:
-    """Find the subtree of each robot and the parent of each, from the tips to the roots."""
+    """Find the subtree of each robot and the parent of each, from the tips to the anchor."""
     owner, parent = np.zeros(len(level), np.int64), [0]
     nearer = level[pair].min(axis=1)
     joined = DisjointSet(range(len(level)))
