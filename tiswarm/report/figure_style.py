@@ -182,7 +182,7 @@ def pdf(figure: "Figure") -> bytes:
 def _encoded(figure: "Figure", form: str, metadata: dict[str, None]) -> bytes:
     engine: Any = figure.get_layout_engine()
     engine.execute(figure)  # saving would lay it out twice
-    figure.set_layout_engine(None)
+    figure.set_layout_engine("none")
     stream = io.BytesIO()
     figure.savefig(stream, format=form, metadata=metadata)
     return stream.getvalue()
