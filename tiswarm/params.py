@@ -30,5 +30,5 @@ AnyPrecision = Literal["auto", Precision]
 ARCHS: tuple[Arch, ...] = get_args(Arch)
 """All compute devices."""
 
-AnyFormat = Literal["csv", "gltf", "gsd", "parquet", "ply", "pyfg", "tum"]
+AnyFormat = Literal["csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"]
 """File format of an export."""

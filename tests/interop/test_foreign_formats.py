@@ -1,17 +1,23 @@
 """Formats of other programs are read back with their own libraries, or by their published rules."""
 
+import json
+import re
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import gsd.hoomd
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
-from tiswarm.errors import EnvironmentTroubleError
+from tests.robustness.mutations import Random, damaged
+from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.interop.exports import export_view
 from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.mcap_file import encode_messages
+from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing.observation import observe
@@ -37,9 +43,9 @@ def view(towers):
 
 @pytest.fixture(scope="module")
 def exported(view, tmp_path_factory):
-    """Folder with the view in the three formats."""
+    """Folder with the view in the four formats."""
     out = tmp_path_factory.mktemp("foreign")
-    for form in ("gsd", "pyfg", "tum"):
+    for form in ("gsd", "mcap", "pyfg", "tum"):
         export_view(view, form, out, Progress())
     return out
 
@@ -75,12 +81,15 @@ def test_gsd_has_the_docks_of_a_robot(view, exported):
     np.testing.assert_allclose(shape["centers"], RobotGeometry().dock_offset_body)
 
 
-def test_gsd_without_its_library_says_what_to_install(view, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("form", "module"), [("gsd", "gsd.hoomd"), ("mcap", "mcap.writer")])
+def test_a_format_without_its_library_says_what_to_install(
+    view, tmp_path, monkeypatch, form, module
+):
     """One line names the extra, and nothing is written."""
-    monkeypatch.setitem(sys.modules, "gsd.hoomd", None)
+    monkeypatch.setitem(sys.modules, module, None)
 
-    with pytest.raises(EnvironmentTroubleError, match=r"pip install 'tiswarm\[gsd\]'"):
-        export_view(view, "gsd", tmp_path / "out", Progress())
+    with pytest.raises(EnvironmentTroubleError, match=rf"pip install 'tiswarm\[{form}\]'"):
+        export_view(view, form, tmp_path / "out", Progress())
 
     assert not (tmp_path / "out").exists()
 
@@ -91,7 +100,7 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     pose[7] = np.nan
     some = replace(view, pose=np.full_like(pose, np.nan), estimated_pose=pose)
 
-    for form in ("gsd", "pyfg", "tum"):
+    for form in ("gsd", "mcap", "pyfg", "tum"):
         export_view(some, form, tmp_path, Progress())
 
     with gsd.hoomd.open(tmp_path / "estimate.gsd") as file:
@@ -105,6 +114,67 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     lines = (tmp_path / "case.pyfg").read_text().splitlines()
     assert not any("nan" in line or " A7 " in line or " L22 " in line for line in lines)
     assert len(np.loadtxt(tmp_path / "estimate.tum")) == 29
+    assert [each["robot"] for _, each in _messages(tmp_path / "case.mcap", "estimate")] == [
+        robot for robot in range(30) if robot != 7
+    ]
+
+
+def test_mcap_has_the_log_and_the_poses(view, exported):
+    """A log reads back from its topic, bit for bit; each message is at the join of its robot."""
+    path = exported / "case.mcap"
+
+    back = read_sensing_log(path)
+
+    for old, new in ((view.log, back), (view.log.stances, back.stances)):
+        for field in fields(old):
+            if field.name not in {"noise", "stances"}:
+                np.testing.assert_array_equal(getattr(new, field.name), getattr(old, field.name))
+    times, poses = zip(*_messages(path, "structure"), strict=True)
+    assert list(times) == [10**9 * join for join in range(30)]
+    np.testing.assert_array_equal(
+        [[each[f"{c}_cm"] for c in "xyz"] for each in poses], view.pose[:, :3]
+    )
+    assert [time for time, _ in _messages(path, "sensing")] == [0, *times]
+
+
+def _messages(path, topic):
+    with path.open("rb") as file:
+        return [
+            (message.log_time, json.loads(message.data))
+            for _, channel, message in make_reader(file).iter_messages(topics=[topic])
+        ]
+
+
+def test_damaged_mcap_never_escapes(view, exported, tmp_path):
+    """A damaged file is refused in one line, unless the log in it is whole."""
+    raw, random = (exported / "case.mcap").read_bytes(), Random(0)
+    path, outcomes = tmp_path / "damaged.mcap", []
+
+    for _ in range(100):
+        path.write_bytes(damaged(random, raw))
+        try:
+            outcomes.append(f"{read_sensing_log(path).robot_count} robots")
+        except InputError as refusal:
+            outcomes.append(str(refusal))
+
+    refused = [outcome for outcome in outcomes if outcome != "30 robots"]
+    assert len(refused) > 30
+    assert [each for each in refused if not re.fullmatch(rf"{path}:\d+: .+", each)] == []
+
+
+def test_a_log_needs_its_topic(exported, tmp_path, tiswarm):
+    """Files without it, and no MCAP, are refused by name; a command reads one that has it."""
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(encode_messages({"other": [(0, {})]}))
+
+    done = tiswarm("check", path, exported / "case.mcap")
+
+    assert done.returncode == 2
+    assert "empty.mcap:1: there are no messages of the topic sensing; see tiswarm" in done.stderr
+    assert "30 robots" in done.stdout
+    path.write_text("{}")
+    with pytest.raises(InputError, match="not a whole MCAP file; record or copy it again"):
+        read_sensing_log(path)
 
 
 def test_tum_has_a_pose_a_join(view, exported):

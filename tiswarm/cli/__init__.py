@@ -24,7 +24,9 @@ __all__ = ["main"]
 
 @app.command(epilog="Example: tiswarm check scenarios/*.yaml sensing.jsonl")
 def check(
-    files: Annotated[list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl, .jsonl.zst).")],
+    files: Annotated[
+        list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl, .jsonl.zst, .mcap).")
+    ],
 ) -> None:
     """Check scenarios and sensing logs for mistakes."""
     from tiswarm.inspection import inspect

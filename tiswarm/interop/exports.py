@@ -14,6 +14,8 @@ from tiswarm.interop.particles import encode_gsd
 from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
+from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.records.sensing_file import log_entries
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import TRUE_SIZE, Robots, build_scene, capsule_normals
@@ -42,6 +44,8 @@ def export_view(view: SwarmView, form: AnyFormat, out: Path, progress: Progress)
             files[f"{name}.ply"] = shape.export(file_type="ply", **normals)
     elif form == "gsd":
         files = encode_gsd(view)
+    elif form == "mcap":
+        files["case.mcap"] = _messages(view)
     elif form == "pyfg":
         files["case.pyfg"] = encode_factor_graph(view)
     elif form == "tum":
@@ -150,6 +154,16 @@ def _trajectory(poses: pd.DataFrame) -> bytes:
     """
     table = poses[[*poses.columns[1:5], "qx", "qy", "qz", "qw"]].dropna()
     return table.to_csv(index=False, header=False, sep=" ", lineterminator="\n").encode()
+
+
+def _messages(view: SwarmView) -> bytes:
+    """Encode the log and the poses as MCAP. Robots whose pose is unknown have no message."""
+    topics: dict[str, Any] = {
+        SENSING: ((max(0, line - 1), entry) for line, entry in enumerate(log_entries(view.log)))
+    }
+    for name, table in _pose_tables(view).items():
+        topics[name] = [(row["join"], row) for row in table.dropna().to_dict("records")]
+    return encode_messages(topics)
 
 
 def _encoded(table: pd.DataFrame, form: AnyFormat) -> bytes:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints
 from tiswarm.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
+from tiswarm.records.mcap_file import sensing_lines
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_format import (
     FORMAT,
@@ -32,7 +33,7 @@ from tiswarm.records.sensing_log import SensingLog, canonical_contacts
 
 
 def read_sensing_log(path: Path) -> SensingLog:
-    r"""Read a sensing file.
+    r"""Read a sensing file; where the name ends in .mcap, its messages are the lines.
 
     Raises:
         InputError: the file cannot be read or a line is malformed; names file, line and key.
@@ -48,7 +49,7 @@ def read_sensing_log(path: Path) -> SensingLog:
     ...     print(path.read_text().splitlines()[1])
     {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": [], "flip_height": 5.31}
     """
-    lines = numbered_lines(path)
+    lines = sensing_lines(path) if path.suffix == ".mcap" else numbered_lines(path)
     number, text = next(lines, (0, ""))
     if number == 0:
         raise InputError("the file is empty; start it with a header line", path=path, line=1)
@@ -71,8 +72,13 @@ def write_sensing_log(log: SensingLog, path: Path) -> None:
         EnvironmentTroubleError: the file cannot be written.
     """
     with replacing(path) as file:
-        for entries in chain([_header_entries(log)], _robot_entries(log)):
+        for entries in log_entries(log):
             file.write(f"{json.dumps(entries, allow_nan=False)}\n".encode())
+
+
+def log_entries(log: SensingLog) -> Iterator[dict[str, Any]]:
+    """Yield the content of each line of a sensing file: the header, then robot by robot."""
+    return chain([_header_entries(log)], _robot_entries(log))
 
 
 def check_header(log: SensingLog) -> None:
