@@ -29,19 +29,23 @@ def probe(
     The script ends with `document.body.dataset.found = JSON.stringify(found)`. In real time it must
     do so before the page has loaded. `more` are further options of the browser.
     """
-    if CHROMIUM is None:
-        pytest.skip("no chromium or chrome here; install the package chromium")
     probed = folder / "probed.html"
     script = f"<script>\nconst found = {{troubles}};\n{script}</script></body>"
     probed.write_text(page.replace("<head>", f"<head>{_LISTEN}").replace("</body>", script))
-    options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
-    options += ["--enable-unsafe-swiftshader", "--dump-dom", *more]
+    options = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", *more]
     options += [] if real_time else ["--virtual-time-budget=10000"]
-    done = subprocess.run(
-        [CHROMIUM, *options, probed.as_uri()], capture_output=True, text=True, timeout=200,
-        check=False,
-    )  # fmt: skip
+    done = dump(probed.as_uri(), *options)
     found = re.search(r'<body data-found="([^"]*)"', done.stdout)
     assert found, done.stderr[-2000:]
     values: dict[str, Any] = json.loads(found[1].replace("&quot;", '"').replace("&amp;", "&"))
     return values
+
+
+def dump(address: str, *options: str) -> subprocess.CompletedProcess[str]:
+    """Load an address in a browser without a window, and print the document that results."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium or chrome here; install the package chromium")
+    return subprocess.run(
+        [CHROMIUM, "--headless=new", "--no-sandbox", "--dump-dom", *options, address],
+        capture_output=True, text=True, timeout=200, check=False,
+    )  # fmt: skip

@@ -102,7 +102,7 @@ class Backend:
             EnvironmentTroubleError: less is free.
         """
         free = None
-        if self.arch == "cpu":
+        if not self.on_card:
             free = psutil.virtual_memory().available
         elif self.arch == "cuda":
             free = cards.free_cuda_memory()

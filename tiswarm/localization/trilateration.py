@@ -211,7 +211,7 @@ class Trilateration:
             The best points on the way [R], shape (n, K, 3), and their chi-square, shape (n, K).
         """
         point, best, least = start, start, np.full(start.shape[:2], np.inf)
-        is_moving = np.ones(start.shape[:2], np.bool_)  # each by itself, whoever shares the batch
+        is_moving = np.ones(start.shape[:2], np.bool_)  # each by itself, in any batch
         for _ in range(_STEPS):
             normal, residual = self.residual(point)
             pull = self.precision[:, None] * residual

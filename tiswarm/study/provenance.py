@@ -93,7 +93,7 @@ def manifest(used: Collection[Used], costs: Sequence[Mapping[str, Cost]]) -> Man
         used: What computed the stages, at least one.
         costs: Costs by case and stage.
     """
-    main = max(used, key=lambda each: (each.backend.arch != "cpu", each.force_error)).backend
+    main = max(used, key=lambda each: (each.backend.on_card, each.force_error)).backend
     devices: dict[str, set[str]] = {}
     for each in used:
         devices.setdefault(each.stage, set()).add(str(each.backend))

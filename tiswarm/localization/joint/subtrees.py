@@ -92,7 +92,7 @@ def subtree_arrays(
     ordinal = np.concatenate([np.arange(n) for n in count])
     table = [end - own, end, last, parent, np.concatenate(moves), ordinal]
     copies = chains * len(own)
-    rows = sum_rows(len(of_robot.ravel())) if memory.running.arch != "cpu" else 1
+    rows = sum_rows(len(of_robot.ravel())) if memory.running.on_card else 1
     return Subtrees(
         of_robot=memory.upload(of_robot.ravel()),
         table=memory.upload(np.column_stack(table)),
