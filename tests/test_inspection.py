@@ -39,7 +39,12 @@ def _lines(log, *solutions):
         position[list(off), 1] = list(off.values())
         found.append(
             Solution(
-                chains=chains, residual=residual, residual_sd=10.0 * residual, position=position
+                weight=0.5,
+                chi_square=residual,
+                chains=chains,
+                residual=residual,
+                residual_sd=10.0 * residual,
+                position=position,
             )
         )
     return list(describe_solutions(log, SimpleNamespace(solutions=tuple(found))))
@@ -102,7 +107,14 @@ def test_a_solution_takes_the_place_of_the_mean(log):
 def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
     """A mean of chains may miss contacts that each chain satisfies."""
     robots = log.robot_count
-    best = Solution(chains=7, residual=0.0042, residual_sd=0.7, position=np.zeros((robots, 3)))
+    best = Solution(
+        weight=1.0,
+        chi_square=1.0,
+        chains=7,
+        residual=0.0042,
+        residual_sd=0.7,
+        position=np.zeros((robots, 3)),
+    )
     found = SimpleNamespace(
         robot_count=robots, residual=np.array([2.0, 0.25]), residual_sd=31.0, solutions=(best,)
     )

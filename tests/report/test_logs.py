@@ -95,7 +95,14 @@ def estimate(log, true) -> Estimate:
         disconnected=np.zeros(30, bool),
         sd=sd,
         solutions=tuple(
-            Solution(chains=chains, residual=0.5, residual_sd=1.0, position=position)
+            Solution(
+                weight=0.5,
+                chi_square=1.0,
+                chains=chains,
+                residual=0.5,
+                residual_sd=1.0,
+                position=position,
+            )
             for chains, position in [(5, true), (3, far)]
         ),
         iteration=np.empty(0, np.int64),

@@ -22,38 +22,65 @@ are not normally distributed."""
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """One of several distinct configurations that fit the measurements about equally well."""
+    """One of several distinct configurations that the measurements allow."""
+
+    weight: float
+    """Share of the solution in the mixture that the estimate is the mean of [1]."""
 
     chains: int
-    """Number of chains that ended in this configuration."""
+    """Number of chains, or starts, that ended in this configuration."""
+
+    chi_square: float
+    """Least cost: squared residuals of all measurements in variances, under the robust loss, and
+    overlaps [1]."""
 
     residual: float
-    """Smallest residual of these chains [log unit]."""
+    """Residual of its contacts and ranges [log unit]."""
 
     residual_sd: float
-    """Smallest residual of these chains, in standard deviations."""
+    """The same in standard deviations."""
 
     position: Reals = field(repr=False)
-    """Centers in the chain with the smallest residual [log unit], shape (N, 3)."""
+    """Centers [log unit], shape (N, 3)."""
+
+    sd: Reals | None = field(default=None, repr=False)
+    """Standard deviation of each position within this solution [log unit], shape (N,); None where
+    the method has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """Convergence of a method that anneals several chains."""
+    """Two verdicts on an estimate: on the search, and on the measurements."""
 
     converged: bool
-    """Whether the misfit of the best chain is within what noise explains."""
+    """Whether the search found one least cost from several starts, none of which is out of reach of
+    the measurements."""
+
+    consistent: bool
+    """Whether noise as stated explains the least cost, outliers left out."""
 
     misfit_sd: float
-    """Excess of the best chain's chi-square over its number of measurements, in standard deviations
-    of a chi-square; outliers are left out."""
+    """Excess of the least chi-square over its expectation, in standard deviations of a chi-square;
+    outliers are left out."""
+
+    sd_factor: float = 1.0
+    """Factor that `sd` was multiplied by: the Birge ratio sqrt(chi-square / degrees of freedom) of
+    measurements that are not consistent, else 1."""
+
+    reason: str = ""
+    """Why the estimate did not converge, or is not consistent; empty if neither."""
 
     chains: int
-    """Number of chains that enter the estimate."""
+    """Number of chains, or starts, that enter the estimate."""
 
     restarted: int
     """Number of annealings that were repeated with smaller steps, because a robot was beyond the
     reach of its contacts or the chain's temperature diverged."""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether both verdicts are good."""
+        return self.converged and self.consistent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,12 +156,28 @@ class Estimate:
     the method does not look for them, or did not converge."""
 
     outlier_places: Ints | None = None
-    """Outliers among ground contacts, heights and spawn positions: rows of (robot, its stance from
-    the spawn on, dock, or -1 for the center), shape (K, 3); None where the former is."""
+    """Outliers among ground contacts, heights, fixes and spawn positions: rows of (robot, its stance
+    from the spawn on, dock, or -1 for the center), shape (K, 3); None where the former is."""
+
+    outlier_robots: Ints | None = None
+    """Robots whose measurements all disagree with their neighbors', so that the sensed orientation
+    does not count, shape (K,); None where `outlier_contacts` is."""
+
+    misfit: Reals | None = None
+    """Part of the chi-square that each robot's measurements carry, half of that of a pair for each
+    of its two robots, shape (N,); None where the method does not compute it."""
+
+    mirrored: Bools | None = None
+    """Whether solutions put the robot farther apart than its sd within one of them, shape (N,);
+    None where the method does not look for several."""
+
+    free_frame: tuple[str, ...] = ()
+    """Rigid motions of all robots that change no measurement: "rotation" about every axis through
+    the anchor, "axis" about one axis, and "hand", a mirror image. `sd` is that of the shape then."""
 
     solutions: tuple[Solution, ...] = ()
-    """Distinct configurations that the method found, by ascending residual. `position` follows from
-    the mean over all their chains. Empty where the method looks for one only."""
+    """Distinct configurations that the measurements allow, the likeliest first. `position` is the
+    mean of their mixture. Empty where the method looks for one only."""
 
     observability: Observability | None = None
     """What the cues in use determine; filled in after the method has run."""
@@ -169,6 +212,20 @@ class Estimate:
         return len(self.robot_id)
 
     @property
+    def known(self) -> list[str]:
+        """Whether each position is determined: "yes", "mirrored", "floppy" or "disconnected".
+
+        Empty where there are too many robots to find out.
+        """
+        words = [] if self.observability is None else self.observability.known
+        if self.mirrored is None:
+            return words
+        pairs = zip(words, self.mirrored.tolist(), strict=True)
+        return [
+            "mirrored" if is_mirrored and word == "yes" else word for word, is_mirrored in pairs
+        ]
+
+    @property
     def located(self) -> Bools | None:
         """Whether each robot is located, shape (N,); None where `undetermined` is."""
         return None if self.undetermined is None else np.logical_not(self.undetermined.any(axis=1))
@@ -180,6 +237,7 @@ class Estimate:
             parts.append(f"sd {np.median(sd):.2g} in the median")
         if self.convergence is not None:
             parts.append("converged" if self.convergence.converged else "not converged")
+            parts += [] if self.convergence.consistent else ["not consistent"]
         return f"Estimate({', '.join(parts)})"
 
     def columns(self) -> dict[str, Sequence[object]]:
@@ -189,7 +247,7 @@ class Estimate:
         if self.sd is not None:
             found[f"sd_{unit}"] = self.sd.tolist()
         if self.observability is not None:
-            found["known"] = self.observability.known
+            found["known"] = self.known
         if self.yaw is not None:
             found["yaw_deg"] = np.degrees(self.yaw).tolist()
         if self.undetermined is not None:
@@ -204,7 +262,7 @@ class Estimate:
         return pd.DataFrame(self.columns())
 
     def with_solution(self, number: int) -> "Estimate":
-        """Return the positions of one solution, counted from 1, without the mean's sd and yaw.
+        """Return the positions and sd of one solution, counted from 1, without the mean's yaw.
 
         Raises:
             InputError: there is no such solution.
@@ -215,7 +273,7 @@ class Estimate:
             raise InputError(f"{number}: the method {found}; {remedy}", argument="solution")
         chosen = self.solutions[number - 1]
         return replace(
-            self, position=chosen.position, sd=None, yaw=None,
+            self, position=chosen.position, sd=chosen.sd, yaw=None, mirrored=None,
             trace=np.concatenate([self.trace[:-1], chosen.position[None]]),
             residual=np.append(self.residual[:-1], chosen.residual),
             residual_sd=chosen.residual_sd,

@@ -67,7 +67,7 @@ def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) ->
 def _in_words(estimate: Estimate) -> str:
     """State in a line what limits the estimate; empty if nothing does."""
     found = []
-    words = [] if estimate.observability is None else estimate.observability.known
+    words = estimate.known
     if floppy := words.count("floppy"):
         found.append(f"Floppy modes move {counted(floppy, 'robot')}")
     if lost := words.count("disconnected"):
@@ -175,7 +175,7 @@ def _robots(view: SwarmView, estimate: Estimate) -> Table:
             columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
     columns["contacts"] = [str(many) for many in contact_count(log)]
     if estimate.observability is not None:
-        columns["known"] = estimate.observability.known
+        columns["known"] = estimate.known
     left_out = len(view.robot) - MOST_ROWS
     note = (
         "Known: yes if the measurements determine the position; floppy if a motion that changes no "

@@ -141,6 +141,7 @@ def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: in
         outlier=outlier,
         convergence=Convergence(
             converged=bool(is_met and is_whole and few and not has_failed.all()),
+            consistent=True,
             misfit_sd=float((chi_square - count) / spread),
             chains=int(converged.sum()),
             restarted=restarted,
@@ -234,6 +235,8 @@ def distinct(
             found.append([chain])
     return tuple(
         Solution(
+            weight=len(alike) / len(position),
+            chi_square=float("nan"),
             chains=len(alike),
             residual=float(residual[alike[0]]),
             residual_sd=float(residual_sd[alike[0]]),
