@@ -16,7 +16,10 @@ import numpy as np
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
-from tiswarm.records.estimate import Convergence, Solution
+
+
+_LEAST_CHAINS = 1.5
+"""Effective number of chains below which their spread says nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,17 @@ class Annealed:
     yaw_trace: Reals
     """Yaw corrections of the first chain then [rad], shape (K, N)."""
 
+    def joined(self, position: Reals, yaw: Reals, within: Reals) -> "Annealed":
+        """Add configurations that do not move: (K, N, 3), (K, N) and (K, N)."""
+        further = {
+            "mean": position, "last": position, "mean_yaw": yaw, "last_yaw": yaw,
+            "within": within, "temperature": np.ones(len(yaw)),
+        }  # fmt: skip
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(self, name), value]) for name, value in further.items()
+        }
+        return replace(self, **arrays)
+
     def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
         """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
         arrays: dict[str, Any] = {
@@ -67,20 +81,6 @@ class Annealed:
         if chosen[0]:
             arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
         return replace(self, **arrays)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """Judgment of the chains of one structure."""
-
-    converged: Bools
-    """Chains whose mean is the estimate, shape (chains,); at least one."""
-
-    outlier: Bools
-    """Measurements that every converged chain misses, and each of the best few, shape (E,)."""
-
-    convergence: Convergence
-    """Convergence of the estimate."""
 
 
 def failed(problem: Problem, annealed: Annealed) -> Bools:
@@ -109,66 +109,26 @@ def squares(problem: Problem, annealed: Annealed) -> Reals:
     return square
 
 
-def judge(problem: Problem, annealed: Annealed, has_failed: Bools, restarted: int) -> Verdict:
-    """Choose the chains that count, and decide whether they meet the measurements.
-
-    Args:
-        problem: Measurements of the structure.
-        annealed: Its chains.
-        has_failed: Chains that cannot be right, shape (chains,).
-        restarted: How many chains were annealed again.
-    """
-    test, contacts = ConvergenceTest, len(problem.variance)
-    missed = squares(problem, annealed)
-    sums = np.minimum(missed[:, :contacts], test.capped_sd**2).sum(axis=1)
-    candidates = np.where(has_failed.all() | ~has_failed, sums, np.inf)
-    best = int(candidates.argmin())
-    converged = candidates <= candidates[best] + test.chance_sd * np.sqrt(2.0 * contacts)
-    rank = np.argsort(np.argsort(candidates, kind="stable"))
-    jury = converged | ((rank < test.jury) & np.isfinite(candidates))
-    outlier = (missed[jury] > test.outlier_sd**2).all(axis=0)
-    outlier[:contacts] = problem.any_of_link(outlier[:contacts])
-    used = missed[best, ~outlier]
-    count = max(len(used), 1)
-    spread = np.sqrt(2.0 * count)
-    chi_square = np.minimum(used, test.capped_sd**2).sum()
-    is_met = chi_square <= test.most_per_measurement * count + test.chance_sd * spread
-    torn = (missed[best, :contacts][~outlier[:contacts]] > test.outlier_sd**2).sum()
-    is_whole = torn <= test.torn_anyway + test.most_torn * contacts
-    few = outlier[:contacts].sum() <= test.most_outliers * contacts
-    return Verdict(
-        converged=converged,
-        outlier=outlier,
-        convergence=Convergence(
-            converged=bool(is_met and is_whole and few and not has_failed.all()),
-            consistent=True,
-            misfit_sd=float((chi_square - count) / spread),
-            chains=int(converged.sum()),
-            restarted=restarted,
-        ),
-    )
-
-
 def deviation(
     problem: Problem,
     mean: Reals,
     within: Reals,
-    converged: Bools,
+    weight: Reals,
     sigma: float,
 ) -> Reals:
-    """Compute the standard deviation of the mean of the converged chains [R], shape (N,).
+    """Compute the standard deviation of the weighted mean of chains [R], shape (N,).
 
     Args:
         problem: Measurements of the structure.
         mean: Mean position of each chain [R], shape (chains, N, 3).
         within: Within-chain variance [R^2], shape (chains, N).
-        converged: Chains whose mean is the estimate, shape (chains,).
+        weight: Weights of the chains, which add up to 1, shape (chains,).
         sigma: Square root of the temperature at which the chains ended [R].
     """
     fit = SdCalibration
-    between = between_chains(mean, converged)
-    between += fit.shared * between_chains(_others(mean), converged)
-    square = within[converged].mean(axis=0) + between
+    between = between_chains(mean, weight)
+    between += fit.shared * between_chains(_others(mean), weight)
+    square = weight @ within + between
     noise = _noise_share(problem.variance)
     thermal = fit.thermal_variance * (1.0 - noise) * sigma**2
     square *= square / np.maximum(square + thermal, np.finfo(np.float64).tiny)
@@ -181,17 +141,20 @@ def deviation(
     return sd
 
 
-def between_chains(mean: Reals, converged: Bools) -> Reals:
+def between_chains(mean: Reals, weight: Reals) -> Reals:
     """Compute the mean square error of the mean of chains that are draws like the truth, (N,).
 
     The mean of n draws is off by (n + 1) / n of their variance; the draws around it show
-    (n - 1) / n of that. If one chain alone converged, the others show how much chains differ.
+    (n - 1) / n of that. n is their effective number, 1 / sum of squared weights. Of less than two,
+    all chains together show how much they differ.
     """
-    position = mean[converged].mean(axis=0)
-    chains = np.count_nonzero(converged)
-    drawn = mean[converged] if chains > 1 else mean
-    square: Reals = ((drawn - position) ** 2).sum(axis=2).mean(axis=0)
-    return square * ((chains + 1.0) / (chains - 1.0) if chains > 1 else 1.0)
+    chains = 1.0 / (weight**2).sum()
+    if chains < _LEAST_CHAINS:
+        weight = np.full(len(mean), 1.0 / len(mean))
+        chains = float(len(mean))
+    position = np.tensordot(weight, mean, 1)
+    square: Reals = weight @ ((mean - position) ** 2).sum(axis=2)
+    return square * ((chains + 1.0) / (chains - 1.0) if chains > 1.0 else 1.0)
 
 
 def _others(mean: Reals) -> Reals:
@@ -208,39 +171,3 @@ def _noise_share(variance: Reals) -> float:
     return float(np.mean(variance / (variance + AnnealSchedule.warmest**2)))
 
 
-def distinct(
-    position: Reals,
-    residual: Reals,
-    residual_sd: Reals,
-    width: float,
-) -> tuple[Solution, ...]:
-    """Group chains into solutions that differ by more than the width of a dock at some robot.
-
-    Beyond that distance robots could have changed places. A chain belongs to the solution of least
-    residual that it agrees with.
-
-    Args:
-        position: Centers in each chain, in the log's unit, shape (chains, N, 3).
-        residual: Residual of each, in the log's unit, shape (chains,).
-        residual_sd: The same in standard deviations, shape (chains,).
-        width: Width of a dock, in the log's unit.
-    """
-    found: list[list[int]] = []
-    for chain in np.argsort(residual, kind="stable").tolist():
-        for alike in found:
-            if np.linalg.norm(position[chain] - position[alike[0]], axis=1).max() <= width:
-                alike.append(chain)
-                break
-        else:
-            found.append([chain])
-    return tuple(
-        Solution(
-            weight=len(alike) / len(position),
-            chi_square=float("nan"),
-            chains=len(alike),
-            residual=float(residual[alike[0]]),
-            residual_sd=float(residual_sd[alike[0]]),
-            position=position[alike[0]],
-        )
-        for alike in found
-    )

@@ -1,15 +1,16 @@
 """The joint method: measurements, annealing, and one estimate from all chains."""
 
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.annealing import anneal
-from tiswarm.localization.joint.chains import Annealed, Verdict, deviation, distinct, failed, judge
+from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.initialization import place_disconnected
+from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.refine import is_of_use, refine
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
 from tiswarm.progress import ignore
@@ -48,40 +49,37 @@ def localize_batch(
 def _estimate(
     log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
 ) -> Estimate:
-    annealed, verdict = _restarted(log, params, problem, annealed)
-    converged, convergence = verdict.converged, verdict.convergence
-    chain, square = place_disconnected(annealed.mean, problem)
-    mean = chain[converged]
-    position, yaw = mean.mean(axis=0), annealed.mean_yaw[converged].mean(axis=0)
-    sd = deviation(problem, annealed.mean, annealed.within, converged, annealed.sigma)
-    if params.refines(log.robot_count) and is_of_use(problem) and convergence.converged:
-        used = ~verdict.outlier | (not params.robust)
-        used[problem.rows.touch] &= _agreed(problem, annealed, converged)
-        curved = _curved(problem, annealed)[used[: len(problem.variance)]]
-        rows = problem.rows.select(used).associated(position, yaw)
-        position, yaw, sd = refine(problem, position, yaw, sd, rows, curved)
-    # Chains agree where they place disconnected parts, but nothing measures it.
-    sd = np.sqrt(sd**2 + square[converged].mean(axis=0))
+    annealed, has_failed, restarted = _restarted(log, params, problem, annealed)
+    mixture = mix(log, params, problem, annealed, has_failed)
+    position, yaw = mixture.position, mixture.yaw
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
     yaw_trace = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
-    width = np.sqrt(problem.variance + annealed.sigma**2)
-    last = problem.residual(annealed.last[converged], annealed.last_yaw[converged])
     gap = problem.residual(trace, yaw_trace)
-    outliers = problem.rows.select(verdict.outlier)
+    width = np.sqrt(problem.variance + annealed.sigma**2)
+    outliers = problem.rows.select(mixture.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
     unit = log.dock_radius
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
         disconnected=problem.untied,
-        sd=sd * unit,
+        sd=mixture.sd * unit,
         yaw=yaw if problem.yaw_precision else None,
-        convergence=convergence,
-        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0)
-        if convergence.converged
-        else None,
-        outlier_places=places if convergence.converged else None,
-        solutions=distinct(mean * unit, _rms(last) * unit, _rms(last / width), log.spacing),
+        convergence=replace(mixture.convergence, restarted=restarted),
+        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0),
+        outlier_places=places,
+        misfit=mixture.misfit,
+        mirrored=mixture.mirrored,
+        free_frame=mixture.free_frame,
+        solutions=tuple(
+            replace(
+                each,
+                residual=each.residual * unit,
+                position=each.position * unit,
+                sd=None if each.sd is None else each.sd * unit,
+            )
+            for each in mixture.solutions
+        ),
         iteration=annealed.iteration,
         trace=trace * unit,
         residual=_rms(gap) * unit,
@@ -91,8 +89,12 @@ def _estimate(
 
 def _restarted(
     log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
-) -> tuple[Annealed, Verdict]:
-    """Anneal chains that failed again, in ever smaller steps, and judge all of them."""
+) -> tuple[Annealed, Bools, int]:
+    """Anneal chains that failed again, in ever smaller steps.
+
+    Returns:
+        All chains, which of them failed, shape (chains,), and how many annealings were repeated.
+    """
     restarted = 0
     has_failed = failed(problem, annealed)
     for attempt in range(1, AnnealSchedule.restarts + 1):
@@ -102,31 +104,7 @@ def _restarted(
         annealed = annealed.with_chains(has_failed, again)
         restarted += int(has_failed.sum())
         has_failed = failed(problem, annealed)
-    return annealed, judge(problem, annealed, has_failed, restarted)
-
-
-def _agreed(problem: Problem, annealed: Annealed, converged: Bools) -> Bools:
-    """Find touches whose docks are the same in all converged chains, shape (T,).
-
-    The mean of chains that differ has neither docks at the right distance.
-    """
-    pair = problem.rows.association(annealed.mean[converged], annealed.mean_yaw[converged])
-    is_agreed: Bools = (pair == pair[0]).all(axis=0)
-    return is_agreed
-
-
-def _curved(problem: Problem, annealed: Annealed) -> Reals:
-    """Compute the variance of links about their linear form, since chains move, shape (P,).
-
-    A distance d grows by s^2 / 2d if the one dock is off by s across from the other. Offsets are
-    linear.
-    """
-    rows, length = problem.rows, problem.rows.distances.length
-    i, j = rows.robot[: len(length)], rows.other[: len(length)]
-    between = (annealed.mean[:, i] - annealed.mean[:, j]).var(axis=0).sum(axis=1)
-    within = (annealed.within[:, i] + annealed.within[:, j]).mean(axis=0)
-    variance: Reals = ((between + within) / (2.0 * length)) ** 2
-    return np.pad(variance, (0, len(rows.offsets.stance)))
+    return annealed, has_failed, restarted
 
 
 def _rms(gap: Reals) -> Reals:

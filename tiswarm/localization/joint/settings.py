@@ -99,6 +99,40 @@ class ConvergenceTest:
     """Kinetic temperature, relative to its target, from which on a chain failed [1]."""
 
 
+class MixtureSettings:
+    """How ends of chains are ranked and mixed. Chosen on training structures."""
+
+    tempered: float = 2.0
+    """Standard deviation by which measurements may be missed as chains are ranked, in that of their
+    end temperature [1]."""
+
+    rounds: int = 4
+    """Rounds in which the end of a chain is moved to a minimum."""
+
+    unfolding: float = 0.1
+    """Standard deviation by which measurements may be missed at first where a start is not the end
+    of a chain, in the median of measured distances [1]."""
+
+    warm_rounds: int = 15
+    """Rounds at that temperature."""
+
+    fewest: float = 4.0
+    """Effective number of ends that the mixture is to have, if their costs are alike."""
+
+    chance: float = 8.0
+    """Width of a chi-square, in the largest divisor of costs [1]."""
+
+    heats: int = 6
+    """Divisors that are tried."""
+
+    spare: float = 0.25
+    """Least degrees of freedom of a chi-square, in unknown coordinates [1]: where measurements are
+    hardly more than these, the search leaves as much."""
+
+    least_weight: float = 1e-3
+    """Weight below which an end does not count [1]."""
+
+
 class SdCalibration:
     """From the variance of chains to `sd`.
 
@@ -133,8 +167,8 @@ class SdCalibration:
 class RefineSettings:
     """Generalized least squares from where the chains ended. Chosen on training structures."""
 
-    rounds: int = 2
-    """Linear problems solved, each at where the last one led."""
+    rounds: int = 4
+    """Linear problems solved at most, each at where the last one led."""
 
     prior_sd: float = 1.2
     """Prior width around the chain mean, in chain sd; multiplied by sqrt(N), since all robots may
