@@ -51,7 +51,7 @@ def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP)
     robot, n = np.repeat(robots, len(axes)), np.tile(axes, (len(robots), 1))
     value = (n * truth[robot]).sum(axis=1)
     return dataclasses.replace(
-        log, fixes=np.column_stack([robot, n, value, np.full(len(robot), sd)])
+        log, fixes=np.column_stack([robot, n, value, np.tile([sd, -1.0], (len(robot), 1))])
     )
 
 
@@ -72,7 +72,7 @@ def test_four_noisy_ranges_are_solved_as_by_least_squares(params, seed):
     truth = np.concatenate([rng.uniform(-4.0, 4.0, (4, 3)), rng.uniform(-2.0, 2.0, (1, 3))])
     sd = np.array([0.02, 0.05, 0.1, 0.2])
     reach = np.linalg.norm(truth[4] - truth[:4], axis=1) + sd * rng.normal(size=4)
-    ranges = np.column_stack([np.full(4, 4), np.arange(4), reach, sd])
+    ranges = np.column_stack([np.full(4, 4), np.arange(4), reach, sd, np.full(4, -1)])
     log = dataclasses.replace(fixed(swarm(truth), truth, [1, 2, 3]), ranges=ranges)
 
     found = localize(log, params)
@@ -152,7 +152,8 @@ def test_errors_that_partners_share_do_not_average_out():
     partners = np.arange(1, 13)
     log = fixed(swarm(truth), truth, partners, sd=0.3)
     reach = np.linalg.norm(truth[13] - truth[partners], axis=1)
-    ranges = np.column_stack([np.full(12, 13), partners, reach, np.full(12, SHARP)])
+    known = np.tile([SHARP, -1.0], (12, 1))
+    ranges = np.column_stack([np.full(12, 13), partners, reach, known])
 
     found = localize(dataclasses.replace(log, ranges=ranges), HOPS)
 
@@ -241,12 +242,14 @@ def test_whatever_numbers_are_sensed_positions_are_finite(seed):
     def any_numbers(count):
         length = 10.0 ** rng.uniform(-12.0, 10.0, count)
         length = np.choose(rng.integers(0, 6, count), [0.0, 2.0, 1e10, 5e-324, length, length])
-        return length, 10.0 ** rng.uniform(-6.0, 6.0, count)
+        return length, 10.0 ** rng.uniform(-6.0, 6.0, count), rng.integers(-1, 2, count)
 
     log = dataclasses.replace(
         swarm(np.zeros((6, 3))),
         ranges=np.column_stack([pair, *any_numbers(len(pair))]),
         fixes=np.column_stack([robot, direction, *any_numbers(len(robot))]),
+        source_name=("camera", "radio"),
+        source_sd=10.0 ** rng.uniform(-6.0, 6.0, 2),
     )
 
     for order in ("hops", "join"):
@@ -283,7 +286,7 @@ def test_open_coordinates_are_reported():
     level = fixed(log, truth, [1], EVERY_AXIS[:2], sd=0.5).fixes
     upright = fixed(log, truth, [2], EVERY_AXIS[2:], sd=0.5).fixes
     tied = fixed(log, truth, [3], EVERY_AXIS[1:], sd=0.1).fixes
-    ranges = np.array([[3.0, 1.0, np.linalg.norm(truth[3] - truth[1]), 0.1]])
+    ranges = np.array([[3.0, 1.0, np.linalg.norm(truth[3] - truth[1]), 0.1, -1.0]])
     log = dataclasses.replace(log, fixes=np.concatenate([level, upright, tied]), ranges=ranges)
 
     found = localize(log, HopByHopParams())
@@ -316,7 +319,8 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
     )
     log = fixed(swarm(truth), truth, [1, 2, 4])
     reach = np.linalg.norm(truth[3] - truth[:3], axis=1)
-    ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, np.full(3, 0.05)])
+    known = np.tile([0.05, -1.0], (3, 1))
+    ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, known])
     log = dataclasses.replace(log, ranges=ranges)
 
     blind, found = [localize(log, HopByHopParams(non_overlap=on)) for on in (False, True)]

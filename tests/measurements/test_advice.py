@@ -28,7 +28,7 @@ def swarm(request, towers):
     log = observe(towers[1], SensingParams(tilt_noise_deg=1.0, yaw_bias_deg=request.param or 0.0))
     position = towers[1].position
     apart = float(np.linalg.norm(position[20] - position[5]))
-    return replace(log, ranges=np.array([[20.0, 5.0, apart, 0.1]])), position
+    return replace(log, ranges=np.array([[20.0, 5.0, apart, 0.1, -1.0]])), position
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ class SensingParams:
 
     fix_bias: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     """Standard deviation of a further error of planes, with one draw for each of a beacon's two
-    [R]."""
+    [R]. The planes are sources of the log, and this is their shared error."""
 
     seed_robots: Annotated[int, Field(ge=0)] = 0
     """Robots, the first to join, whose final positions are known by three fixes."""

@@ -116,7 +116,7 @@ class _LeastSquares:
     ) -> None:
         self.rows, self.walks, self.yaw_precision = rows, rows.odometry, yaw_precision
         self.links = links
-        self.own_variance = rows.own_variance
+        self.own_variance = rows.own_variance + rows.shared_variance
         self.own_variance[: len(curved)] += curved
         own, its = self.rows.noisy_arms()
         self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
