@@ -312,6 +312,40 @@ def test_of_two_mirror_images_the_upper_is_taken_but_not_called_located():
     assert found.sd[3] == pytest.approx(6.0 * 0.5**0.5, rel=0.01)
 
 
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 10_000), times=st.integers(2, 50))
+def test_readings_that_say_the_same_together_place_robots_alike(seed, times):
+    """A range read n times with sqrt(n) times the noise is the range read once.
+
+    Each reading as a tie of its own would count the error of its partner, and the prior, anew.
+    """
+    log, _ = ranging(seed)
+    ranges = np.repeat(log.ranges, times, axis=0)
+    ranges[:, 3] *= np.sqrt(times)
+
+    found, same = localize(log, HOPS), localize(dataclasses.replace(log, ranges=ranges), HOPS)
+
+    located = found.located
+    np.testing.assert_array_equal(same.located, located)
+    np.testing.assert_allclose(same.position[located], found.position[located], atol=1e-6)
+    np.testing.assert_allclose(same.sd[located], found.sd[located], rtol=1e-4)
+
+
+def test_the_error_of_a_source_does_not_average_out():
+    """However often a camera finds a robot, its own place is no better known."""
+    truth = np.array([[0.0, 0.0, 1.0], [9.0, 0.0, 1.0]])
+    log = fixed(swarm(truth), truth, [1], sd=0.1)
+    fixes = np.repeat(log.fixes, 100, axis=0)
+    fixes[:, 6] = 0
+    source = {"source_name": ("camera",), "source_sd": np.array([0.5])}
+
+    found = localize(dataclasses.replace(log, fixes=fixes, **source), HOPS)
+
+    # The prior is that robots are within 2 R or so.
+    information = 1.0 / (0.5**2 + 0.1**2 / 100) + 3.0 / 2.0**2
+    assert found.sd[1] == pytest.approx(np.sqrt(3.0 / information), rel=1e-6)
+
+
 def test_a_dock_in_the_way_excludes_a_mirror_image():
     """A robot that stands where the other image would be decides."""
     truth = np.array(

@@ -109,6 +109,25 @@ def test_expected_errors_follow_from_the_covariance(swarm):
 
 
 @pytest.mark.usefixtures("every")
+def test_readings_that_say_the_same_together_get_the_same_advice(swarm):
+    """A range read 25 times with five times the noise is the range read once.
+
+    Counted one by one, each reading would bring the prior that the two robots are near each other.
+    """
+    log, center = swarm
+    often = np.repeat(log.ranges, 25, axis=0) * [1.0, 1.0, 1.0, 5.0, 1.0]
+
+    once, read = (advise(each, CUES, center) for each in (log, replace(log, ranges=often)))
+
+    np.testing.assert_allclose(
+        [[each.rmse_before, each.rmse_after] for each in read],
+        [[each.rmse_before, each.rmse_after] for each in once],
+        rtol=1e-9,
+    )
+    assert [each.floppy_modes for each in read] == [each.floppy_modes for each in once]
+
+
+@pytest.mark.usefixtures("every")
 def test_floppy_modes_are_those_of_the_whole_matrix(swarm):
     """Its rank grows by those that a candidate removes, but for a turn of the whole swarm."""
     log, center = swarm

@@ -124,6 +124,56 @@ def test_sources_without_a_shared_error_are_refused(rows):
         Measurements.gather(rows.odometry, [rows.distances], [rows.places])
 
 
+def test_averages_say_what_repeated_readings_say(towers):
+    """The information about positions is that of the readings with all that their errors share.
+
+    The errors of a source, and of the orientations at a stance, are in all readings and do not
+    average out.
+    """
+    rng = np.random.default_rng(0)
+    log = observe(towers[0], SensingParams(tilt_noise_deg=1.0, range_reach=5.0))
+    some = rng.integers(0, len(log.ranges), 60)
+    ranges = log.ranges[some] + [0, 0, 0.1, 0, 0] * rng.normal(size=(60, 1))
+    ranges[:, 3:] = np.column_stack([rng.uniform(0.05, 0.5, 60), rng.integers(-1, 2, 60)])
+    earlier = np.column_stack([log.stances.start[rng.integers(4, 8, 60)], np.tile(np.eye(3)[0], 60)
+        .reshape(-1, 3), rng.normal(size=60), ranges[:, 3:]])  # fmt: skip
+    log = replace(
+        log,
+        ranges=ranges,
+        stances=replace(log.stances, fixes=earlier),
+        source_name=("a", "b"),
+        source_sd=np.array([0.1, 0.3]),
+    )
+    rows = measure(log, ["ranges", "fixes"])
+
+    mean = rows.averaged()
+
+    assert len(mean) < 0.8 * len(rows)
+    jacobian, center = rows.jacobian(towers[0].position).toarray(), towers[0].position
+    ends = np.column_stack([rows.robot, np.pad(rows.other, (0, len(rows) - len(rows.other)),
+                            constant_values=-1), rows.arm, rows.source])  # fmt: skip
+    alike = (ends[:, None] == ends).all(axis=2)
+    common = rows.variance() - rows.own_variance
+    covariance = np.diag(rows.own_variance) + alike * common
+    weight = np.linalg.inv(covariance)
+    averaged = mean.jacobian(center).T @ np.diag(1.0 / mean.variance())
+    np.testing.assert_allclose(
+        averaged @ mean.jacobian(center), jacobian.T @ weight @ jacobian, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        averaged @ mean.residual(center), jacobian.T @ weight @ rows.residual(center), atol=1e-8
+    )
+
+
+def test_what_is_measured_once_stays_as_it_is(rows):
+    """Logs without repeated readings have the same estimates as ever, to the last bit."""
+    mean = rows.averaged()
+
+    for name in ("distances", "offsets", "places"):
+        for column, same in zip(getattr(rows, name), getattr(mean, name), strict=True):
+            np.testing.assert_array_equal(same, column)
+
+
 def test_repeated_ranges_and_fixes_are_rows_of_their_own(towers):
     """Two readings of one device are two measurements, though they agree to the last digit."""
     log = observe(towers[0], SensingParams())

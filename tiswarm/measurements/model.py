@@ -35,6 +35,7 @@ from tiswarm.measurements.rows import (
     Places,
     ends,
     other_ends,
+    weighted_means,
 )
 
 _AXES = 3
@@ -181,6 +182,27 @@ class Measurements:
             other=self.other[pair],
             arm=self.arm[chosen],
             other_arm=self.other_arm[pair],
+        )
+
+    def averaged(self) -> "Measurements":
+        """Replace readings of the same quantity by the same source by their weighted mean.
+
+        Only their own errors average out. That of the source is in all of them, and so is the noise
+        of orientations: the mean says what the readings say together. Rows keep their order.
+        """
+        d, p = self.distances, self.places
+        ends = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
+        one, length, variance = weighted_means(ends, d.length, d.own_variance)
+        distances = Distances._make(column[one] for column in d)
+        along = [p.stance, p.dock, *p.direction.T, p.source]
+        first, value, spread = weighted_means(along, p.value, p.own_variance)
+        places = Places._make(column[first] for column in p)
+        return Measurements.gather(
+            self.odometry,
+            [distances._replace(length=length, own_variance=variance)],
+            [places._replace(value=value, own_variance=spread)],
+            [self.offsets],
+            shared_sd=self.shared_sd,
         )
 
     def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:

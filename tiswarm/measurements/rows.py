@@ -1,8 +1,10 @@
 """The three tables of measurements, whose equations `Measurements` has. Lengths in R."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 
@@ -208,3 +210,26 @@ def other_ends(d: Distances, o: Offsets) -> tuple[Ints, Ints]:
     """Stance and dock where the other arm of each pair ends."""
     stance = np.concatenate([d.other_stance, o.other_stance])
     return stance, np.concatenate([d.other_dock, o.other_dock])
+
+
+def weighted_means(
+    key: Sequence[NDArray[Any]], value: Reals, variance: Reals
+) -> tuple[Ints, Reals, Reals]:
+    """Average values whose keys, columns of shape (n,), are equal.
+
+    Returns:
+        First row of each key, in their order, with the mean and its variance.
+    """
+    keys = np.column_stack(key)
+    order = np.lexsort(keys.T)
+    is_first = np.ones(len(keys), np.bool_)
+    is_first[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+    start = np.flatnonzero(is_first)
+    if len(start) == len(keys):
+        return np.arange(len(keys)), value, variance
+    weight = 1.0 / variance[order]
+    total = np.add.reduceat(weight, start)
+    mean = np.add.reduceat(weight * value[order], start) / total
+    first = order[start]
+    in_order = np.argsort(first)
+    return first[in_order], mean[in_order], 1.0 / total[in_order]
