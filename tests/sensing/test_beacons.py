@@ -204,6 +204,38 @@ def test_ranges_reach_robots_in_sight(towers):
     np.testing.assert_allclose(np.concatenate(errors).std(), 0.06, rtol=0.18)
 
 
+def test_all_ranges_of_a_structure_share_an_error(towers):
+    """Radios of one kind err by the same, which the log states apart from the noise."""
+    senses = {"range_reach": 8.0, "range_noise": 0.06}
+    shared = []
+    for seed in range(100):
+        history = dataclasses.replace(towers[0], seed=seed)
+        alone = observe(history, SensingParams(**senses))
+        log = observe(history, SensingParams(**senses, range_bias=0.2))
+        np.testing.assert_array_equal(log.ranges[:, [0, 1, 3]], alone.ranges[:, [0, 1, 3]])
+        off = log.ranges[:, 2] - alone.ranges[:, 2]
+        assert np.ptp(off) < 1e-12
+        shared.append(off[0])
+        assert log.source_name == ("ranges",)
+        assert log.source_sd.tolist() == [0.2]
+        assert set(log.ranges[:, 4]) == {0.0}
+
+    # Five standard errors of a deviation of 100 draws are 35 %.
+    np.testing.assert_allclose(np.std(shared), 0.2, rtol=0.35)
+
+
+def test_lighthouses_and_ranges_have_sources_of_their_own(towers):
+    """Each row names the source whose shared error is in it."""
+    params = SensingParams(suite="coachbot-v2", range_reach=8.0, range_bias=0.2)
+
+    log = observe(towers[0], params)
+
+    assert log.source_name[-1] == "ranges"
+    assert log.source_sd.tolist() == [0.5, 0.5, 0.5, 0.5, 0.2]
+    assert set(log.ranges[:, 4]) == {4.0}
+    assert set(log.fixes[:, 6]) == {0.0, 1.0, 2.0, 3.0}
+
+
 def test_ranges_of_every_stance_are_those_to_robots_that_joined(towers):
     """A climbing robot measures from where it stands."""
     history = towers[1]

@@ -23,19 +23,12 @@ _PLANE_SD = 0.01
 _NO_SOURCE = -1
 
 
-def fix_sources(params: SensingParams) -> tuple[str, ...]:
-    """Name the sources of fixes: two planes of each lighthouse, if their error is not 0."""
-    has_sources = params.beacon_kind == "sweep" and params.fix_bias > 0.0
-    count = len(params.beacons) if has_sources else 0
-    return tuple(f"beacon {number} plane {plane}" for number in range(count) for plane in (0, 1))
-
-
 def sense_fixes(history: History, lookouts: Lookouts, params: SensingParams) -> Reals:
     """Measure coordinates of centers.
 
     Returns:
         Rows of (robot, stance, direction (3), value, standard deviation, source), shape (F, 8). The
-        source is a row of `fix_sources`, or -1.
+        source is a place in `params.sources`, or -1.
     """
     rows = [_plane(history), _seeds(history, params)]
     views = [lookouts.toward(np.array(beacon)) for beacon in params.beacons]
@@ -98,6 +91,6 @@ def _planes(seed: int, lookouts: Lookouts, number: int, params: SensingParams) -
         draw = 2 * (64 * stance + number) + plane
         error = params.fix_noise * normal(seed, "sweep", robot, draw)
         error += params.fix_bias * normal(seed, "beacon", number, plane)
-        source = 2 * number + plane if params.fix_bias > 0.0 else _NO_SOURCE
+        source = 2 * number + plane if params.fix_bias else _NO_SOURCE
         known = np.tile([params.fix_noise, source], (len(robot), 1))
         yield np.column_stack([robot, stance, direction, direction @ station + error, known])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
-from tiswarm.sensing.beacons import fix_sources, sense_fixes
+from tiswarm.sensing.beacons import sense_fixes
 from tiswarm.sensing.connections import sense_connections, sense_directions
 from tiswarm.sensing.noise import sensed_contacts, sensed_orientation, spawn_position
 from tiswarm.sensing.params import SensingParams
@@ -60,7 +60,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     if not params.senses("compass"):
         orientation[0] = history.orientation_wxyz[0]  # known, as the anchor's position is
         orientation[1:] = np.nan
-    height, sources = _flip_height(history, sensed, end), fix_sources(params)
+    height = _flip_height(history, sensed, end)
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
@@ -72,8 +72,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         spawn_position=spawn_position(history, params),
         stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
         noise=params.noise,
-        source_name=sources,
-        source_sd=np.full(len(sources), params.fix_bias),
+        source_name=tuple(params.sources),
+        source_sd=np.array([*params.sources.values()], np.float64),
         **final,
     )
 

@@ -15,7 +15,8 @@ def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) ->
 
     Returns:
         Rows of (robot, stance, other robot, distance, standard deviation, source), shape (D, 6).
-        The source is -1: errors are independent. One that makes a distance negative leaves no row.
+        The source is a place in `params.sources`, or -1. An error that makes a distance negative
+        leaves no row.
     """
     if params.range_reach is None:
         return np.empty((0, 6))
@@ -29,7 +30,9 @@ def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) ->
     seen = in_sight(history, views)
     length = np.linalg.norm(views.end - center, axis=1)
     length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
-    known = np.tile([params.range_noise, -1.0], (len(robot), 1))
+    length += params.range_bias * normal(history.seed, "ranges", 0, 0)
+    source = len(params.sources) - 1 if params.range_bias else -1  # the last one
+    known = np.tile([params.range_noise, source], (len(robot), 1))
     every = np.column_stack([robot, stance, other, length, known])
     rows: Reals = every[seen & (length > 0.0)]
     return rows
