@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
+from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import NEW_LISTS, line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
@@ -338,6 +339,16 @@ def test_sources_make_version_2(tmp_path):
     header, _ = map(json.loads, path.read_text().splitlines())
     assert header["version"] == 2
     assert header["sources"] == HEADER["sources"]
+
+
+def test_mcap_messages_keep_sources(tmp_path):
+    """A log that a robot recorded as messages has the sources of its file."""
+    log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR, JOINER))
+    recorded = tmp_path / "log.mcap"
+
+    recorded.write_bytes(encode_messages({SENSING: enumerate(log_entries(log))}))
+
+    assert content(read_sensing_log(recorded)) == content(log)
 
 
 def test_sources_are_columns_of_what_they_measured(tmp_path):
