@@ -107,7 +107,8 @@ def side_by_side(logs: Sequence[SensingLog], shifts: Sequence[Reals]) -> Sensing
     anchor = np.array([log.anchor_position for log in logs]) + shifts
     axis = np.tile(np.arange(3), len(logs))
     robot = np.repeat(starts, 3)
-    fixes = [robot, *np.eye(3)[axis].T, anchor.ravel(), np.full(len(axis), ANCHOR_SD)]
+    every = np.ones(len(axis))
+    fixes = [robot, *np.eye(3)[axis].T, anchor.ravel(), ANCHOR_SD * every, -every]
     contacts, ground = (
         np.concatenate(
             [getattr(log, name) + start * columns for log, start in zip(logs, starts, strict=True)]

@@ -266,7 +266,7 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
     hold = known.place - walk - position
     hold *= known_well / (1.0 + known_well + known.precision * (hold / width) ** 2)
     torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
-    for robot, x, y, z, value, sd in log.fixes:
+    for robot, x, y, z, value, sd, _ in log.fixes:
         normal = np.array([x, y, z])
         gap = value - normal @ position[int(robot)]
         stiff = (tolerance / sd) ** 2

@@ -180,8 +180,8 @@ def with_fixes(
     direction = rng.normal(size=(len(robot), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     value = (direction * history.position[robot]).sum(axis=1) + sd * rng.normal(size=len(robot))
-    width = np.full(len(robot), sd)
-    return replace(log, fixes=np.column_stack([robot, direction, value, width]))
+    every = np.ones(len(robot))
+    return replace(log, fixes=np.column_stack([robot, direction, value, sd * every, -every]))
 
 
 def with_ranges(log: SensingLog, history: History, *, reach: float, sd: float) -> SensingLog:
@@ -191,7 +191,8 @@ def with_ranges(log: SensingLog, history: History, *, reach: float, sd: float) -
     other, robot = np.sort(pair, axis=1)[np.lexsort(np.sort(pair, axis=1).T)].T
     length = np.linalg.norm(history.position[robot] - history.position[other], axis=1)
     length += sd * rng.normal(size=len(robot))
-    return replace(log, ranges=np.column_stack([robot, other, length, np.full(len(robot), sd)]))
+    every = np.ones(len(robot))
+    return replace(log, ranges=np.column_stack([robot, other, length, sd * every, -every]))
 
 
 def with_heights(log: SensingLog, truth: NDArray[np.float64]) -> SensingLog:

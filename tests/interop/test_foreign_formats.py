@@ -238,8 +238,10 @@ def test_pyfg_is_solved_by_gtsam(view, tmp_path):
     """An exact log agrees with the truth, and pulls an estimate that is shifted back to it."""
     gtsam = pytest.importorskip("gtsam")  # has no wheel for Python 3.10
     shaken = np.random.default_rng(0).normal(0.0, 0.02, (30, 3))
-    ranges = np.array([[1.0, 0.0, np.linalg.norm(view.pose[1, :3] - view.pose[0, :3]), 0.1]])
-    log = replace(view.log, ranges=ranges)
+    apart = np.linalg.norm(view.pose[1, :3] - view.pose[0, :3])
+    ranges = np.array([[1.0, 0.0, apart, 0.3, 0.0]])
+    source = {"source_name": ("radio",), "source_sd": np.array([0.4])}
+    log = replace(view.log, ranges=ranges, **source)
     measured = replace(view, read_log=lambda: log)
     export_view(measured, "pyfg", tmp_path / "true", Progress())
     pose = view.pose + np.hstack([shaken, np.zeros((30, 4))])
@@ -252,6 +254,8 @@ def test_pyfg_is_solved_by_gtsam(view, tmp_path):
     assert kinds.count("VERTEX_XYZ") == kinds.count("EDGE_SE3_XYZ") == 90
     assert kinds.count("VERTEX_SE3:QUAT:PRIOR") == 30
     assert kinds.count("EDGE_RANGE") == len(view.log.contacts) + 1
+    last = (tmp_path / "true" / "case.pyfg").read_text().split()[-1]
+    assert float(last) == pytest.approx(0.3**2 + 0.4**2)  # the format has no shared errors
     priors = 30.0 * 3.0 * (50.0 / 1e6) ** 2  # towers are lower than 50 R; position priors give way
     assert factors.error(values) < priors + 1e-6
     assert factors.error(start) > 1e3

@@ -42,7 +42,7 @@ def test_fixes_alone_place_robots_as_well_as_they_can(log, towers, params):
     found = localize(fixed, alone)
 
     error = found.position - towers[0].position
-    rows = fixed.fixes.reshape(29, 5, 6)
+    rows = fixed.fixes.reshape(29, 5, 7)
     information = np.einsum("nki,nkj->nij", rows[:, :, 1:4], rows[:, :, 1:4]) / 0.1**2
     squares = np.einsum("ni,nij,nj->n", error[1:], information, error[1:])
     assert 0.6 < squares.mean() / 3.0 < 1.6
@@ -59,7 +59,7 @@ def test_a_walk_carries_a_fix_to_where_it_ends(log, towers, params):
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     rows = [
         np.column_stack([stances.start[robot], np.tile(n, (len(robot), 1)), center @ n,
-                         np.full(len(robot), 0.01)])
+                         np.tile([0.01, -1.0], (len(robot), 1))])
         for n in turn
     ]  # fmt: skip
     fixes = np.concatenate(rows)

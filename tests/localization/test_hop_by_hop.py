@@ -51,7 +51,7 @@ def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP)
     robot, n = np.repeat(robots, len(axes)), np.tile(axes, (len(robots), 1))
     value = (n * truth[robot]).sum(axis=1)
     return dataclasses.replace(
-        log, fixes=np.column_stack([robot, n, value, np.full(len(robot), sd)])
+        log, fixes=np.column_stack([robot, n, value, np.tile([sd, -1.0], (len(robot), 1))])
     )
 
 
@@ -72,7 +72,7 @@ def test_four_noisy_ranges_are_solved_as_by_least_squares(params, seed):
     truth = np.concatenate([rng.uniform(-4.0, 4.0, (4, 3)), rng.uniform(-2.0, 2.0, (1, 3))])
     sd = np.array([0.02, 0.05, 0.1, 0.2])
     reach = np.linalg.norm(truth[4] - truth[:4], axis=1) + sd * rng.normal(size=4)
-    ranges = np.column_stack([np.full(4, 4), np.arange(4), reach, sd])
+    ranges = np.column_stack([np.full(4, 4), np.arange(4), reach, sd, np.full(4, -1)])
     log = dataclasses.replace(fixed(swarm(truth), truth, [1, 2, 3]), ranges=ranges)
 
     found = localize(log, params)
@@ -152,7 +152,8 @@ def test_errors_that_partners_share_do_not_average_out():
     partners = np.arange(1, 13)
     log = fixed(swarm(truth), truth, partners, sd=0.3)
     reach = np.linalg.norm(truth[13] - truth[partners], axis=1)
-    ranges = np.column_stack([np.full(12, 13), partners, reach, np.full(12, SHARP)])
+    known = np.tile([SHARP, -1.0], (12, 1))
+    ranges = np.column_stack([np.full(12, 13), partners, reach, known])
 
     found = localize(dataclasses.replace(log, ranges=ranges), HOPS)
 
@@ -241,12 +242,14 @@ def test_whatever_numbers_are_sensed_positions_are_finite(seed):
     def any_numbers(count):
         length = 10.0 ** rng.uniform(-12.0, 10.0, count)
         length = np.choose(rng.integers(0, 6, count), [0.0, 2.0, 1e10, 5e-324, length, length])
-        return length, 10.0 ** rng.uniform(-6.0, 6.0, count)
+        return length, 10.0 ** rng.uniform(-6.0, 6.0, count), rng.integers(-1, 2, count)
 
     log = dataclasses.replace(
         swarm(np.zeros((6, 3))),
         ranges=np.column_stack([pair, *any_numbers(len(pair))]),
         fixes=np.column_stack([robot, direction, *any_numbers(len(robot))]),
+        source_name=("camera", "radio"),
+        source_sd=10.0 ** rng.uniform(-6.0, 6.0, 2),
     )
 
     for order in ("hops", "join"):
@@ -283,7 +286,7 @@ def test_open_coordinates_are_reported():
     level = fixed(log, truth, [1], EVERY_AXIS[:2], sd=0.5).fixes
     upright = fixed(log, truth, [2], EVERY_AXIS[2:], sd=0.5).fixes
     tied = fixed(log, truth, [3], EVERY_AXIS[1:], sd=0.1).fixes
-    ranges = np.array([[3.0, 1.0, np.linalg.norm(truth[3] - truth[1]), 0.1]])
+    ranges = np.array([[3.0, 1.0, np.linalg.norm(truth[3] - truth[1]), 0.1, -1.0]])
     log = dataclasses.replace(log, fixes=np.concatenate([level, upright, tied]), ranges=ranges)
 
     found = localize(log, HopByHopParams())
@@ -309,6 +312,40 @@ def test_of_two_mirror_images_the_upper_is_taken_but_not_called_located():
     assert found.sd[3] == pytest.approx(6.0 * 0.5**0.5, rel=0.01)
 
 
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 10_000), times=st.integers(2, 50))
+def test_readings_that_say_the_same_together_place_robots_alike(seed, times):
+    """A range read n times with sqrt(n) times the noise is the range read once.
+
+    Each reading as a tie of its own would count the error of its partner, and the prior, anew.
+    """
+    log, _ = ranging(seed)
+    ranges = np.repeat(log.ranges, times, axis=0)
+    ranges[:, 3] *= np.sqrt(times)
+
+    found, same = localize(log, HOPS), localize(dataclasses.replace(log, ranges=ranges), HOPS)
+
+    located = found.located
+    np.testing.assert_array_equal(same.located, located)
+    np.testing.assert_allclose(same.position[located], found.position[located], atol=1e-6)
+    np.testing.assert_allclose(same.sd[located], found.sd[located], rtol=1e-4)
+
+
+def test_the_error_of_a_source_does_not_average_out():
+    """However often a camera finds a robot, its own place is no better known."""
+    truth = np.array([[0.0, 0.0, 1.0], [9.0, 0.0, 1.0]])
+    log = fixed(swarm(truth), truth, [1], sd=0.1)
+    fixes = np.repeat(log.fixes, 100, axis=0)
+    fixes[:, 6] = 0
+    source = {"source_name": ("camera",), "source_sd": np.array([0.5])}
+
+    found = localize(dataclasses.replace(log, fixes=fixes, **source), HOPS)
+
+    # The prior is that robots are within 2 R or so.
+    information = 1.0 / (0.5**2 + 0.1**2 / 100) + 3.0 / 2.0**2
+    assert found.sd[1] == pytest.approx(np.sqrt(3.0 / information), rel=1e-6)
+
+
 def test_a_dock_in_the_way_excludes_a_mirror_image():
     """A robot that stands where the other image would be decides."""
     truth = np.array(
@@ -316,7 +353,8 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
     )
     log = fixed(swarm(truth), truth, [1, 2, 4])
     reach = np.linalg.norm(truth[3] - truth[:3], axis=1)
-    ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, np.full(3, 0.05)])
+    known = np.tile([0.05, -1.0], (3, 1))
+    ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, known])
     log = dataclasses.replace(log, ranges=ranges)
 
     blind, found = [localize(log, HopByHopParams(non_overlap=on)) for on in (False, True)]

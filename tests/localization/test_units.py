@@ -54,8 +54,12 @@ def log() -> SensingLog:
         anchor_position=felt.anchor_position + UP,
         flip_height=felt.flip_height + UP[2],
         spawn_position=felt.spawn_position + UP,
-        fixes=np.array([[3, 0.0, 0.0, 1.0, history.position[3, 2] + UP[2], 0.1]]),
-        ranges=np.array([[5, 1, np.linalg.norm(history.position[5] - history.position[1]), 0.1]]),
+        fixes=np.array([[3, 0.0, 0.0, 1.0, history.position[3, 2] + UP[2], 0.1, 0]]),
+        ranges=np.array(
+            [[5, 1, np.linalg.norm(history.position[5] - history.position[1]), 0.1, 1]]
+        ),
+        source_name=("camera", "radio"),
+        source_sd=np.array([0.3, 0.05]),
     )
 
 
@@ -69,8 +73,9 @@ def _in_unit(log: SensingLog, scale: float) -> SensingLog:
         ground_z=scale * log.ground_z,
         flip_height=scale * log.flip_height,
         spawn_position=scale * log.spawn_position,
-        fixes=log.fixes * [1.0, 1.0, 1.0, 1.0, scale, scale],
-        ranges=log.ranges * [1.0, 1.0, scale, scale],
+        fixes=log.fixes * [1.0, 1.0, 1.0, 1.0, scale, scale, 1.0],
+        ranges=log.ranges * [1.0, 1.0, scale, scale, 1.0],
+        source_sd=scale * log.source_sd,
         noise=dataclasses.replace(log.noise, spawn=scale * log.noise.spawn),
     )
 
@@ -102,7 +107,7 @@ def _moved(log: SensingLog, by: np.ndarray, part: float) -> SensingLog:
         ground_z=float(whole(log.ground_z) + by[2]),
         flip_height=whole(log.flip_height) + by[2],
         spawn_position=whole(log.spawn_position) + by,
-        fixes=np.column_stack([log.fixes[:, :4], whole(log.fixes[:, 4]) + by[2], log.fixes[:, 5]]),
+        fixes=np.column_stack([log.fixes[:, :4], whole(log.fixes[:, 4]) + by[2], log.fixes[:, 5:]]),
     )
 
 

@@ -28,7 +28,7 @@ def swarm(request, towers):
     log = observe(towers[1], SensingParams(tilt_noise_deg=1.0, yaw_bias_deg=request.param or 0.0))
     position = towers[1].position
     apart = float(np.linalg.norm(position[20] - position[5]))
-    return replace(log, ranges=np.array([[20.0, 5.0, apart, 0.1]])), position
+    return replace(log, ranges=np.array([[20.0, 5.0, apart, 0.1, -1.0]])), position
 
 
 @pytest.fixture
@@ -106,6 +106,25 @@ def test_expected_errors_follow_from_the_covariance(swarm):
             trace = np.trace(np.linalg.inv(matrix)[:87, :87])
             np.testing.assert_allclose(rmse, np.sqrt(trace / 30), rtol=1e-6)
     assert kinds == {"contact", "height", "position"}
+
+
+@pytest.mark.usefixtures("every")
+def test_readings_that_say_the_same_together_get_the_same_advice(swarm):
+    """A range read 25 times with five times the noise is the range read once.
+
+    Counted one by one, each reading would bring the prior that the two robots are near each other.
+    """
+    log, center = swarm
+    often = np.repeat(log.ranges, 25, axis=0) * [1.0, 1.0, 1.0, 5.0, 1.0]
+
+    once, read = (advise(each, CUES, center) for each in (log, replace(log, ranges=often)))
+
+    np.testing.assert_allclose(
+        [[each.rmse_before, each.rmse_after] for each in read],
+        [[each.rmse_before, each.rmse_after] for each in once],
+        rtol=1e-9,
+    )
+    assert [each.floppy_modes for each in read] == [each.floppy_modes for each in once]
 
 
 @pytest.mark.usefixtures("every")

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
+from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
 from tiswarm.records.sensing_format import NEW_LISTS, line_schema
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
@@ -58,7 +59,7 @@ def sensed(earlier_robots):
 
 
 @st.composite
-def stances_of(draw, robots, radius, *, ground):
+def stances_of(draw, robots, radius, sources, *, ground):
     """Draw up to three earlier stances of every robot."""
     counts = [draw(st.integers(0, 3)) for _ in range(robots)]
     owner = np.repeat(np.arange(robots), counts).tolist()
@@ -74,8 +75,8 @@ def stances_of(draw, robots, radius, *, ground):
         ground_docks=table(
             [(row, a) for row in range(len(owner)) if ground for a in draw(docks)], np.int32, 2
         ),
-        fixes=draw(fixes_of(len(owner), radius)),
-        ranges=draw(ranges_of(owner, radius)),
+        fixes=draw(fixes_of(len(owner), radius, sources)),
+        ranges=draw(ranges_of(owner, radius, sources)),
         directions=draw(linked(owner, st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(owner, orientation, 8)),
         touches=draw(touches_of(owner)),
@@ -83,25 +84,44 @@ def stances_of(draw, robots, radius, *, ground):
 
 
 @st.composite
-def fixes_of(draw, stances, radius):
-    """Draw up to two fixes, sorted by stance, in some stances."""
+def fixes_of(draw, stances, radius, sources):
+    """Draw up to two fixes, perhaps equal, in some stances, sorted."""
     rows = [
-        (stance, *draw(st.permutations([0.6, -0.8, 0.0])), draw(number), radius * draw(widths))
+        row
         for stance in range(stances)
-        for _ in range(draw(st.integers(0, 2)))
-    ]
-    return table(sorted(set(rows)), np.float64, 6)
+        for row in draw(repeated(st.tuples(
+            st.just(stance), *[st.sampled_from([0.0, 0.6])] * 2, st.just(0.8),
+            number, widths, st.integers(-1, sources - 1),
+        )))
+    ]  # fmt: skip
+    rows = [(at, *unit(x, y, z), value, radius * sd, of) for at, x, y, z, value, sd, of in rows]
+    return table(sorted(rows), np.float64, 7)
 
 
 @st.composite
-def ranges_of(draw, owner, radius):
-    """Draw a range to an earlier robot in some stances of these robots, sorted by stance."""
+def ranges_of(draw, owner, radius, sources):
+    """Draw up to two ranges, perhaps equal, in some stances of these robots, sorted."""
     rows = [
-        (stance, draw(st.integers(0, robot - 1)), *(radius * draw(widths) for _ in range(2)))
+        row
         for stance, robot in enumerate(owner)
-        if robot > 0 and draw(st.booleans())
-    ]
-    return table(rows, np.float64, 4)
+        if robot > 0
+        for row in draw(repeated(st.tuples(
+            st.just(stance), st.integers(0, robot - 1), widths, widths,
+            st.integers(-1, sources - 1),
+        )))
+    ]  # fmt: skip
+    rows = [(at, other, radius * far, radius * sd, of) for at, other, far, sd, of in rows]
+    return table(sorted(rows), np.float64, 5)
+
+
+def repeated(rows):
+    """Draw no row, one, two, or one twice."""
+    return st.lists(rows, max_size=2) | rows.map(lambda row: [row, row])
+
+
+def unit(x, y, z):
+    """Scale a direction to 1."""
+    return np.array([x, y, z]) / np.linalg.norm([x, y, z])
 
 
 @st.composite
@@ -138,7 +158,9 @@ def logs(draw):
     contacts = [(j, b, i, a) for i in range(robots) for a, j, b in draw(sensed(i))]
     unknown = (np.nan,) * 3
     radius = draw(st.floats(1e-9, 1e9))
-    stances = draw(st.none() | stances_of(robots, radius, ground=ground_z is not None))
+    sources = draw(st.lists(st.text(letters, min_size=1, max_size=5), max_size=3, unique=True))
+    measured = radius, len(sources)
+    stances = draw(st.none() | stances_of(robots, *measured, ground=ground_z is not None))
     walked = np.zeros(robots, np.bool_) if stances is None else np.diff(stances.start) > 0
     turns = [draw(orientation) for _ in range(robots)]
     for i in np.flatnonzero(~walked)[1:].tolist():
@@ -158,13 +180,15 @@ def logs(draw):
         ),
         flip_height=np.array([draw(number | st.just(np.nan)) for _ in range(robots)]),
         spawn_position=np.array([draw(place | st.just(unknown)) for _ in range(robots)]),
-        fixes=draw(fixes_of(robots, radius)),
-        ranges=draw(ranges_of(range(robots), radius)),
+        fixes=draw(fixes_of(robots, *measured)),
+        ranges=draw(ranges_of(range(robots), *measured)),
         directions=draw(linked(range(robots), st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(range(robots), orientation, 8)),
         touches=draw(touches_of(range(robots))),
         stances=stances,
         noise=draw(st.none() | noises),
+        source_name=tuple(sources),
+        source_sd=radius * np.array([draw(widths) for _ in sources], np.float64),
         length_unit=draw(st.text(letters, min_size=1, max_size=5)),
     )
 
@@ -193,13 +217,14 @@ HEADER = {
     "ground_z": 0.0,
     "length_unit": "R",
     "noise": {"tilt_deg": 1.0, "yaw_deg": 2.0},
+    "sources": {"radio": {"shared_sd": 0.3}, "north wall, tag 1": {"shared_sd": 0.05}},
 }
 STANCE = {
     "orientation_wxyz": [0.0, 1.0, 0.0, 0.0],
     "pivot_dock": 1,
     "contacts": [[0, 7, 2]],
     "ground_docks": [1],
-    "fixes": [[0.6, 0.0, 0.8, 2.5, 0.1]],
+    "fixes": [[0.6, 0.0, 0.8, 2.5, 0.1, "north wall, tag 1"]],
     "ranges": [[7, 4.5, 0.1]],
     "directions": [[0, 7, 2, 0.0, 0.6, 0.8]],
     "connections": [[0, 7, 2, 0.8, 0.0, 0.6, 0.0]],
@@ -212,7 +237,7 @@ JOINER = {
     "contacts": [[2, 7, 0], [0, 7, 1]],
     "ground_docks": [2],
     "fixes": [[0.0, 0.6, -0.8, 3.0, 0.5], [1.0, 0.0, 0.0, 9.0, 0.5]],
-    "ranges": [[7, 9.0, 0.5]],
+    "ranges": [[7, 9.0, 0.5], [7, 9.0, 0.5], [7, 9.0, 0.5, "radio"]],
     "directions": [[0, 7, 1, -1.0, 0.0, 0.0], [2, 7, 0, 0.0, 0.0, 1.0]],
     "connections": [[2, 7, 0, 0.6, 0.8, 0.0, 0.0]],
     "touches": [[None, 7, None], [None, 7, 2], [0, 7, None]],
@@ -273,11 +298,13 @@ def test_a_log_is_of_the_first_version_that_has_its_keys(tmp_path):
     path = tmp_path / "sensing.jsonl"
     joiner = {**JOINER, **{key: [] for key in NEW_LISTS}}
     joiner["stances"] = [{**STANCE, **dict.fromkeys(NEW_LISTS)}]
+    header = {**HEADER, "sources": {}}
 
-    write_sensing_log(read_sensing_log(written(path, HEADER, ANCHOR, joiner)), path)
+    write_sensing_log(read_sensing_log(written(path, header, ANCHOR, joiner)), path)
 
     header, *robots = path.read_text().splitlines()
     assert json.loads(header)["version"] == 1
+    assert "sources" not in json.loads(header)
     assert not any(key in robot for robot in robots for key in NEW_LISTS)
 
 
@@ -303,6 +330,40 @@ def test_new_noise_and_missing_compasses_make_version_2(tmp_path, header, orient
     assert joiner["orientation_wxyz"] == orientation
 
 
+def test_sources_make_version_2(tmp_path):
+    """A shared error is never lost, though no measurement has it yet."""
+    path = tmp_path / "sensing.jsonl"
+
+    write_sensing_log(read_sensing_log(written(path, HEADER, ANCHOR)), path)
+
+    header, _ = map(json.loads, path.read_text().splitlines())
+    assert header["version"] == 2
+    assert header["sources"] == HEADER["sources"]
+
+
+def test_mcap_messages_keep_sources(tmp_path):
+    """A log that a robot recorded as messages has the sources of its file."""
+    log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR, JOINER))
+    recorded = tmp_path / "log.mcap"
+
+    recorded.write_bytes(encode_messages({SENSING: enumerate(log_entries(log))}))
+
+    assert content(read_sensing_log(recorded)) == content(log)
+
+
+def test_sources_are_columns_of_what_they_measured(tmp_path):
+    """The log counts sources in the order of the header; -1 stands for none, as null does."""
+    unnamed = {**ANCHOR, "fixes": [[0.0, 0.0, 1.0, 1.0, 0.5, None]]}
+
+    log = read_sensing_log(written(tmp_path / "log", HEADER, unnamed, JOINER))
+
+    assert log.source_name == ("radio", "north wall, tag 1")
+    assert log.source_sd.tolist() == [0.3, 0.05]
+    assert log.fixes[:, 6].tolist() == [-1.0, -1.0, -1.0]
+    assert log.stances.fixes[:, 6].tolist() == [1.0]
+    assert log.ranges[:, 4].tolist() == [-1.0, -1.0, 0.0]
+
+
 def test_names_become_numbers_in_join_order(tmp_path):
     """Contacts name robots in the file and count them in the log."""
     log = read_sensing_log(written(tmp_path / "log", HEADER, ANCHOR, JOINER))
@@ -315,15 +376,17 @@ def test_names_become_numbers_in_join_order(tmp_path):
 
 def test_a_missing_key_means_the_same_as_null(tmp_path):
     """Optional keys may be left out or null; their values are unknown."""
-    header = {key: value for key, value in HEADER.items() if key != "noise"}
+    header = {key: value for key, value in HEADER.items() if key not in {"noise", "sources"}}
     optional = dict.fromkeys(["ground_docks", "flip_height", "spawn_position", "stances"])
     without = read_sensing_log(written(tmp_path / "a", header, ANCHOR))
 
-    null = read_sensing_log(written(tmp_path / "b", {**header, "noise": None}, ANCHOR | optional))
+    nothing = {**header, "noise": None, "sources": None}
+    null = read_sensing_log(written(tmp_path / "b", nothing, ANCHOR | optional))
 
     assert content(without) == content(null)
     assert without.stances is None
     assert without.noise is None
+    assert without.source_name == ()
     assert np.isnan(without.flip_height).all()
     assert np.isnan(without.spawn_position).all()
 

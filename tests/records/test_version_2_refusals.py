@@ -7,7 +7,7 @@ import pytest
 from tests.records.test_sensing_refusals import ANCHOR, HEADER, JOINER, STANCE
 from tiswarm.errors import InputError
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS
+from tiswarm.records.sensing_format import NEW_LISTS, REPEATABLE
 
 NAN = float("nan")
 
@@ -40,9 +40,12 @@ def _links(measured):
 
 MALFORMED = {
     "fixes": [
-        ([1, 0, 0, 2], "", "List should have at least 5 items"),
-        ([1, 0, 0, 2, 0.1, 0], "", "List should have at most 5 items"),
-        ([], "", "List should have at least 5 items"),
+        ([1, 0, 0, 2], "[4]", "is missing; add it"),
+        ([1, 0, 0, 2, 0.1, 0], "[5]", "0 should be a valid string"),
+        ([1, 0, 0, 2, 0.1, "camera", None], "", "should have at most 6 items"),
+        ([1, 0, 0, 2, 0.1, "cam"], "", 'the header has no source "cam"; add it to sources there'),
+        ([1, 0, 0, 2, "camera"], "[4]", '"camera" should be a valid number'),
+        ([], "", "are missing; add them"),
         ([1, 1, 0, 2, 0.1], "", "the direction has length 1.41421; scale it to 1"),
         ([0, 0, 0, 2, 0.1], "", "the direction has length 0; scale it to 1"),
         ([1e200, 0, 0, 2, 0.1], "", "the direction has length 1e+200; scale it to 1"),
@@ -54,11 +57,13 @@ MALFORMED = {
         ([1, 0, 0, 2, 0], "", "0.0 should be from 1e-06 to 1e+06"),
         ([1, 0, 0, 2, -1], "", "-1.0 should be from 1e-06 to 1e+06"),
         ([1, 0, 0, 2, 1e7], "", "10000000.0 should be from 1e-06 to 1e+06"),
-        ({"x": 1}, "", "should be a valid list"),
+        ({"x": 1}, "", "should be a valid tuple"),
     ],
     "ranges": [
         ([10, 2], "[2]", "is missing; add it"),
-        ([10, 2, 0.1, 0], "", "should have at most 3 items"),
+        ([10, 2, 0.1, 0], "[3]", "0 should be a valid string"),
+        ([10, 2, 0.1, "camera", "camera"], "", "should have at most 4 items"),
+        ([10, 2, 0.1, ""], "", 'the header has no source ""; add it to sources there'),
         ([12, 2, 0.1], "", "robot 12 is not on an earlier line"),
         ([11, 2, 0.1], "", "the robot touches itself"),
         ([10.0, 2, 0.1], "[0]", "10.0 should be a valid integer"),
@@ -127,12 +132,17 @@ RIGHT = {
     "touches": [None, 10, None],
 }
 
+REPEATED = [
+    (name, RIGHT[name], None, f"repeats {name}[0]; list it once")
+    for name in NEW_LISTS
+    if name not in REPEATABLE
+]
 CASES = [
     (name, in_stance, *case)
-    for name, cases in MALFORMED.items()
-    for case in [*cases, ([*RIGHT[name]], None, f"repeats {name}[0]; list it once")]
+    for name, *case in [*((name, *case) for name in MALFORMED for case in MALFORMED[name]),
+                        *REPEATED]
     for in_stance in (False, True)
-]
+]  # fmt: skip
 
 
 def refusal_of(path, *lines):
@@ -155,7 +165,9 @@ def test_a_malformed_item_is_refused_with_its_place(
     )
     prefix = "stances[1]." if in_stance else ""
 
-    refused = refusal_of(tmp_path / "log", {**HEADER, "version": 2}, ANCHOR, joiner)
+    header = {**HEADER, "version": 2, "sources": {"camera": {"shared_sd": 0.5}}}
+
+    refused = refusal_of(tmp_path / "log", header, ANCHOR, joiner)
 
     assert refused.startswith(f"3: {prefix}{name}[1]{where or ''}")
     assert problem.replace(f"{name}[0]", f"{prefix}{name}[0]") in refused
@@ -165,6 +177,57 @@ def test_every_list_of_version_2_is_tried():
     """The table has many mistakes of each, and an item without one."""
     assert sorted(MALFORMED) == sorted(RIGHT) == sorted(NEW_LISTS)
     assert len(CASES) >= 120
+
+
+SOURCES = [
+    ([], "sources", "[] should be"),
+    ({"": {"shared_sd": 1}}, "sources: ", 'name "" should be 1 to 40 printable characters'),
+    ({"x" * 41: {"shared_sd": 1}}, "sources: ", "should be 1 to 40 printable characters"),
+    ({" x": {"shared_sd": 1}}, "sources: ", 'name " x" should be 1 to 40 printable characters'),
+    ({"x\n": {"shared_sd": 1}}, "sources: ", "characters without spaces around them; correct it"),
+    ({"x": {}}, "sources.x.shared_sd", "is missing; add it"),
+    ({"x": 0.5}, "sources.x", "0.5 should be"),
+    ({"x": {"shared": 1}}, "sources.x", "is missing; add it"),
+    ({"x": {"shared_sd": 1, "shared": 1}}, "sources.x.shared", "did you mean shared_sd?"),
+    ({"x": {"shared_sd": "1"}}, "sources.x.shared_sd", '"1" should be a valid number'),
+    ({"x": {"shared_sd": None}}, "sources.x.shared_sd", "null should be a valid number"),
+    ({"x": {"shared_sd": NAN}}, "sources.x.shared_sd", "NaN should be a finite number"),
+    ({"x": {"shared_sd": 0}}, "sources.x.shared_sd", "0.0 should be from 1e-06 to 1e+06; correct"),
+    ({"x": {"shared_sd": -1}}, "sources.x.shared_sd", "-1.0 should be from 1e-06 to 1e+06"),
+    ({"x": {"shared_sd": 1e7}}, "sources.x.shared_sd", "10000000.0 should be from 1e-06 to 1e+06"),
+]
+"""What `sources` may not be, where the mistake is, and the problem."""
+
+
+@pytest.mark.parametrize(("sources", "where", "problem"), SOURCES)
+def test_a_source_has_a_name_and_a_shared_error(tmp_path, sources, where, problem):
+    """Where no error is shared, no source is needed, so that an sd of 0 is a mistake."""
+    header = {**HEADER, "version": 2, "sources": sources}
+
+    refused = refusal_of(tmp_path / "log", header, ANCHOR, JOINER)
+
+    assert refused.startswith(f"1: {where}")
+    assert problem in refused
+
+
+def test_a_source_stands_once_in_the_header(tmp_path):
+    """Of two shared errors for one name, one would be lost in silence."""
+    path = tmp_path / "log"
+    header = json.dumps({**HEADER, "version": 2, "sources": ...}, default=lambda _: "here")
+    twice = '{"cam": {"shared_sd": 1}, "cam": {"shared_sd": 2}}'
+    path.write_text(header.replace('"here"', twice))
+
+    with pytest.raises(InputError, match=r":1: cam: the key stands twice"):
+        read_sensing_log(path)
+
+
+def test_version_1_has_no_sources(tmp_path):
+    """A program that reads version 1 alone would take their measurements to be independent."""
+    header = {**HEADER, "sources": {"camera": {"shared_sd": 0.5}}}
+
+    refused = refusal_of(tmp_path / "log", header, ANCHOR, JOINER)
+
+    assert refused == "1: sources: version 1 has no such key; give version 2 in the header"
 
 
 @pytest.mark.parametrize("name", NEW_LISTS)

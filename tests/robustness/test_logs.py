@@ -17,13 +17,22 @@ from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.suites import STATIONS
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.slow
 
 NOISE = SensingParams(
-    tilt_noise_deg=1.0, yaw_noise_deg=2.0, yaw_bias_deg=3.0, spawn_noise=0.1, false_contacts=0.1
+    tilt_noise_deg=1.0,
+    yaw_noise_deg=2.0,
+    yaw_bias_deg=3.0,
+    spawn_noise=0.1,
+    false_contacts=0.1,
+    beacons=STATIONS,
+    beacon_kind="sweep",
+    fix_bias=0.5,
+    range_reach=6.0,
 )
 METHODS = {
     "virtual-force": ["iterations=20"],

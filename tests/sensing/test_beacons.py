@@ -22,8 +22,8 @@ def centers(history, log):
 
 
 def fixes(log):
-    """All fixes without the stance: rows of (direction (3), value, sd)."""
-    earlier = np.empty((0, 6)) if log.stances is None else log.stances.fixes
+    """All fixes without the stance: rows of (direction (3), value, sd, source)."""
+    earlier = np.empty((0, 7)) if log.stances is None else log.stances.fixes
     return np.concatenate([log.fixes, earlier])[:, 1:]
 
 
@@ -104,15 +104,55 @@ def test_a_station_errs_by_the_same_in_all_rows(towers):
         log = observe(history, params)
         measured = fixes(log)
         error = measured[:, 3] - (measured[:, :3] * centers(history, log)).sum(axis=1)
-        for sign in (-1.0, 1.0):
-            mine = error[np.sign(measured[:, 2]) == sign]
+        for source in (0, 1):
+            mine = error[measured[:, 5] == source]
             # Some 25 rows: a deviation beyond twice the jitter does not happen.
             assert mine.std() < 0.06
             biases.append(mine.mean())
-        np.testing.assert_allclose(measured[:, 4], np.hypot(0.03, 0.5))
+        assert len({*zip(measured[:, 5], measured[:, 2] > 0.0, strict=True)}) == 2
+        assert set(measured[:, 4]) == {0.03}
+        assert log.source_name == ("beacon 0 plane 0", "beacon 0 plane 1")
+        assert log.source_sd.tolist() == [0.5, 0.5]
 
     # 300 biases: five standard errors are 20 %.
     np.testing.assert_allclose(np.std(biases), 0.5, rtol=0.2)
+
+
+def test_each_plane_of_each_station_is_a_source(towers):
+    """Stations err independently of each other, and so do the two planes of one."""
+    log = observe(towers[0], SensingParams(suite="coachbot-v2", sight_at="stances", stances=True))
+
+    measured = fixes(log)
+
+    names = [f"beacon {number} plane {plane}" for number in (0, 1) for plane in (0, 1)]
+    assert log.source_name == tuple(names)
+    source = measured[:, 5].astype(int)
+    assert set(source) == {0, 1, 2, 3}
+    station = np.array(STATIONS)[source // 2]
+    # The plane holds its station but for its error, some 0.5 R.
+    off = measured[:, 3] - (measured[:, :3] * station).sum(axis=1)
+    assert np.abs(off).max() < 3.0
+
+
+@pytest.mark.parametrize(
+    "senses",
+    [
+        {"suite": "coachbot-v1"},
+        {"suite": "zooids"},
+        {"suite": "swarmbang"},
+        {"suite": "kilobot"},
+        {"beacons": STATIONS, "beacon_kind": "sweep"},
+    ],
+    ids=str,
+)
+def test_independent_errors_have_no_source(towers, senses):
+    """A source without a shared error would say nothing, and cost an unknown."""
+    log = observe(towers[0], SensingParams(**senses))
+
+    assert log.source_name == ()
+    assert len(log.source_sd) == 0
+    assert set(fixes(log)[:, 5]) == {-1.0}
+    assert set(log.ranges[:, 4]) <= {-1.0}
 
 
 def test_the_errors_of_a_robot_do_not_depend_on_who_blocks(towers):
@@ -162,6 +202,38 @@ def test_ranges_reach_robots_in_sight(towers):
 
     # Some 400 errors: five standard errors are 18 %.
     np.testing.assert_allclose(np.concatenate(errors).std(), 0.06, rtol=0.18)
+
+
+def test_all_ranges_of_a_structure_share_an_error(towers):
+    """Radios of one kind err by the same, which the log states apart from the noise."""
+    senses = {"range_reach": 8.0, "range_noise": 0.06}
+    shared = []
+    for seed in range(100):
+        history = dataclasses.replace(towers[0], seed=seed)
+        alone = observe(history, SensingParams(**senses))
+        log = observe(history, SensingParams(**senses, range_bias=0.2))
+        np.testing.assert_array_equal(log.ranges[:, [0, 1, 3]], alone.ranges[:, [0, 1, 3]])
+        off = log.ranges[:, 2] - alone.ranges[:, 2]
+        assert np.ptp(off) < 1e-12
+        shared.append(off[0])
+        assert log.source_name == ("ranges",)
+        assert log.source_sd.tolist() == [0.2]
+        assert set(log.ranges[:, 4]) == {0.0}
+
+    # Five standard errors of a deviation of 100 draws are 35 %.
+    np.testing.assert_allclose(np.std(shared), 0.2, rtol=0.35)
+
+
+def test_lighthouses_and_ranges_have_sources_of_their_own(towers):
+    """Each row names the source whose shared error is in it."""
+    params = SensingParams(suite="coachbot-v2", range_reach=8.0, range_bias=0.2)
+
+    log = observe(towers[0], params)
+
+    assert log.source_name[-1] == "ranges"
+    assert log.source_sd.tolist() == [0.5, 0.5, 0.5, 0.5, 0.2]
+    assert set(log.ranges[:, 4]) == {4.0}
+    assert set(log.fixes[:, 6]) == {0.0, 1.0, 2.0, 3.0}
 
 
 def test_ranges_of_every_stance_are_those_to_robots_that_joined(towers):

@@ -18,6 +18,7 @@ def test_a_log_holds_only_what_robots_sense():
         "contacts", "ground_z", "ground_docks", "flip_height", "spawn_position", "stances",
         "noise", "length_unit", "fixes", "ranges", "directions", "connections", "touches",
         "orientation_sd",  # follows from connections
+        "source_name", "source_sd",
     }  # fmt: skip
 
     assert {field.name for field in dataclasses.fields(SensingLog)} == allowed

@@ -142,6 +142,9 @@ def test_a_suite_sets_defaults_that_keys_override(tmp_path):
         ("{suite: zooids, fix_bias: 3}", "sensing", "set beacon_kind to sweep"),
         ("{compass: false}", "sensing", "set both to false"),
         ("{fix_noise: 0}", "sensing.fix_noise", "0.000001"),
+        ("{suite: coachbot-v2, fix_bias: 1e-7}", "sensing.fix_bias", "0 or at least 1e-6; correct"),
+        ("{suite: kilobot, range_bias: -1}", "sensing.range_bias", "greater than or equal to 0"),
+        ("{range_bias: 1}", "sensing", "set range_reach or remove it"),
     ],
 )
 def test_mistakes_are_named(tmp_path, settings, key, problem):

@@ -39,7 +39,8 @@ def encode_factor_graph(view: SwarmView) -> bytes:
 
     Contacts are ranges of two dock radii between docks; `ranges` of the log are ranges between
     robots; each sensed orientation is a prior, and the anchor's has its position. The format has
-    no measurements of heights, fixes and flips: these are left out.
+    no measurements of heights, fixes and flips: these are left out. Nor has it shared errors: the
+    variance of a range includes that of its source.
     """
     return "".join(f"{line}\n" for line in _lines(view)).encode()
 
@@ -71,9 +72,11 @@ def _lines(view: SwarmView) -> Iterator[str]:
             yield f"EDGE_SE3_XYZ {i} A{i} L{docks * i + d} {_text(offset)} {arm}"
     for i, a, j, b in log.contacts[known[log.contacts[:, [0, 2]]].all(axis=1)].tolist():
         yield f"EDGE_RANGE {j} L{docks * i + a} L{docks * j + b} {log.spacing!r} {exact!r}"
-    for i, j, distance, sd in log.ranges.tolist():
+    shared = np.append(log.source_sd, 0.0)  # a source of -1 is none
+    for i, j, distance, sd, source in log.ranges.tolist():
         if known[int(i)] and known[int(j)]:
-            yield f"EDGE_RANGE {int(i)} A{int(i)} A{int(j)} {distance!r} {sd**2!r}"
+            variance = sd**2 + float(shared[int(source)]) ** 2
+            yield f"EDGE_RANGE {int(i)} A{int(i)} A{int(j)} {distance!r} {variance!r}"
 
 
 def _xyzw(quaternion: Reals) -> Reals:

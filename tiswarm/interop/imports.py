@@ -274,7 +274,7 @@ def _log(
         standing = np.argwhere(stands).astype(np.int32)
     known = sorted(anchors[1:], key=lambda row: place[row])
     fixes = [
-        (place[row], *axis, along, _KNOWN_SD * assumed.dock_radius)
+        (place[row], *axis, along, _KNOWN_SD * assumed.dock_radius, -1)
         for row in known
         for axis, along in zip(np.eye(3), poses.position[row], strict=True)
     ]
@@ -287,7 +287,7 @@ def _log(
         contacts=canonical_contacts(renamed),
         ground_z=assumed.ground_z,
         ground_docks=standing,
-        fixes=np.array(fixes).reshape(-1, 6),
+        fixes=np.array(fixes).reshape(-1, 7),
         flip_height=poses.position[order, 2] if assumed.heights else np.full(count, np.nan),
         spawn_position=np.full((count, 3), np.nan),
         noise=_noise(assumed),

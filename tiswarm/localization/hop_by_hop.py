@@ -15,7 +15,8 @@ all robots that are placed:
 3. A robot without rows to others starts at the mean of all that are placed.
 
 The variance of robots already placed enters the weights as if their errors were independent. `sd`
-takes the partners of a robot to be off by the same vector. Yaw is taken as sensed.
+takes the partners of a robot to be off by the same vector. Repeated readings are averaged first, so
+that each partner, and each source, counts once. Yaw is taken as sensed.
 Lengths in R.
 """
 
@@ -81,7 +82,7 @@ def localize_batch(
 
 
 def _localize(log: SensingLog, params: HopByHopParams) -> Estimate:
-    rows = measure(log, params.cues)
+    rows = measure(log, params.cues).averaged()
     swarm = _Swarm(rows, log, params)
     if params.order == "join":
         swarm.place_in_join_order()

@@ -43,7 +43,7 @@ class Problem:
         """
         self.rows, self.anchor, self.yaw_sd = rows, anchor, yaw_sd
         self.robots = rows.robots
-        self.width = np.sqrt(rows.own_variance)
+        self.width = np.sqrt(rows.own_variance + rows.shared_variance)
 
     def unknowns(self, position: Reals, yaw: Reals) -> Reals:
         """Concatenate the unknowns: coordinates, then turns as arcs at 1 R."""
@@ -149,6 +149,7 @@ def improve(
             [measured.distances, *close],
             [measured.places],
             [measured.offsets],
+            shared_sd=measured.shared_sd,
         )
         problem = Problem(rows, anchor, yaw_sd)
         found = minimize(problem, problem.unknowns(position, yaw), params)

@@ -243,7 +243,7 @@ class Localizer:
         level, up = self._head.ground_z, self._anchor[2]
         height = np.nan if line.flip_height is None else line.flip_height - up
         docks = [(0, *dock) for dock in stance.lists["ground_docks"]]
-        fixes = np.array([(0, *fix) for fix in stance.lists["fixes"]], np.float64).reshape(-1, 6)
+        fixes = np.array([(0, *fix) for fix in stance.lists["fixes"]], np.float64).reshape(-1, 7)
         fixes[:, 4] -= fixes[:, 1:4] @ self._anchor
         return SensingLog(
             robot_id=np.zeros(1, np.int64),
@@ -257,6 +257,7 @@ class Localizer:
             fixes=fixes,
             flip_height=np.array([height]),
             spawn_position=np.full((1, 3), np.nan),
+            **self._head.source_arrays(),
         )
 
     def _place(self, contact: NDArray[np.int32]) -> None:

@@ -114,7 +114,8 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
     if len(center) == 1:
         return []
     floppy, moved = motions.robots(), motions.of_robots()
-    posterior = _Posterior(rows, center, log.yaw_bias) if len(center) <= MOST_ROBOTS else None
+    is_small = len(center) <= MOST_ROBOTS
+    posterior = _Posterior(rows.averaged(), center, log.yaw_bias) if is_small else None
     advice = []
     for kind, further, size in _candidates(log, odometry, center):
         jacobian = further.jacobian(center)

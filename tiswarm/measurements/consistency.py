@@ -123,7 +123,7 @@ def inconsistent_places(rows: Measurements) -> Bools:
     found = np.zeros(len(rows), np.bool_)
     robot, direction = rows.robot[contacts:], rows.places.direction
     value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
-    own = rows.places.own_variance
+    own = (rows.own_variance + rows.shared_variance)[contacts:]
     walked = rows.variance()[contacts:] - own
     _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")

@@ -124,9 +124,11 @@ def in_plane(log: SensingLog) -> Bools:
 def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:  # noqa: ARG001
     stance, rows = _of_all_stances("fixes", log, odometry)
     length = np.linalg.norm(rows[:, :3], axis=1)
-    value, sd = rows[:, 3:].T / length / log.dock_radius
-    direction = rows[:, :3] / length[:, None]
-    return Places.of(stance, np.full_like(stance, CENTER), direction, value, variance=sd**2)
+    value, sd = rows[:, 3:5].T / length / log.dock_radius
+    return Places.of(
+        stance, np.full_like(stance, CENTER), rows[:, :3] / length[:, None], value,
+        variance=sd**2, source=rows[:, 5].astype(np.int64),
+    )  # fmt: skip
 
 
 def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:  # noqa: ARG001
@@ -134,8 +136,9 @@ def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distan
     stance, rows = _of_all_stances("ranges", log, odometry)
     other = odometry.final[rows[:, 0].astype(np.int64)]
     center = np.full_like(stance, CENTER)
-    length, sd = rows[:, 1:].T / log.dock_radius
-    return Distances.of(stance, center, other, center, length=length, sd=sd)
+    length, sd = rows[:, 1:3].T / log.dock_radius
+    source = rows[:, 3].astype(np.int64)
+    return Distances.of(stance, center, other, center, length=length, sd=sd, source=source)
 
 
 def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:
@@ -222,41 +225,46 @@ def measure(
     distances = [row for row in rows if isinstance(row, Distances)]
     offsets = [row for row in rows if isinstance(row, Offsets)]
     places = [row for row in rows if isinstance(row, Places)]
-    return _once_each(Measurements.gather(walks, distances, places, offsets), log)
+    shared_sd = log.source_sd / log.dock_radius
+    every = Measurements.gather(walks, distances, places, offsets, shared_sd=shared_sd)
+    return _once_each(every, log)
 
 
 def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     """Sort rows, and drop those that a dock which stays put repeats at its next stance.
 
-    Where the direction of a contact was measured, its rows replace the distance.
+    Where the direction of a contact was measured, its rows replace the distance. All ranges and
+    fixes count, those of the same robots or along the same axis, too.
     """
     d, o, p, walks = rows.distances, rows.offsets, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
-    # CENTER and UNKNOWN are docks, too.
-    shape = (len(walks.owner) + 1, docks + 2, log.robot_count, docks + 2)
     robot, at, dock, other, other_dock = rows.sensed_contacts.T
     stance = walks.first[robot] + at
-    ends = (dock - UNKNOWN, other, other_dock - UNKNOWN)
-    number = np.ravel_multi_index((stance, *ends), shape)
-    following = np.ravel_multi_index((stance + 1, *ends), shape)
-    stays = (dock == walks.pivot[stance]) & rows.is_contact
-    distance, offset = slice(0, len(d.stance)), slice(len(d.stance), None)
-    is_repeated = stays & np.isin(following, number)
-    is_repeated[offset] = (stays & np.isin(following, number[offset]))[offset]
-    with_direction = np.concatenate([number[offset], following[offset][stays[offset]]])
-    is_repeated[distance] |= np.isin(number[distance], with_direction)
-    _, kept = np.unique(np.where(is_repeated, -1, number)[distance], return_index=True)
-    kept = kept[~is_repeated[kept]]
-    directed = np.argsort(number[offset], kind="stable")
-    directed = directed[~is_repeated[offset][directed]]
-    touch = (docks + 1) * p.stance + p.dock + 1
-    again = np.isin(touch + docks + 1, touch) & (p.dock == walks.pivot[p.stance])
-    again &= p.dock != CENTER
-    order = np.lexsort((*p.direction.T, p.dock, p.stance))
-    order = order[~again[order]]
+    # Contacts are numbered like the hours of a year, by (stance, dock, other robot, other dock). A
+    # robot that flips from stance 7 to 8 about dock 1, which touches dock 0 of robot 5, lists
+    # (7, 1, 5, 0) and (8, 1, 5, 0). The number of the first, one stance later, is that of the
+    # second, which says the same: the first is dropped. CENTER and UNKNOWN count as docks.
+    shape = (len(walks.owner), docks + 2, log.robot_count, docks + 2)
+    number = np.ravel_multi_index((stance, dock - UNKNOWN, other, other_dock - UNKNOWN), shape)
+    stays = rows.is_contact & (dock == walks.pivot[stance])
+    following = np.where(stays, number + math.prod(shape[1:]), -1)
+    of_distance, of_offset = np.split(number, [len(d.stance)])
+    after_distance, after_offset = np.split(following, [len(d.stance)])
+    has_direction = np.isin(of_distance, np.concatenate([of_offset, after_offset]))
+    order = np.argsort(of_distance, kind="stable")
+    order = order[~(np.isin(after_distance, number) | has_direction)[order]]
+    directed = np.argsort(of_offset, kind="stable")
+    directed = directed[~np.isin(after_offset, of_offset)[directed]]
+    # Docks on the ground are numbered in the same way, by (stance, dock).
+    number = np.ravel_multi_index((p.stance, p.dock - CENTER), (len(walks.owner), docks + 1))
+    stays = (p.dock != CENTER) & (p.dock == walks.pivot[p.stance])
+    is_repeated = stays & np.isin(number + docks + 1, number)
+    placed = np.lexsort((*p.direction.T, p.dock, p.stance))
+    placed = placed[~is_repeated[placed]]
     return Measurements.gather(
         walks,
-        [Distances._make(column[kept] for column in d)],
-        [Places._make(column[order] for column in p)],
+        [Distances._make(column[order] for column in d)],
+        [Places._make(column[placed] for column in p)],
         [Offsets._make(column[directed] for column in o)],
+        shared_sd=rows.shared_sd,
     )

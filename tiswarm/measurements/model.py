@@ -11,6 +11,9 @@ an arm about the vertical by the robot's yaw correction. Lengths in R.
 
 A touch is a distance of docks, one or both UNKNOWN. It is that of the two docks, among all
 that they may be, whose distance is nearest to what was measured.
+
+Rows may have a source, such as a plane of a lighthouse: one error, added to the measured length or
+value, is then in all rows of the source. Beside it each row has errors of its own.
 """
 
 from collections.abc import Sequence
@@ -26,11 +29,13 @@ from tiswarm.measurements.rows import (
     NO_DISTANCES,
     NO_OFFSETS,
     NO_PLACES,
+    NO_SOURCES,
     Distances,
     Offsets,
     Places,
     ends,
     other_ends,
+    weighted_means,
 )
 
 _AXES = 3
@@ -62,6 +67,9 @@ class Measurements:
     other_arm: Reals
     """From the other robot's final center to its dock [R], shape (P, 3)."""
 
+    shared_sd: Reals
+    """Standard deviation of the error that all rows of a source share [R], shape (sources,)."""
+
     @classmethod
     def gather(
         cls,
@@ -69,13 +77,22 @@ class Measurements:
         distances: Sequence[Distances] = (),
         places: Sequence[Places] = (),
         offsets: Sequence[Offsets] = (),
+        *,
+        shared_sd: Reals = NO_SOURCES,
     ) -> "Measurements":
-        """Concatenate tables, and look up the robots and arms that they are about."""
+        """Concatenate tables, and look up the robots and arms that they are about.
+
+        Raises:
+            ValueError: rows have a source without a shared error.
+        """
         d = Distances(*map(np.concatenate, zip(NO_DISTANCES, *distances, strict=True)))
         o = Offsets(*map(np.concatenate, zip(NO_OFFSETS, *offsets, strict=True)))
         p = Places(*map(np.concatenate, zip(NO_PLACES, *places, strict=True)))
         stance, dock, beyond = ends(d, o, p)
         other_stance, other_dock = other_ends(d, o)
+        if np.concatenate([d.source, p.source]).max(initial=-1) >= len(shared_sd):
+            message = f"shared_sd has {len(shared_sd)} sources, and rows name more"
+            raise ValueError(message)
         return cls(
             odometry=odometry,
             distances=d,
@@ -85,6 +102,7 @@ class Measurements:
             other=odometry.owner[other_stance],
             arm=odometry.arms(stance, dock)[0] + beyond,
             other_arm=odometry.arms(other_stance, other_dock)[0],
+            shared_sd=shared_sd,
         )
 
     @property
@@ -134,10 +152,22 @@ class Measurements:
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
+    def source(self) -> Ints:
+        """Source of each row, -1 for none; offsets have none, shape (E,)."""
+        none = np.full(len(self.offsets.stance), -1)
+        return np.concatenate([self.distances.source, none, self.places.source])
+
+    @property
     def own_variance(self) -> Reals:
-        """Variance of each row, without noise of orientations [R^2], shape (E,)."""
+        """Variance of each row's own error, without noise of orientations [R^2], shape (E,)."""
         tables = (self.distances, self.offsets, self.places)
         return np.concatenate([table.own_variance for table in tables])
+
+    @property
+    def shared_variance(self) -> Reals:
+        """Variance of the error that each row shares with its source, 0 without [R^2], (E,)."""
+        variance: Reals = np.append(self.shared_sd, 0.0)[self.source] ** 2  # -1 is the last
+        return variance
 
     def select(self, chosen: Bools) -> "Measurements":
         """Keep rows chosen by an array of shape (E,)."""
@@ -154,6 +184,27 @@ class Measurements:
             other_arm=self.other_arm[pair],
         )
 
+    def averaged(self) -> "Measurements":
+        """Replace readings of the same quantity by the same source by their weighted mean.
+
+        Only their own errors average out. That of the source is in all of them, and so is the noise
+        of orientations: the mean says what the readings say together. Rows keep their order.
+        """
+        d, p = self.distances, self.places
+        ends = [d.stance, d.dock, d.other_stance, d.other_dock, d.is_hinge, d.source]
+        one, length, variance = weighted_means(ends, d.length, d.own_variance)
+        distances = Distances._make(column[one] for column in d)
+        along = [p.stance, p.dock, *p.direction.T, p.source]
+        first, value, spread = weighted_means(along, p.value, p.own_variance)
+        places = Places._make(column[first] for column in p)
+        return Measurements.gather(
+            self.odometry,
+            [distances._replace(length=length, own_variance=variance)],
+            [places._replace(value=value, own_variance=spread)],
+            [self.offsets],
+            shared_sd=self.shared_sd,
+        )
+
     def noisy_arms(self) -> tuple[tuple[Ints, Ints, Reals], tuple[Ints, Ints, Reals]]:
         """Split the arms of all rows, and the other arms, as `Odometry.noisy_arms` does."""
         own = ends(self.distances, self.offsets, self.places)
@@ -161,10 +212,11 @@ class Measurements:
         return self.odometry.noisy_arms(*own), self.odometry.noisy_arms(*its)
 
     def variance(self) -> Reals:
-        """Propagate the noise of orientations to the rows.
+        """Sum each row's variances: its own, that of its source, and the noise of orientations.
 
-        The direction of a distance is unknown before the positions are: its variance is the mean
-        over all directions, and over all docks that may touch.
+        It is for users that take rows to be independent. The direction of a distance is unknown
+        before the positions are: its variance is the mean over all directions, and over all docks
+        that may touch.
 
         Returns:
             Variance of each row [R^2], shape (E,).
@@ -180,7 +232,8 @@ class Measurements:
         variance = (direction**2 * noise).sum(axis=1)
         of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
         of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)
-        return np.insert(variance, len(d.stance), of_offsets) + self.own_variance
+        of_turns = np.insert(variance, len(d.stance), of_offsets)
+        return of_turns + self.own_variance + self.shared_variance
 
     def vectors(self, position: Reals, yaw: Reals | None = None) -> Reals:
         """Compute the vectors from the other arm's end of each pair to that of its arm.
@@ -211,7 +264,9 @@ class Measurements:
             known = column[self.touch]
             column[self.touch] = np.where(known == UNKNOWN, found, known)
         distances = d._replace(dock=dock, other_dock=other_dock)
-        return Measurements.gather(self.odometry, [distances], [self.places], [self.offsets])
+        return Measurements.gather(
+            self.odometry, [distances], [self.places], [self.offsets], shared_sd=self.shared_sd
+        )
 
     def association(self, position: Reals, yaw: Reals | None = None) -> Ints:
         """Find which docks touch: docks times one robot's dock plus the other's, (..., T)."""

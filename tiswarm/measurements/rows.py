@@ -1,8 +1,10 @@
 """The three tables of measurements, whose equations `Measurements` has. Lengths in R."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.aliases import AnyInts, Bools, Ints, Reals
 
@@ -31,10 +33,14 @@ class Distances(NamedTuple):
     """Measured distance [R], shape (C,)."""
 
     own_variance: Reals
-    """Variance of the distance, without noise of orientations [R^2], shape (C,)."""
+    """Variance of the distance, without noise of orientations and without what its source has in
+    common [R^2], shape (C,)."""
 
     is_hinge: Bools
     """Whether only shorter distances count, as for docks that must not overlap, shape (C,)."""
+
+    source: Ints
+    """Source of the distance, -1 for none, shape (C,)."""
 
     @classmethod
     def of(
@@ -47,8 +53,9 @@ class Distances(NamedTuple):
         length: float | Reals,
         sd: float | Reals,
         is_hinge: bool = False,
+        source: int | AnyInts = -1,
     ) -> "Distances":
-        """Make rows with their length [R] and standard deviation [R], of one kind."""
+        """Make rows with their length [R], own standard deviation [R] and source, of one kind."""
         rows = len(stance)
         return cls(
             stance=stance.astype(np.int64),
@@ -58,6 +65,7 @@ class Distances(NamedTuple):
             length=np.broadcast_to(length, rows),
             own_variance=np.broadcast_to(np.square(sd), rows),
             is_hinge=np.full(rows, is_hinge),
+            source=np.broadcast_to(source, rows),
         )
 
 
@@ -143,7 +151,11 @@ class Places(NamedTuple):
     """Measured coordinate [R], shape (K,)."""
 
     own_variance: Reals
-    """Variance of the coordinate, without noise of orientations [R^2], shape (K,)."""
+    """Variance of the coordinate, without noise of orientations and without what its source has in
+    common [R^2], shape (K,)."""
+
+    source: Ints
+    """Source of the coordinate, -1 for none, shape (K,)."""
 
     @classmethod
     def of(
@@ -154,8 +166,9 @@ class Places(NamedTuple):
         value: Reals,
         *,
         variance: float | Reals,
+        source: int | AnyInts = -1,
     ) -> "Places":
-        """Make rows with their variance [R^2]; a value that is not finite makes none."""
+        """Make rows with own variance [R^2] and source; a value that is not finite makes none."""
         is_known = np.isfinite(value)
         every = cls(
             stance.astype(np.int64),
@@ -163,6 +176,7 @@ class Places(NamedTuple):
             np.broadcast_to(direction, (len(value), _AXES)),
             value,
             np.broadcast_to(variance, len(value)),
+            np.broadcast_to(source, len(value)),
         )
         return cls._make(column[is_known] for column in every)
 
@@ -180,6 +194,7 @@ _NO_VECTOR = np.empty((0, _AXES))
 NO_DISTANCES = Distances.of(_NONE, _NONE, _NONE, _NONE, length=SPACING, sd=0.0)
 NO_OFFSETS = Offsets.of(_NONE, _NONE, _NONE, _NONE, _NO_VECTOR, along_sd=0.0, across_sd=0.0)
 NO_PLACES = Places.of(_NONE, _NONE, np.eye(_AXES)[2], np.empty(0), variance=0.0)
+NO_SOURCES = np.empty(0)
 
 
 def ends(d: Distances, o: Offsets, p: Places = NO_PLACES) -> tuple[Ints, Ints, Reals]:
@@ -195,3 +210,26 @@ def other_ends(d: Distances, o: Offsets) -> tuple[Ints, Ints]:
     """Stance and dock where the other arm of each pair ends."""
     stance = np.concatenate([d.other_stance, o.other_stance])
     return stance, np.concatenate([d.other_dock, o.other_dock])
+
+
+def weighted_means(
+    key: Sequence[NDArray[Any]], value: Reals, variance: Reals
+) -> tuple[Ints, Reals, Reals]:
+    """Average values whose keys, columns of shape (n,), are equal.
+
+    Returns:
+        First row of each key, in their order, with the mean and its variance.
+    """
+    keys = np.column_stack(key)
+    order = np.lexsort(keys.T)
+    is_first = np.ones(len(keys), np.bool_)
+    is_first[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+    start = np.flatnonzero(is_first)
+    if len(start) == len(keys):
+        return np.arange(len(keys)), value, variance
+    weight = 1.0 / variance[order]
+    total = np.add.reduceat(weight, start)
+    mean = np.add.reduceat(weight * value[order], start) / total
+    first = order[start]
+    in_order = np.argsort(first)
+    return first[in_order], mean[in_order], 1.0 / total[in_order]

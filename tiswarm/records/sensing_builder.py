@@ -5,6 +5,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
     MOST_CONTACTS,
     NEW_LISTS,
+    REPEATABLE,
     ROBOT_NUMBERS,
     STANCE_LISTS,
     HeaderLine,
@@ -27,9 +29,6 @@ FAR_FROM_UNIT = 1e-3
 
 _CLOSE_TO_UNIT = 1e-9
 """Deviation below which neither is scaled to 1, so that our own ones keep their bits."""
-
-_SD = (1e-6, 1e6)
-"""Least and greatest standard deviation of a fix or a range [dock radii]."""
 
 
 class SensedStance(NamedTuple):
@@ -45,6 +44,7 @@ class SensingLogBuilder:
     def __init__(self, header: HeaderLine) -> None:
         """Start a log without robots."""
         self._header = header
+        self._source_of = {name: row for row, name in enumerate(header.sources or {})}
         self._index_of: dict[int, int] = {}
         self._touching = array("B")  # final contacts of every dock, robot after robot
         self._final = _StanceColumns()
@@ -103,6 +103,7 @@ class SensingLogBuilder:
             stances=stances if self._has_stances else None,
             noise=self._header.noise,
             length_unit=self._header.length_unit,
+            **self._header.source_arrays(),
             **final,
             **numbers,
         )
@@ -120,21 +121,25 @@ class SensingLogBuilder:
             "dock or null": lambda dock, key: -1 if dock is None else self._check_dock(dock, key),
             "robot": partial(self._robot_index, robot),
             "number": lambda number, _: number,
+            "source": self._source_index,
         }
         lists = {}
         for name, kinds in STANCE_LISTS.items():
             if name in NEW_LISTS:
                 self._header.refuse_new(f"{prefix}{name}", getattr(entry, name))
-            first: dict[tuple[float, ...], int] = {}
+            items: list[tuple[Any, ...]] = []
+            first: dict[tuple[Any, ...], int] = {}
             for place, numbers in enumerate(getattr(entry, name) or []):
                 here = f"{prefix}{name}[{place}]"
-                pairs = zip(kinds, [numbers] if len(kinds) == 1 else numbers, strict=True)
+                # A source may be left out at the end.
+                pairs = zip_longest(kinds, [numbers] if len(kinds) == 1 else numbers)
                 item = tuple(check[kind](number, here) for kind, number in pairs)
-                item = self._checked_item(name, item, here)
-                if first.setdefault(item, place) != place:
-                    problem = f"repeats {prefix}{name}[{first[item]}]; list it once"
+                items.append(self._checked_item(name, item, here))
+                before = first.setdefault(items[-1], place)
+                if before != place and name not in REPEATABLE:
+                    problem = f"repeats {prefix}{name}[{before}]; list it once"
                     raise InputError(problem, key=here)
-            lists[name] = sorted(first)
+            lists[name] = sorted(items)
         return SensedStance(orientation, lists)
 
     def _checked_item(self, name: str, item: tuple[Any, ...], key: str) -> tuple[Any, ...]:
@@ -164,23 +169,17 @@ class SensingLogBuilder:
         return [math.nan] * 4
 
     def _check_fix(self, fix: tuple[float, ...], key: str) -> None:
-        *direction, value, sd = fix
+        *direction, value, sd, _ = fix
         _unit(direction, "direction", key)
         self._header.refuse_far(key, value, np.dot(direction, self._header.anchor_position))
-        self._check_sd(sd, key)
+        self._header.refuse_sd(key, sd)
 
     def _check_range(self, measured: tuple[float, ...], key: str) -> None:
-        _, distance, sd = measured
+        _, distance, sd, _ = measured
         self._header.refuse_far(key, distance, 0.0)
         if not distance > 0.0:
             raise InputError(f"the distance {distance:g} should be positive; correct it", key=key)
-        self._check_sd(sd, key)
-
-    def _check_sd(self, sd: float, key: str) -> None:
-        least, most = _SD[0] * self._header.dock_radius, _SD[1] * self._header.dock_radius
-        if not least <= sd <= most:
-            problem = f"the standard deviation {shown(sd)} should be from {least:g} to {most:g}"
-            raise InputError(f"{problem}; correct it", key=key)
+        self._header.refuse_sd(key, sd)
 
     def _count_contacts(self, robot: int, final: SensedStance) -> None:
         docks, mine = len(self._header.dock_offsets), len(self._index_of)
@@ -207,6 +206,12 @@ class SensingLogBuilder:
             problem = f"robot {name} is not on an earlier line; list a contact at the later robot"
             raise InputError(problem, key=key)
         return self._index_of[name]
+
+    def _source_index(self, name: str | None, key: str) -> int:
+        if name is not None and name not in self._source_of:
+            problem = f"the header has no source {shown(name)}; add it to sources there"
+            raise InputError(problem, key=key)
+        return -1 if name is None else self._source_of[name]
 
     def _check_dock(self, dock: int, key: str) -> int:
         count = len(self._header.dock_offsets)

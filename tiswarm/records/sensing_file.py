@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints
 from tiswarm.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
 from tiswarm.records.mcap_file import sensing_lines
@@ -99,6 +98,9 @@ def _header_entries(log: SensingLog) -> dict[str, object]:
     if log.noise is not None:
         stated = asdict(log.noise).items()
         entries["noise"] = {key: value for key, value in stated if value is not None}
+    if log.source_name:
+        shared = zip(log.source_name, log.source_sd.tolist(), strict=True)
+        entries["sources"] = {name: {"shared_sd": sd} for name, sd in shared}
     return entries
 
 
@@ -109,10 +111,10 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
     unused = {key for key in NEW_LISTS if not _is_used(key, log)}
     absent = unused | ({"ground_docks"} if log.ground_z is None else set())
     arrays = {key: rows for key, rows in arrays.items() if key not in absent}
-    final = _lists(arrays, log.robot_count, log.robot_id)
+    final = _lists(arrays, log.robot_count, log)
     if stances is not None:
         arrays = {key: getattr(stances, key) for key in STANCE_LISTS if key not in unused}
-        earlier = _lists(arrays, len(stances.pivot_dock), log.robot_id)
+        earlier = _lists(arrays, len(stances.pivot_dock), log)
     for i, name in enumerate(log.robot_id.tolist()):
         wxyz = log.orientation_wxyz[i]
         orientation = None if np.isnan(wxyz).all() else wxyz.tolist()
@@ -136,7 +138,8 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
 def _needs_version_2(log: SensingLog) -> bool:
     states_new = any(getattr(log.noise, key, None) is not None for key in NEW_NOISE)
     has_null = bool(np.isnan(log.orientation_wxyz).any())
-    return states_new or has_null or any(_is_used(key, log) for key in NEW_LISTS)
+    is_new = states_new or has_null or bool(log.source_name)
+    return is_new or any(_is_used(key, log) for key in NEW_LISTS)
 
 
 def _is_used(key: str, log: SensingLog) -> bool:
@@ -145,29 +148,39 @@ def _is_used(key: str, log: SensingLog) -> bool:
 
 
 def _lists(
-    arrays: dict[str, NDArray[Any]], count: int, names: Ints
+    arrays: dict[str, NDArray[Any]], count: int, log: SensingLog
 ) -> Iterator[dict[str, list[object]]]:
     """Yield the lists of each stance, from arrays whose first column names the stance, in order."""
     start, items = {}, {}
     for key, rows in arrays.items():
         pairs = zip(STANCE_LISTS[key], rows.T[1:], strict=True)
-        columns = [_column(kind, number, names) for kind, number in pairs]
+        columns = [_column(kind, number, log) for kind, number in pairs]
         if "number" in STANCE_LISTS[key]:  # whole numbers may stand among them
             columns = [column.astype(object) for column in columns]
         items[key] = columns[0] if len(columns) == 1 else np.column_stack(columns)
         start[key] = np.searchsorted(rows[:, 0], np.arange(count + 1))
     for stance in range(count):
         places = {key: slice(*first[stance : stance + 2]) for key, first in start.items()}
-        yield {key: items[key][place].tolist() for key, place in places.items()}
+        yield {key: _rows(key, items[key][place]) for key, place in places.items()}
 
 
-def _column(kind: str, number: NDArray[Any], names: Ints) -> NDArray[Any]:
-    """Write a column of a list as the file has it: names of robots, null for unknown docks."""
+def _rows(key: str, items: NDArray[Any]) -> list[Any]:
+    """List the rows of one stance; where a source is null, it is left out."""
+    rows: list[Any] = items.tolist()
+    if STANCE_LISTS[key][-1] != "source":
+        return rows
+    return [row[:-1] if row[-1] is None else row for row in rows]
+
+
+def _column(kind: str, number: NDArray[Any], log: SensingLog) -> NDArray[Any]:
+    """Write a column as the file has it: names of robots and sources, null for unknown docks."""
     if kind == "number":
         return number
     index = number.astype(np.int64)
     if kind == "robot":
-        return names[index]
+        return log.robot_id[index]
+    if kind == "source":
+        return np.array([*log.source_name, None], object)[index]  # -1, for none, is the last
     if kind == "dock or null":
         column = index.astype(object)
         column[index < 0] = None

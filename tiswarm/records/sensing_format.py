@@ -10,7 +10,7 @@ import json
 import math
 from collections import Counter
 from dataclasses import fields
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +18,13 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     Field,
+    GetCoreSchemaHandler,
+    GetPydanticSchema,
     TypeAdapter,
     ValidationError,
     model_validator,
 )
+from pydantic_core import CoreSchema, core_schema
 
 from tiswarm.errors import InputError
 from tiswarm.params import STRICT
@@ -41,6 +44,12 @@ MOST_CONTACTS = 24
 _LONGEST_ARM = 1e3
 """From a center to a dock [dock radii]; the analysis of floppy modes needs digits to spare."""
 
+_LONGEST_NAME = 40
+"""Characters in the name of a source or of the unit of length."""
+
+_SD = (1e-6, 1e6)
+"""Least and greatest standard deviation of a fix, a range or a source [dock radii]."""
+
 
 def _column_part(unit: str) -> str:
     if unit.isprintable() and unit == unit.strip() and not {*unit} & {*',"'}:
@@ -48,17 +57,37 @@ def _column_part(unit: str) -> str:
     raise ValueError(f"{shown(unit)} cannot be part of a column's name; write a name like mm")
 
 
+def _source_name(name: str) -> str:
+    if 0 < len(name) <= _LONGEST_NAME and name.isprintable() and name == name.strip():
+        return name
+    problem = f"should be 1 to {_LONGEST_NAME} printable characters without spaces around them"
+    raise ValueError(f"the name {shown(name)} {problem}; correct it")
+
+
+def _sourced(*kinds: type) -> GetPydanticSchema:
+    """Type a row of so many numbers, after which the name of a source, or null, may stand."""
+
+    def schema(_: Any, handler: GetCoreSchemaHandler) -> CoreSchema:  # noqa: ANN401 - any type
+        items = [handler.generate_schema(kind) for kind in (*kinds, str | None)]
+        return core_schema.tuple_schema(
+            items, variadic_item_index=len(kinds), max_length=len(items), strict=False
+        )
+
+    return GetPydanticSchema(schema)
+
+
 _Radius = Annotated[float, Field(ge=1e-9, le=1e9)]
-_Unit = Annotated[str, Field(min_length=1, max_length=40), AfterValidator(_column_part)]
+_Unit = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME), AfterValidator(_column_part)]
+_SourceName = Annotated[str, AfterValidator(_source_name)]
 _Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 _Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 _Contact = Annotated[list[int], Field(min_length=3, max_length=3)]
 _Contacts = Annotated[list[_Contact], Field(fail_fast=True)]
 _Docks = Annotated[list[int], Field(fail_fast=True)]
 _AS_LIST = Field(strict=False)  # JSON has no tuples; numbers in them stay strict
-_Fix = Annotated[list[float], Field(min_length=5, max_length=5)]
+_Fix = Annotated[tuple[Any, ...], _sourced(*[float] * 5)]
 _Fixes = Annotated[list[_Fix], Field(fail_fast=True)]
-_Range = Annotated[tuple[int, float, float], _AS_LIST]
+_Range = Annotated[tuple[Any, ...], _sourced(int, float, float)]
 _Ranges = Annotated[list[_Range], Field(fail_fast=True)]
 _Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
 _Directions = Annotated[list[_Direction], Field(fail_fast=True)]
@@ -66,6 +95,15 @@ _Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LI
 _Connections = Annotated[list[_Connection], Field(fail_fast=True)]
 _Touch = Annotated[tuple[int | None, int, int | None], _AS_LIST]
 _Touches = Annotated[list[_Touch], Field(fail_fast=True)]
+
+
+class SourceEntry(BaseModel):
+    """What measures fixes or ranges: a plane of a lighthouse, a beacon, a camera, a device."""
+
+    model_config = STRICT
+
+    shared_sd: float
+    """Standard deviation of the error that all measurements of the source share [length unit]."""
 
 
 class HeaderLine(BaseModel):
@@ -95,10 +133,20 @@ class HeaderLine(BaseModel):
     noise: SensingNoise | None = None
     """Standard deviations and rates of errors; without them, those of an IMU are assumed."""
 
+    sources: dict[_SourceName, SourceEntry] | None = None
+    """Sources of fixes and ranges, by name. Version 2."""
+
     @model_validator(mode="after")
-    def _refuse_new_noise(self) -> "HeaderLine":
+    def _refuse_new_keys(self) -> "HeaderLine":
+        self.refuse_new("sources", self.sources)
         for key in NEW_NOISE if self.noise else ():
             self.refuse_new(f"noise.{key}", getattr(self.noise, key))
+        return self
+
+    @model_validator(mode="after")
+    def _refuse_wrong_sources(self) -> "HeaderLine":
+        for name, source in (self.sources or {}).items():
+            self.refuse_sd(dotted(["sources", name, "shared_sd"]), source.shared_sd)
         return self
 
     @model_validator(mode="after")
@@ -126,6 +174,19 @@ class HeaderLine(BaseModel):
         within = f"within {farthest:g} {self.length_unit} of {shown(start)}"
         why = f"{limit:g} times dock_radius"
         raise InputError(f"{shown(lengths)} should be {within}, {why}; correct one", key=key)
+
+    def refuse_sd(self, key: str, sd: float) -> None:
+        """Raise InputError where a standard deviation [length unit] is out of bounds."""
+        least, most = (bound * self.dock_radius for bound in _SD)
+        if not least <= sd <= most:
+            problem = f"the standard deviation {shown(sd)} should be from {least:g} to {most:g}"
+            raise InputError(f"{problem}; correct it", key=key)
+
+    def source_arrays(self) -> dict[str, Any]:
+        """Return the names and standard deviations of the sources, as `SensingLog` has them."""
+        sources = self.sources or {}
+        shared = np.array([source.shared_sd for source in sources.values()], np.float64)
+        return {"source_name": tuple(sources), "source_sd": shared}
 
 
 class StanceEntry(BaseModel):
@@ -165,12 +226,13 @@ class RobotLine(BaseModel):
     """Docks on flat ground."""
 
     fixes: _Fixes | None = None
-    """Measured coordinates of the center, rows of [x, y, z, value, sd]: along the unit vector
-    (x, y, z) the center is at the value [length unit]. Version 2."""
+    """Measured coordinates of the center, rows of [x, y, z, value, sd] or [x, y, z, value, sd,
+    source]: along the unit vector (x, y, z) the center is at the value [length unit]. The sd is
+    without the error that measurements of the source share. Version 2."""
 
     ranges: _Ranges | None = None
-    """Measured distances of centers, rows of [other robot, distance, sd] [length unit]; the other
-    robot is on an earlier line. Version 2."""
+    """Measured distances of centers, rows of [other robot, distance, sd] or [other robot, distance,
+    sd, source] [length unit]; the other robot is on an earlier line. Version 2."""
 
     directions: _Directions | None = None
     """Measured directions of contacts, rows of [own dock, other robot, other dock, x, y, z]: the
@@ -199,8 +261,8 @@ class RobotLine(BaseModel):
 STANCE_LISTS = {
     "contacts": ("dock", "robot", "dock"),
     "ground_docks": ("dock",),
-    "fixes": ("number",) * 5,
-    "ranges": ("robot", "number", "number"),
+    "fixes": (*("number",) * 5, "source"),
+    "ranges": ("robot", "number", "number", "source"),
     "directions": ("dock", "robot", "dock", *("number",) * 3),
     "connections": ("dock", "robot", "dock", *("number",) * 4),
     "touches": ("dock or null", "robot", "dock or null"),
@@ -208,7 +270,10 @@ STANCE_LISTS = {
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance. A
-dock that is null is -1 there."""
+dock that is null is -1 there, as is a source that is left out or null; others are indices."""
+
+REPEATABLE = ("fixes", "ranges")
+"""Lists whose items may be equal: a device may measure twice, and get the same number."""
 
 NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches")
 """Lists that version 1 does not have."""
@@ -261,8 +326,14 @@ def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
         return InputError("are missing; add them", key=", ".join(missing))
     error = errors[0]
     path = error["loc"]
+    if path[-1:] == ("[key]",):  # a key itself is at fault, not its value
+        path = path[:-2]
     noise = [field.name for field in fields(SensingNoise)]
-    nested = {"stances": list(StanceEntry.model_fields), "noise": noise}
+    nested = {
+        "stances": list(StanceEntry.model_fields),
+        "noise": noise,
+        "sources": list(SourceEntry.model_fields),
+    }
     allowed = nested.get(str(path[0])) if path[1:] else None
     return InputError(explain(error, allowed or list(model.model_fields)), key=dotted(path))
 

@@ -84,11 +84,11 @@ class Stances:
     ground_docks: NDArray[np.int32]
     """Docks on flat ground, rows of (stance, own dock), shape (G, 2)."""
 
-    fixes: Reals = field(default_factory=lambda: np.empty((0, 6)))
-    """Fixes as in `SensingLog`, rows that start with the stance, shape (F, 6)."""
+    fixes: Reals = field(default_factory=lambda: np.empty((0, 7)))
+    """Fixes as in `SensingLog`, rows that start with the stance, shape (F, 7)."""
 
-    ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
-    """Ranges as in `SensingLog`, rows that start with the stance, shape (D, 4)."""
+    ranges: Reals = field(default_factory=lambda: np.empty((0, 5)))
+    """Ranges as in `SensingLog`, rows that start with the stance, shape (D, 5)."""
 
     directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
     """Directions as in `SensingLog`, rows that start with the stance, shape (U, 7)."""
@@ -105,8 +105,9 @@ class SensingLog:
     """Everything a swarm of N robots sensed.
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
-    position except the anchor's. Rows of lists, here and in `stances`, are sorted and unique, so
-    two logs with equal content have equal arrays.
+    position except the anchor's. Rows of lists, here and in `stances`, are sorted, so two logs with
+    equal content have equal arrays. They are unique but for fixes and ranges, which a device may
+    repeat.
     """
 
     robot_id: Ints
@@ -142,13 +143,15 @@ class SensingLog:
     ground_docks: NDArray[np.int32]
     """Docks on flat ground at the final stance, rows of (robot, dock), shape (G, 2)."""
 
-    fixes: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    fixes: Reals = field(default_factory=lambda: np.empty((0, 7)))
     """Measured coordinates of centers at the final stance, rows of (robot, direction (3), value,
-    standard deviation), shape (F, 6)."""
+    standard deviation, source), shape (F, 7). The source is a row of `source_name`, or -1 for none;
+    the standard deviation is without the error that its measurements share."""
 
-    ranges: Reals = field(default_factory=lambda: np.empty((0, 4)))
+    ranges: Reals = field(default_factory=lambda: np.empty((0, 5)))
     """Measured distances from the final center to that of an earlier robot, rows of (robot, other
-    robot, distance, standard deviation), shape (D, 4)."""
+    robot, distance, standard deviation, source), shape (D, 5). Source and standard deviation are as
+    in `fixes`."""
 
     directions: Reals = field(default_factory=lambda: np.empty((0, 7)))
     """Measured directions of contacts at the final stance, rows of (robot, dock, earlier robot,
@@ -173,6 +176,13 @@ class SensingLog:
 
     noise: SensingNoise | None = None
     """Noise of the senses as the log states it; None where it states none."""
+
+    source_name: tuple[str, ...] = ()
+    """Name of each source of fixes and ranges, such as a plane of a lighthouse; distinct."""
+
+    source_sd: Reals = field(default_factory=lambda: np.empty(0))
+    """Standard deviation of the error that all measurements of a source share [log unit], shape
+    (sources,)."""
 
     length_unit: str = "R"
     """Name of the log's unit of length."""

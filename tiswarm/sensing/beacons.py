@@ -1,4 +1,7 @@
-"""Fixes: coordinates of planar and of seed robots, and those that beacons in line of sight give."""
+"""Fixes: coordinates of planar and of seed robots, and those that beacons in line of sight give.
+
+The two planes of a lighthouse are sources: what one measures has an error in common.
+"""
 
 from collections.abc import Iterator
 
@@ -17,12 +20,15 @@ version 2 [rad]."""
 _PLANE_SD = 0.01
 """Standard deviation of the plane that a planar robot is in [R]."""
 
+_NO_SOURCE = -1
+
 
 def sense_fixes(history: History, lookouts: Lookouts, params: SensingParams) -> Reals:
     """Measure coordinates of centers.
 
     Returns:
-        Rows of (robot, stance, direction (3), value, standard deviation), shape (F, 7).
+        Rows of (robot, stance, direction (3), value, standard deviation, source), shape (F, 8). The
+        source is a place in `params.sources`, or -1.
     """
     rows = [_plane(history), _seeds(history, params)]
     views = [lookouts.toward(np.array(beacon)) for beacon in params.beacons]
@@ -39,7 +45,7 @@ def _plane(history: History) -> Reals:
     """Return y = 0 at the final stance of each planar robot."""
     robot = np.arange(history.robot_count if history.is_planar else 0)
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
-    fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD], (len(robot), 1))
+    fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, _NO_SOURCE], (len(robot), 1))
     return np.column_stack([robot, last, fix])
 
 
@@ -49,20 +55,20 @@ def _seeds(history: History, params: SensingParams) -> Reals:
     axis = np.arange(len(robot)) % 3
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     error = params.fix_noise * normal(history.seed, "seed robot", robot, axis)
-    sd = np.full(len(robot), params.fix_noise)
+    known = np.tile([params.fix_noise, _NO_SOURCE], (len(robot), 1))
     return np.column_stack(
-        [robot, last, np.eye(3)[axis], history.position[robot, axis] + error, sd]
+        [robot, last, np.eye(3)[axis], history.position[robot, axis] + error, known]
     )
 
 
 def _coordinates(seed: int, lookouts: Lookouts, params: SensingParams) -> Iterator[Reals]:
     """Measure x and y."""
     robot, stance, center, _ = lookouts
-    sd = np.full(len(robot), params.fix_noise)
+    known = np.tile([params.fix_noise, _NO_SOURCE], (len(robot), 1))
     for axis in (0, 1):
         error = params.fix_noise * normal(seed, "fix", robot, 2 * stance + axis)
         direction = np.tile(np.eye(3)[axis], (len(robot), 1))
-        yield np.column_stack([robot, stance, direction, center[:, axis] + error, sd])
+        yield np.column_stack([robot, stance, direction, center[:, axis] + error, known])
 
 
 def _planes(seed: int, lookouts: Lookouts, number: int, params: SensingParams) -> Iterator[Reals]:
@@ -78,7 +84,6 @@ def _planes(seed: int, lookouts: Lookouts, number: int, params: SensingParams) -
     is_met = np.abs(rise) < level
     robot, stance, _, _ = lookouts.select(is_met)
     bearing, slope = np.arctan2(way[:, 1], way[:, 0])[is_met], rise[is_met] / level[is_met]
-    sd = np.full(len(robot), np.hypot(params.fix_noise, params.fix_bias))
     for plane, sign in enumerate((1.0, -1.0)):
         angle = bearing + np.arccos(-sign * slope)
         part = np.column_stack([np.cos(angle), np.sin(angle), np.full(len(robot), sign)])
@@ -86,4 +91,6 @@ def _planes(seed: int, lookouts: Lookouts, number: int, params: SensingParams) -
         draw = 2 * (64 * stance + number) + plane
         error = params.fix_noise * normal(seed, "sweep", robot, draw)
         error += params.fix_bias * normal(seed, "beacon", number, plane)
-        yield np.column_stack([robot, stance, direction, direction @ station + error, sd])
+        source = 2 * number + plane if params.fix_bias else _NO_SOURCE
+        known = np.tile([params.fix_noise, source], (len(robot), 1))
+        yield np.column_stack([robot, stance, direction, direction @ station + error, known])

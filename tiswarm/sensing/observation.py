@@ -72,6 +72,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         spawn_position=spawn_position(history, params),
         stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
         noise=params.noise,
+        source_name=tuple(params.sources),
+        source_sd=np.array([*params.sources.values()], np.float64),
         **final,
     )
 

@@ -3,7 +3,7 @@
 from dataclasses import fields, replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Strict, model_validator
+from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
@@ -17,6 +17,15 @@ _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)] 
 _Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # noqa: FBT003
 _Sense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
 _Length = Annotated[float, Field(ge=1e-6, le=1e6)]
+
+
+def _not_tiny(length: float) -> float:
+    if 0.0 < length < 1e-6:  # noqa: PLR2004 - the least that a log states
+        raise ValueError(f"{length:g} should be 0 or at least 1e-6; correct it")
+    return length
+
+
+_Bias = Annotated[float, Field(ge=0.0, le=1e6), AfterValidator(_not_tiny)]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -90,9 +99,9 @@ class SensingParams:
     fix_noise: _Length = 0.5
     """Standard deviation of each fix, with a new draw at each stance [R]."""
 
-    fix_bias: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    fix_bias: _Bias = 0.0
     """Standard deviation of a further error of planes, with one draw for each of a beacon's two
-    [R]."""
+    [R]. The planes are sources of the log, and this is their shared error."""
 
     seed_robots: Annotated[int, Field(ge=0)] = 0
     """Robots, the first to join, whose final positions are known by three fixes."""
@@ -103,6 +112,10 @@ class SensingParams:
 
     range_noise: _Length = 0.06
     """Standard deviation of a range [R]."""
+
+    range_bias: _Bias = 0.0
+    """Standard deviation of a further error of all ranges, with one draw a structure, as of the
+    delay of radios of one kind [R]. Ranges are a source of the log, with this shared error."""
 
     direction_noise_deg: Angle | None = None
     """Standard deviation of the direction of a contact about each axis perpendicular to it [deg];
@@ -124,6 +137,8 @@ class SensingParams:
             raise ValueError(
                 "fix_bias is an error of planes; set beacon_kind to sweep or remove it"
             )
+        if self.range_bias and self.range_reach is None:
+            raise ValueError("range_bias is an error of ranges; set range_reach or remove it")
         is_named = not self.direction_noise_deg is self.connection_noise_deg is None
         if self.contact_docks != "both" and is_named:
             raise ValueError("directions and connections name docks; set contact_docks to both")
@@ -140,6 +155,17 @@ class SensingParams:
     def senses(self, name: _Sense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
         return self.touch or bool(getattr(self, name))
+
+    @property
+    def sources(self) -> dict[str, float]:
+        """Sources as the header of a log states them: the shared error of each by its name [R].
+
+        The two planes of each beacon come first, in the order of `beacons`.
+        """
+        count = len(self.beacons) if self.fix_bias else 0
+        planes = [f"beacon {number} plane {plane}" for number in range(count) for plane in (0, 1)]
+        ranges = ["ranges"] if self.range_bias else []
+        return dict.fromkeys(planes, self.fix_bias) | dict.fromkeys(ranges, self.range_bias)
 
     @property
     def noise(self) -> SensingNoise:

@@ -14,11 +14,12 @@ def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) ->
     """Measure the distance of centers to that of earlier robots within reach and in sight.
 
     Returns:
-        Rows of (robot, stance, other robot, distance, standard deviation), shape (D, 5). An error
-        that makes a distance negative leaves no row.
+        Rows of (robot, stance, other robot, distance, standard deviation, source), shape (D, 6).
+        The source is a place in `params.sources`, or -1. An error that makes a distance negative
+        leaves no row.
     """
     if params.range_reach is None:
-        return np.empty((0, 5))
+        return np.empty((0, 6))
     here, there = cKDTree(lookouts.center), cKDTree(history.position)
     pairs = here.sparse_distance_matrix(there, params.range_reach, output_type="ndarray")
     place, other = pairs["i"], pairs["j"]
@@ -29,6 +30,9 @@ def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) ->
     seen = in_sight(history, views)
     length = np.linalg.norm(views.end - center, axis=1)
     length += params.range_noise * normal(history.seed, "range", robot, (stance << 31) + other)
-    sd = np.full(len(robot), params.range_noise)
-    rows: Reals = np.column_stack([robot, stance, other, length, sd])[seen & (length > 0.0)]
+    length += params.range_bias * normal(history.seed, "ranges", 0, 0)
+    source = len(params.sources) - 1 if params.range_bias else -1  # the last one
+    known = np.tile([params.range_noise, source], (len(robot), 1))
+    every = np.column_stack([robot, stance, other, length, known])
+    rows: Reals = every[seen & (length > 0.0)]
     return rows

@@ -306,7 +306,8 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     fixed = measure(log, {*params.cues} & {"fixes"}, odometry=odometry)
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
-    rows = Measurements.gather(odometry, [rows.distances], every_place, [rows.offsets])
+    tables = [rows.distances], every_place, [rows.offsets]
+    rows = Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd)
     problem = Problem(
         rows=rows,
         inconsistent=inconsistent,
