@@ -2,18 +2,20 @@
 
 The cost of a configuration is its chi-square: squared residuals of all measurements in variances,
 under a robust loss where asked for, squared overlaps of docks, and priors. Residuals are functions
-of positions p, yaw corrections b, and turns w, by which each sensed orientation is wrong.
-Levenberg-Marquardt steps on all of them are generalized least squares: turns of final stances,
-which are in what other robots sensed too, are unknowns beside p and b; turns of earlier stances
-make the covariance of what one robot sensed. Where orientations were chained, their turns have no
-prior of their own: connections are measurements, too. Lengths in R.
+of positions p, turns w by which each sensed orientation is wrong, yaw corrections b, and errors s
+that all measurements of a source share. Levenberg-Marquardt steps on all of them are generalized
+least squares: turns of final stances, which are in what other robots sensed too, are unknowns
+beside p, b and s; turns of earlier stances make the covariance of what one robot sensed. Where
+orientations were chained, their turns have no prior of their own: connections are rows, too.
+Lengths in R.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array, hstack
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import Rotation
 
@@ -41,7 +43,7 @@ _DRAWS = 64
 """Draws of all errors from which the variance of the result is computed."""
 
 _LONGEST_STEP = 0.5
-"""Longest step of a robot in a round [R]."""
+"""Longest step of a robot in a round, in R and in the median of measured distances [1]."""
 
 _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
 """Radius within which a step is trusted, relative to one that raised the cost [1], and the least
@@ -52,6 +54,8 @@ _FLOPPY = 1e-9
 
 _LEAST_DAMPING = 1e-12
 """Precision, relative to the largest one, that stops motions that no measurement resists."""
+
+_AXES = np.arange(3)
 
 
 class State(NamedTuple):
@@ -67,9 +71,16 @@ class State(NamedTuple):
     """Error of each sensed orientation beside that, as a rotation vector in standard deviations,
     shape (S, 3)."""
 
+    shared: Reals
+    """Error of each source of measurements, in standard deviations, shape (K,)."""
+
 
 class Cost:
-    """The cost of configurations of N robots with E measurements."""
+    """The cost of configurations of N robots with E measurements of K sources.
+
+    Unknowns are shifts (3 N), turns of final stances (3 N), yaw (N), and errors of sources (K),
+    U in all. Those that nothing moves are left out of matrices; F are free.
+    """
 
     def __init__(
         self,
@@ -93,15 +104,15 @@ class Cost:
             robust_sd: Width of Cauchy's loss in standard deviations; squares count if None.
             non_overlap: Whether docks that do not touch must not overlap.
             are_independent: Whether errors of orientations count as noise of each row, as the
-                annealer takes them: quicker, and all that serves where yaw biases are noise.
+                annealer takes them, which is quicker.
             further_variance: Variance of rows beside their noise [R^2], shape (E,).
         """
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
         self.robust_sd, self.non_overlap = robust_sd, non_overlap
         self.variance = rows.variance() + further_variance
-        self.own_variance = (
-            self.variance if are_independent else rows.own_variance + further_variance
-        )
+        self.own_variance = rows.own_variance + further_variance
+        if are_independent:
+            self.own_variance = self.variance - rows.shared_variance
         own, its = rows.noisy_arms()
         self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
         self.row, self.stance = (np.concatenate([own[k], its[k]]) for k in (0, 1))
@@ -110,20 +121,48 @@ class Cost:
         self.owner = self.walks.owner[self.stance]
         self.is_earlier = ~np.isin(np.arange(len(self.walks.owner)), self.walks.final)
         is_noisy = self.sd.any(axis=1) & (not are_independent)
-        is_earlier = self.is_earlier[self.stance]
-        self.of_final = np.flatnonzero(is_noisy & ~is_earlier)
-        self.of_earlier = np.flatnonzero(is_noisy & is_earlier)
+        self.of_final = np.flatnonzero(is_noisy & ~self.is_earlier[self.stance])
+        self.of_earlier = np.flatnonzero(is_noisy & self.is_earlier[self.stance])
         self.earlier = np.cumsum(self.is_earlier)[self.stance[self.of_earlier]] - 1
-        robots, turns = rows.robots, np.ones(3 * rows.robots)
-        if links is not None:
-            turns[np.repeat(links.is_chained, 3)] = _UNKNOWN
-        turns *= bool(len(self.of_final))
-        self.precision = np.concatenate(
-            [np.zeros(3 * robots), turns, np.full(robots, yaw_precision)]
-        )
-        """Precision of the prior of each shift, turn and yaw."""
-        self.turns = self.precision[3 * robots :]
+        self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
         self.docks = np.empty((0, 4), np.int64)
+        self._number_unknowns(yaw_precision)
+
+    def _number_unknowns(self, yaw_precision: float) -> None:
+        """Set priors of all unknowns, columns of free ones, and places of derivatives."""
+        rows, robots = self.rows, self.rows.robots
+        turns = np.zeros(3 * robots)
+        turns[(3 * self.owner[self.of_final, None] + _AXES).ravel()] = 1.0
+        if self.links is not None:
+            turns[np.repeat(self.links.is_chained, 3)] *= _UNKNOWN
+        sources = np.bincount(rows.source[rows.source >= 0], minlength=len(rows.shared_sd)) > 0
+        yaws = np.full(robots, yaw_precision)
+        self.precision = np.concatenate([np.zeros(3 * robots), turns, yaws, sources.astype(float)])
+        """Precision of the prior of each unknown, shape (U,)."""
+        is_free = self.precision > 0.0
+        is_free[3 : 3 * robots] = True  # the anchor stays
+        self.free = np.flatnonzero(is_free)
+        self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
+        self.turns_any = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
+        every, pairs, with_source = (
+            np.arange(len(rows)), np.arange(len(rows.other)), np.flatnonzero(rows.source >= 0)
+        )  # fmt: skip
+        final = self.of_final
+        self.of_yaw = np.arange(len(self.row) if yaw_precision else 0)
+        place = [
+            (every, 3 * rows.robot[:, None] + _AXES),
+            (pairs, 3 * rows.other[:, None] + _AXES),
+            (self.row[final], 3 * (robots + self.owner[final, None]) + _AXES),
+            (self.row[self.of_yaw], 6 * robots + self.owner[self.of_yaw, None]),
+            (with_source, 7 * robots + rows.source[with_source, None]),
+        ]
+        self.place = tuple(
+            np.concatenate([part.ravel() for part in parts])
+            for parts in zip(
+                *((np.repeat(row, column.shape[1]), column) for row, column in place), strict=True
+            )
+        )
+        self.of_source = rows.shared_sd[rows.source[with_source]]
 
     def refine(
         self, start: tuple[Reals, Reals], rounds: int, prior: Reals | None = None
@@ -138,7 +177,8 @@ class Cost:
         Returns:
             The best state, and the cost linearized there.
         """
-        begin = state = State(*start, np.zeros((len(self.is_earlier), 3)))
+        turn, shared = np.zeros((len(self.is_earlier), 3)), np.zeros(len(self.rows.shared_sd))
+        begin = state = State(*start, turn, shared)
         precision = self.precision.copy()
         if prior is not None:
             precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
@@ -163,51 +203,51 @@ class Cost:
         return state, linear
 
     def linearized(self, state: State, begin: State, precision: Reals) -> "Linear":
-        """Linearize at a state; priors of that precision (7 N,) are around the start."""
-        robots, size = self.rows.robots, len(self.rows)
+        """Linearize at a state; priors of that precision (U,) are around the start."""
+        size = len(self.rows)
         rows, arm = self._turned(state)
-        final, noise = csc_array((size, 3 * robots)), csc_array((size, 3 * self.is_earlier.sum()))
-        yaws = csc_array((size, robots))
-        if self.turns.any():
-            direction = rows.directions(state.position)[self.row]
-            across = np.cross(direction, np.where(self.is_own[:, None], arm, -arm))
-            final, noise = (
-                _by_group((across * self.sd)[part], self.row[part], group, (size, groups))
-                for part, group, groups in (
-                    (self.of_final, self.owner[self.of_final], robots),
-                    (self.of_earlier, self.earlier, int(self.is_earlier.sum())),
-                )
+        direction = rows.directions(state.position)
+        noise = csc_array((size, 3 * int(self.is_earlier.sum())))
+        final, yaw = np.empty((0, 3)), np.empty(0)
+        if self.turns_any:
+            across = np.cross(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
+            final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
+            noise = _by_group(
+                (across * self.sd)[self.of_earlier],
+                self.row[self.of_earlier],
+                self.earlier,
+                noise.shape,
             )
-            yaws = _by_group(-across[:, 2:], self.row, self.owner, (size, robots))
-        shifts = rows.jacobian(state.position)[:, : 3 * robots]
+        values = [direction, -direction[: len(self.rows.other)], final, yaw, self.of_source]
         residual = rows.residual(state.position) - noise @ state.turn[self.is_earlier].ravel()
+        residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
-        further = [self._overlaps(state)]
-        if self.links is not None:
-            further.append(self._links_of(state, self.links))
-        off = [state.position - begin.position, state.turn[self.walks.final], state.yaw]
+        tables = [
+            _Rows(residual, *self.place, np.concatenate([v.ravel() for v in values]), own_variance),
+            self._overlaps(state),
+            *([] if self.links is None else [self._links_of(state, self.links)]),
+        ]
+        off = (
+            state.position - begin.position, state.turn[self.walks.final], state.yaw, state.shared
+        )  # fmt: skip
         return Linear(
-            residual=residual,
-            jacobian=csr_array(hstack([shifts, final, yaws])),
+            tables=tables,
             noise=noise,
-            own_variance=own_variance,
-            robot=rows.robot,
-            further=further,
-            precision=precision,
-            off=np.concatenate([part.ravel() for part in off]),
+            robot=self.rows.robot,
+            column=self.column,
+            precision=precision[self.free],
+            off=np.concatenate([part.ravel() for part in off])[self.free],
             excess=excess,
+            shifts=3 * self.rows.robots - 3,
         )
 
     def _turned(self, state: State) -> tuple[Measurements, Reals]:
         """Turn the arms of all measurements as a state says; also the parts of these arms."""
-        if not self.turns.any():
+        if not self.turns_any:
             return self.rows, self.arm
         yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
-        arm = self.arm
-        if state.yaw.any():
-            arm = Rotation.from_rotvec(yaw).apply(arm)
-        if state.turn.any():
-            arm = Rotation.from_rotvec(-state.turn[self.stance] * self.sd).apply(arm)
+        arm = Rotation.from_rotvec(yaw).apply(self.arm)
+        arm = Rotation.from_rotvec(-state.turn[self.stance] * self.sd).apply(arm)
         offsets, size = self.rows.offsets, len(self.rows)
         axis = turned(offsets.axis, state.yaw[self.walks.owner[offsets.stance]])
         rows = replace(
@@ -235,8 +275,7 @@ class Cost:
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))
-        together = missed[offset].reshape(-1, 3).sum(axis=1)
-        missed[offset] = np.repeat(together, 3)
+        missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
         excess = square * (np.log1p(missed) - missed / (1.0 + missed))
         excess[offset] /= 3.0
         return self.own_variance + self.variance * missed, excess
@@ -246,7 +285,7 @@ class Cost:
         arm = self.walks.arm[self.walks.final]
         return turned(arm.reshape(-1, 3), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
 
-    def _overlaps(self, state: State) -> "_Further":
+    def _overlaps(self, state: State) -> "_Rows":
         """Compute the overlaps of docks that do not touch, and their derivatives by shifts."""
         later, own, earlier, its = self.docks.T
         arm = self._docks_at(state.yaw)
@@ -254,208 +293,211 @@ class Cost:
         apart -= state.position[earlier] + arm[earlier, its]
         length = np.linalg.norm(apart, axis=1)
         chosen = np.flatnonzero((length < SPACING) & (length > 0.0))
-        way = apart[chosen] / length[chosen, None]
-        rows, shape = np.arange(len(chosen)), (len(chosen), len(state.position))
-        toward = _by_group(way, rows, later[chosen], shape)
-        back = _by_group(way, rows, earlier[chosen], shape)
-        return _Further(length[chosen] - SPACING, csc_array(toward - back), 0, OVERLAP_SD)
+        way = (apart[chosen] / length[chosen, None]).ravel()
+        row = np.repeat(np.arange(len(chosen)), 3)
+        column = 3 * np.stack([later[chosen], earlier[chosen]])[:, :, None] + _AXES
+        return _Rows(
+            length[chosen] - SPACING,
+            np.tile(row, 2),
+            column.ravel(),
+            np.concatenate([way, -way]),
+            np.full(len(chosen), OVERLAP_SD**2),
+        )
 
-    def _links_of(self, state: State, links: Connections) -> "_Further":
+    def _links_of(self, state: State, links: Connections) -> "_Rows":
         """Compute residuals of connections [rad], and their derivatives by turns."""
         sd = self.walks.turn_sd[self.walks.final][:, [0, 0, 1]]
         turn = state.turn[self.walks.final] * sd
         left = links.residual - turn[links.robot] + turn[links.other]
-        axis, count = np.arange(3), 3 * len(links.robot)
-        row = np.tile(np.arange(count), 2)
         ends = np.concatenate([links.robot, links.other])
-        sign = np.repeat([-1.0, 1.0], count)
-        column = (3 * ends[:, None] + axis).ravel()
-        by_turn = csc_array((sign * sd[ends].ravel(), (row, column)), shape=(count, sd.size))
-        return _Further(left.ravel(), by_turn, sd.size, links.sd)
+        column = 3 * (self.rows.robots + ends[:, None]) + _AXES
+        sign = np.repeat([-1.0, 1.0], left.size)
+        row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, links.sd**2)
+        return _Rows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
 
     def _moved(self, state: State, linear: "Linear", radius: float) -> State:
         """Go from a state to where the sum of squares, linearized there, is least."""
-        step, earlier = linear.step(radius)
+        free, earlier = linear.step(radius)
+        step = np.zeros(len(self.precision))
+        step[self.free] = free
         turn = state.turn.copy()
         turn[self.is_earlier] = earlier.reshape(-1, 3)
-        shift, final, yaw = np.split(step, [state.position.size, 2 * state.position.size])
+        count = state.position.size
+        shift, final, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
         turn[self.walks.final] += final.reshape(-1, 3)
         shift = shift.reshape(-1, 3)
+        longest = _LONGEST_STEP * max(1.0, self.reach)
         far = np.linalg.norm(shift, axis=1, keepdims=True)
-        shift *= np.minimum(1.0, _LONGEST_STEP / np.maximum(far, _LONGEST_STEP))
-        return State(state.position + shift, state.yaw + yaw, turn)
+        shift *= np.minimum(1.0, longest / np.maximum(far, longest))
+        return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
 
 
-class _Further(NamedTuple):
-    """Rows beside the measurements, each with noise of its own."""
+class _Rows(NamedTuple):
+    """Rows of a linear problem, n of them."""
 
     residual: Reals
     """Residuals, shape (n,)."""
 
-    jacobian: csc_array
-    """Derivatives by some unknowns in a row, shape (n, k)."""
+    row: Ints
+    """Row of each derivative, shape (m,)."""
 
-    first: int
-    """First of these unknowns."""
+    unknown: Ints
+    """Unknown of each derivative, shape (m,)."""
 
-    sd: float
-    """Standard deviation of each residual."""
+    value: Reals
+    """Derivatives, shape (m,); those at the same place add up."""
+
+    variance: Reals
+    """Variance of each row, independent of others, shape (n,)."""
 
 
+@dataclass(kw_only=True)
 class Linear:
     """Residuals e + J d + B w + n with unknowns d, turns w of earlier stances, and own noise n."""
 
-    def __init__(
-        self,
-        *,
-        residual: Reals,
-        jacobian: csr_array,
-        noise: csc_array,
-        own_variance: Reals,
-        robot: Ints,
-        further: list[_Further],
-        precision: Reals,
-        off: Reals,
-        excess: Reals,
-    ) -> None:
-        """Compute the cost and its derivatives.
+    tables: list[_Rows]
+    """Measurements, overlaps, and connections."""
 
-        Args:
-            residual: e, shape (E,).
-            jacobian: J, by shifts (3 N), turns of final stances (3 N) and yaw (N), (E, 7 N).
-            noise: B, shape (E, M).
-            own_variance: Of n, shape (E,).
-            robot: Robot that sensed each row, whose noise all of its rows share, shape (E,).
-            further: Rows beside these.
-            precision: One over the variance of the prior of each unknown, shape (7 N,).
-            off: How far unknowns are from where their priors put them, shape (7 N,).
-            excess: Loss of each row beyond its square, shape (E,).
-        """
-        self.residual, self.jacobian, self.noise = residual, jacobian, noise
-        self.own_variance, self.further = own_variance, further
-        self.precision, self.off = precision, off
-        self._undamped: tuple[SuperLU, Ints] | None = None
-        self.inverse = _inverse(noise, own_variance, robot)
-        pull = self.inverse @ residual
-        self.square = residual * pull + excess
+    noise: csc_array
+    """B, shape (E, M)."""
+
+    robot: Ints
+    """Robot that sensed each measurement, whose noise its others share, shape (E,)."""
+
+    column: Ints
+    """Column of each unknown, -1 of those that stay, shape (U,)."""
+
+    precision: Reals
+    """One over the variance of the prior of each free unknown, shape (F,)."""
+
+    off: Reals
+    """How far unknowns are from where their priors put them, shape (F,)."""
+
+    excess: Reals
+    """Loss of each measurement beyond its square [1], shape (E,)."""
+
+    shifts: int
+    """Free shifts, which come first."""
+
+    def __post_init__(self) -> None:
+        """Compute the cost and its slope."""
+        self.residual = np.concatenate([table.residual for table in self.tables])
+        self.own_variance = np.concatenate([table.variance for table in self.tables])
+        first = np.cumsum([0, *(len(table.residual) for table in self.tables)])
+        row = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
+        column = self.column[np.concatenate([table.unknown for table in self.tables])]
+        value = np.concatenate([table.value for table in self.tables])
+        moves = column >= 0
+        self.jacobian = csr_array(
+            (value[moves], (row[moves], column[moves])), shape=(first[-1], len(self.precision))
+        )
+        """J of all rows, shape (n, F)."""
+        measured = len(self.robot)
+        self.inverse = _inverse(self.noise, self.own_variance, self.robot)
+        """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
+        pull = self._weighted(self.residual)
+        square = self.residual * pull
+        self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
-        of_priors = precision * off**2
-        self.chi_square = float(self.square.sum() + of_priors[3 * (len(off) // 7) :].sum())
+        prior = self.precision * self.off**2
+        self.chi_square = float(square.sum() + self.excess.sum() + prior[self.shifts :].sum())
         """Cost without the prior of positions [1]."""
-        self.cost = self.chi_square + float(of_priors[: 3 * (len(off) // 7)].sum())
-        self.slope = jacobian.T @ pull + precision * off
-        for each in further:
-            missed = float((each.residual**2).sum() / each.sd**2)
-            self.cost, self.chi_square = self.cost + missed, self.chi_square + missed
-            part = slice(each.first, each.first + each.jacobian.shape[1])
-            self.slope[part] += each.jacobian.T @ each.residual / each.sd**2
+        self.cost = self.chi_square + float(prior[: self.shifts].sum())
+        self.slope = self.jacobian.T @ pull + self.precision * self.off
 
+    def _weighted(self, values: Reals) -> Reals:
+        """Multiply values of all rows by the inverse covariance."""
+        if isinstance(self.inverse, np.ndarray):
+            return np.asarray((self.inverse * values.T).T)
+        return np.asarray(self.inverse @ values)
+
+    @cached_property
     def information(self) -> csc_array:
-        """Compute J^T C^-1 J of all rows, with the precision of the priors, shape (7 N, 7 N)."""
-        total = self.jacobian.T @ (self.inverse @ self.jacobian) + diags_array(self.precision)
-        for each in self.further:
-            first, size = each.first, len(self.precision)
-            by_all = csc_array(each.jacobian)
-            by_all = csc_array(
-                (by_all.data, by_all.indices + 0, by_all.indptr), shape=by_all.shape
-            )
-            pads = [csc_array((len(each.residual), k)) for k in (first, size - first - by_all.shape[1])]
-            row = csc_array(hstack([pads[0], by_all, pads[1]]))
-            total = total + (row.T @ row) * each.sd**-2.0
-        return csc_array(total)
+        """J^T C^-1 J of all rows, shape (F, F)."""
+        if isinstance(self.inverse, np.ndarray):
+            scaled = self.jacobian.copy()
+            scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
+            return csc_array(scaled.T @ scaled)
+        return csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+
+    def _factored(self, further: Reals) -> SuperLU:
+        """Factor the information with further precision of each free unknown, shape (F,)."""
+        return splu(
+            csc_array(self.information + diags_array(further)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    @cached_property
+    def undamped(self) -> SuperLU:
+        """Factors of the information, priors included."""
+        return self._factored(self.precision + self._largest * _LEAST_DAMPING)
+
+    @property
+    def _largest(self) -> float:
+        return float(self.information.diagonal().max(initial=1.0))
+
+    def step(self, radius: float) -> tuple[Reals, Reals]:
+        """Solve for the steps of free unknowns, (F,), and the turns of earlier stances, (M,).
+
+        Steps of robots much beyond a radius [R] are damped.
+        """
+        factors = self.undamped
+        if np.isfinite(radius):
+            damping = self.precision + self._largest * _LEAST_DAMPING
+            damping[: self.shifts] += radius**-2.0
+            factors = self._factored(damping)
+        step = -factors.solve(self.slope)
+        left = self._weighted(self.residual + self.jacobian @ step)
+        return step, -(self.noise.T @ left[: len(self.robot)])
 
     @property
     def log_volume(self) -> float:
-        """Logarithm of the width of the minimum, the square root of its determinant, up to a sum
-        that is the same for all minima of a cost."""
-        pivots = self._factor()[0].U.diagonal()
-        return -0.5 * float(np.log(np.abs(pivots)).sum())
-
-    def _factor(self, radius: float = np.inf) -> tuple[SuperLU, Ints]:
-        """Factor the information of free unknowns; steps beyond a radius [R] are damped."""
-        if np.isinf(radius) and self._undamped is not None:
-            return self._undamped
-        found = self._factor_anew(radius)
-        if np.isinf(radius):
-            self._undamped = found
-        return found
-
-    def _factor_anew(self, radius: float) -> tuple[SuperLU, Ints]:
-        information = self.information()
-        robots = len(self.precision) // 7
-        is_free = self.precision > 0.0
-        is_free[3 : 3 * robots] = True
-        is_free[:3] = False  # the anchor stays
-        free = np.flatnonzero(is_free)
-        damping = np.full(len(free), _LEAST_DAMPING * information.diagonal().max(initial=1.0))
-        damping[: 3 * robots - 3] += radius**-2.0
-        return _factored(information[free][:, free] + diags_array(damping)), free
-
-    def step(self, radius: float) -> tuple[Reals, Reals]:
-        """Solve for the steps of the unknowns, (7 N,), and the turns of earlier stances, (M,)."""
-        factor, free = self._factor(radius)
-        step = np.zeros(len(self.slope))
-        step[free] = -factor.solve(self.slope[free])
-        left = self.residual + self.jacobian @ step
-        return step, -(self.noise.T @ (self.inverse @ left))
+        """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
+        return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
 
     def freedom(self) -> int:
-        """Count rows and priors beyond the unknowns that they determine.
+        """Count rows and priors beyond the unknowns that they determine; overlaps do not count.
 
         By Sylvester's law, a shifted matrix has as many negative pivots as eigenvalues below it.
         """
-        information = self.information()
-        robots = len(self.precision) // 7
-        free = np.flatnonzero(np.r_[np.arange(3 * robots) > 2, self.precision[3 * robots :] > 0.0])
-        known = information[free][:, free] - diags_array(
-            np.r_[self.precision[3 : 3 * robots], np.zeros(len(free) - 3 * robots + 3)]
-        )
-        floor = _FLOPPY * known.diagonal().max(initial=1.0)
-        pivots = _factored(known - diags_array(np.full(len(free), floor))).U.diagonal()
-        rows = len(self.residual) + int((self.precision[3 * robots :] > 0.0).sum())
-        rows += sum(len(each.residual) for each in self.further[1:])
-        return rows - int((pivots > 0.0).sum())
+        shifted = self.precision - _FLOPPY * self._largest
+        shifted[: self.shifts] -= self.precision[: self.shifts]
+        known = int((self._factored(shifted).U.diagonal() > 0.0).sum())
+        rows = len(self.residual) - len(self.tables[1].residual)
+        return rows + int((self.precision[self.shifts :] > 0.0).sum()) - known
 
     def variance(self) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
-        sizes = np.cumsum([*self.noise.shape, len(self.precision)])
+        turns = self.noise.shape[1]
+        sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
         own, turn, prior = np.split(draw, sizes[:-1])
-        error = self.noise @ turn + np.sqrt(self.own_variance)[:, None] * own
-        pull = self.jacobian.T @ (self.inverse @ error) + np.sqrt(self.precision)[:, None] * prior
-        start = sizes[-1]
-        for each in self.further:
-            count = len(each.residual)
-            more = normal(0, "further", np.arange(start, start + count)[:, None], np.arange(_DRAWS))
-            start += count
-            part = slice(each.first, each.first + each.jacobian.shape[1])
-            pull[part] += each.jacobian.T @ more / each.sd
-        factor, free = self._factor()
-        step = np.zeros_like(pull)
-        step[free] = factor.solve(pull[free])
-        shift = step[: 3 * (len(step) // 7)].reshape(-1, 3, _DRAWS)
+        error = np.sqrt(self.own_variance)[:, None] * own
+        error[: len(self.robot)] += self.noise @ turn
+        pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
+        shift = self.undamped.solve(pull)[: self.shifts].reshape(-1, 3, _DRAWS)
         square: Reals = (shift**2).sum(axis=1).mean(axis=1)
-        return square
+        return np.concatenate([[0.0], square])
 
 
-def _factored(matrix: csc_array) -> SuperLU:
-    """Factor a symmetric matrix by pivots on its diagonal."""
-    return splu(
-        csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | Reals:
+    """Invert B B^T + diag(own variance), whose blocks are the rows of a robot.
 
+    Args:
+        noise: B, of the first E rows, shape (E, M).
+        own_variance: Of all rows, shape (n,).
+        robot: Robot of each of the first rows, shape (E,).
 
-def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array:
-    """Invert B B^T + diag(own variance), whose blocks are the rows of a robot, shape (E, E)."""
+    Returns:
+        The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
+    """
+    if not noise.nnz:
+        return 1.0 / own_variance
     is_shared = np.zeros(len(robot), np.bool_)
     is_shared[noise.indices] = True
-    inverse = diags_array(np.where(is_shared, 0.0, 1.0 / own_variance)).tocsr()
     rows = np.flatnonzero(is_shared)
-    if not len(rows):
-        return inverse
     rows = rows[np.argsort(robot[rows], kind="stable")]
     _, first, count = np.unique(robot[rows], return_index=True, return_counts=True)
     shared = noise.tocsr()[rows]
@@ -463,30 +505,27 @@ def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array:
     block = np.repeat(np.arange(len(count)), count)
     place = np.arange(len(rows)) - first[block]
     most = int(count.max())
-    dense = np.zeros((len(count), most, most))
-    dense[:, np.arange(most), np.arange(most)] = 1.0
+    dense = np.tile(np.eye(most), (len(count), 1, 1))
     i, j = covariance.coords
     dense[block[i], place[i], place[j]] = covariance.data
-    every = np.arange(len(rows))
     dense[block, place, place] = covariance.diagonal() + own_variance[rows]
-    dense = np.linalg.inv(dense)
-    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(most), np.arange(most), indexing="ij"))
-    of, which = np.nonzero((i < count[:, None]) & (j < count[:, None]))
-    entries = dense[of, i[which], j[which]]
-    row, column = rows[first[of] + i[which]], rows[first[of] + j[which]]
-    return inverse + csr_array((entries, (row, column)), shape=inverse.shape)
+    is_row = np.arange(most) < count[:, None]
+    of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
+    alone = np.setdiff1d(np.arange(len(own_variance)), rows)
+    value = np.concatenate([np.linalg.inv(dense)[of, here, there], 1.0 / own_variance[alone]])
+    row = np.concatenate([rows[first[of] + here], alone])
+    column = np.concatenate([rows[first[of] + there], alone])
+    return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
 
 
 def _by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:
-    """Assemble a sparse matrix; values at the same place add up.
+    """Assemble a sparse matrix of three columns a group; values at the same place add up.
 
     Args:
-        value: Values in the columns of a group, shape (n, k).
+        value: Values, shape (n, 3).
         row: Row of each, shape (n,).
         group: Group of columns of each, shape (n,).
-        shape: Rows and groups.
+        shape: Of the matrix.
     """
-    columns = value.shape[1]
-    rows = np.repeat(row, columns)
-    column = (columns * group[:, None] + np.arange(columns)).ravel()
-    return csc_array((value.ravel(), (rows, column)), shape=(shape[0], columns * shape[1]))
+    column = (3 * group[:, None] + _AXES).ravel()
+    return csc_array((value.ravel(), (np.repeat(row, 3), column)), shape=shape)
