@@ -73,10 +73,8 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
     if found.trusted:
         return ""
     text = verdict(estimate) + (f": {found.reason}" if found.reason else "")
-    misfit = abs(found.misfit_sd)
-    if not found.consistent and misfit > MOST_MISFIT_SD:
-        side = "exceeds" if found.misfit_sd > 0.0 else "is below"
-        text += f" (chi-square {side} its expectation by {misfit:.0f} sd)"
+    if not found.consistent and (misfit := describe_misfit(found.misfit_sd)):
+        text += f" ({misfit})"
     clauses = [text] if found.converged else [text, "positions and sd may be far off"]
     if found.sd_factor != 1.0 and estimate.sd is not None:
         clauses.append(f"sd is multiplied by {found.sd_factor:.2g}")
@@ -87,6 +85,14 @@ def distrust(log: SensingLog, estimate: Estimate) -> str:
         clauses.append(f"most of it is carried by {named(log, carriers)}")
     remedy = _remedy(found, carriers, log, beyond)
     return "; ".join([*clauses, remedy])
+
+
+def describe_misfit(misfit_sd: float) -> str:
+    """Say how far chi-square is from its expectation; empty where noise explains that."""
+    if not abs(misfit_sd) > MOST_MISFIT_SD:
+        return ""
+    side = "exceeds" if misfit_sd > 0.0 else "is below"
+    return f"chi-square {side} its expectation by {abs(misfit_sd):.0f} sd"
 
 
 def _remedy(found: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:

@@ -148,7 +148,8 @@ def test_an_estimate_comes_back_in_join_order(log, tmp_path):
         robot_id=log.robot_id, position=np.arange(15.0).reshape(5, 3),
         disconnected=known.disconnected, sd=np.array([0.0, 0.1, np.nan, 0.3, 0.4]),
         yaw=np.linspace(0.0, 1.0, 5),
-        mirrored=np.arange(5) == 4, observability=known, iteration=empty, trace=empty, residual=empty,
+        mirrored=np.arange(5) == 4, observability=known,
+        iteration=empty, trace=empty, residual=empty,
     )  # fmt: skip
     write_estimate(path, estimate)
     header, *rows = path.read_text().splitlines()

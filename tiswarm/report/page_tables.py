@@ -1,7 +1,7 @@
 """The tables, warnings and notes of a run's page: chosen columns, formatted, with units."""
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import swept_columns, swept_words
+from tiswarm.verdicts import describe_misfit
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
@@ -36,6 +37,9 @@ _CALIBRATION = [
     ("precision of outliers", "outlier_precision"),
     ("recall of outliers", "outlier_recall"),
     ("converged estimates", "converged"),
+    ("consistent estimates", "consistent"),
+    ("factor of sd", "sd_factor"),
+    ("mirrored robots", "mirrored"),
     ("robots located", "located"),
     ("RMSE of robots located [R]", "rmse_located_R"),
 ]
@@ -150,6 +154,12 @@ def result_tables(
                 " Precision: wrong contacts among those reported as outliers; recall: reported "
                 "outliers among wrong contacts."
             )
+        if any(label in calibration for label in ("consistent estimates", "mirrored robots")):
+            note += (
+                " Consistent: noise as stated explains the measurements; where it does not, the "
+                "factor multiplies the standard deviations. Mirrored robots, counted by case: "
+                "configurations that fit put them farther apart than their standard deviation."
+            )
         shown = _labeled(words, calibration, "Calibration", note)
         reported = (shown.frame[[*calibration]] != "").any(axis=1)
         tables.append(replace(shown, frame=shown.frame[reported]))
@@ -168,9 +178,10 @@ def _measured_suites(suites: pd.DataFrame) -> Table:
     note = (
         "Prices [USD] are those of the paper's Table I: of the sensors of so many robots, touch "
         "included, and of what the suite needs, if Table I states it. Where a method does not "
-        "place robots one by one, robots are located if its cues determine their positions, up to "
-        "mirror images. Systems of a lattice, m-blocks and atron, cannot build these structures: "
-        "their rows mean FireAntV3 robots whose docks know the pose of a connection."
+        "place robots one by one, robots are located if its cues determine their positions and it "
+        "finds no second configuration. Systems of a lattice, m-blocks and atron, cannot build "
+        "these structures: their rows mean FireAntV3 robots whose docks know the pose of a "
+        "connection."
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
     columns = {
@@ -313,7 +324,7 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
     if len(failed):
         why = _some(failed["reason"].dropna().unique(), "; ")
         found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
-    found += _unconverged(done)
+    found += _untrusted(done)
     if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
         robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
         found.append(
@@ -351,17 +362,39 @@ def _some(items: Iterable[object], separator: str) -> str:
     return separator.join(first[:_MOST_REASONS] + more)
 
 
-def _unconverged(done: pd.DataFrame) -> list[str]:
-    """Name the cases whose estimate did not converge."""
-    if "converged" not in done:
-        return []
-    lost = done[done["converged"].eq(False)]  # noqa: FBT003 - other methods leave it empty
-    if not len(lost):
-        return []
-    warning = (
-        f"{len(lost)} of {counted(len(done), 'case')} did not converge "
-        f"({_some(lost['case'], ', ')}). The misfit of their best chain exceeds its expectation "
-        f"by up to {lost['misfit_sd'].max():.0f} sd. All tables include their errors. Try more "
-        "steps or chains."
-    )
-    return [warning]
+def _untrusted(done: pd.DataFrame) -> Iterator[str]:
+    """Name the cases whose estimate did not converge, or is not consistent, and why."""
+    verdicts = done.reindex(columns=["converged", "consistent"])
+    lost = done[verdicts["converged"].eq(False)]  # noqa: FBT003 - unknown is neither
+    if len(lost):
+        yield (
+            f"{len(lost)} of {counted(len(done), 'case')} did not converge ({_cases(lost, done)})"
+            f"{_why(lost)}. All tables include their errors. Try more steps or chains."
+        )
+    at_odds = done[verdicts["consistent"].eq(False)]  # noqa: FBT003
+    if len(at_odds):
+        misfit = at_odds["misfit_sd"]
+        sizes = [describe_misfit(misfit[misfit.abs().idxmax()])]
+        if (factor := at_odds["sd_factor"].max()) > 1.0:
+            sizes.append(f"sd is multiplied by {factor:.2g}")
+        most = " and ".join(filter(None, sizes))
+        yield (
+            f"{len(at_odds)} of {counted(len(done), 'case')} are not consistent with the noise "
+            f"that their logs state ({_cases(at_odds, done)}){_why(at_odds)}."
+            f"{f' At most, {most}.' if most else ''}"
+        )
+
+
+def _cases(some: pd.DataFrame, every: pd.DataFrame) -> str:
+    """Name cases, but for a series whose cases are all among them, which stands for them."""
+    count = every["series"].value_counts()
+    whole = some["series"].map(some["series"].value_counts()) == some["series"].map(count)
+    whole &= some["series"].map(count) > 1
+    series = [f"all of {name}" for name in some["series"][whole].unique()]
+    return _some([*series, *some["case"][~whole]], ", ")
+
+
+def _why(some: pd.DataFrame) -> str:
+    """Write the reasons that the methods gave, if any."""
+    reasons = [*some["distrust"].dropna().unique()] if "distrust" in some else []
+    return f": {_some(reasons, '; ')}" if reasons else ""
