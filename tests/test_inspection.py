@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,10 +56,11 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
     log, center = observe(towers[1], SensingParams()), towers[1].position
     log = replace(log, robot_id=log.robot_id + 100)
 
-    rows = advice_rows(log, ["contacts", "ground"], center)
+    estimate = SimpleNamespace(position=center, mirrored=None)
+    rows = advice_rows(log, ["contacts", "ground"], estimate)
     lines = [*describe_advice(rows)]
     monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
-    large = advice_rows(log, ["contacts", "ground"], center)
+    large = advice_rows(log, ["contacts", "ground"], estimate)
 
     assert lines[0].split("  ")[0] == "rank"
     assert len(lines) == len(rows) + 1

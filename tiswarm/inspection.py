@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Reals
 from tiswarm.errors import InputError
-from tiswarm.measurements.advice import advise
+from tiswarm.measurements.advice import IMAGES_APART, advise
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
@@ -66,7 +65,7 @@ def explain_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Finding
         notes = [*describe_estimate(log, path, estimate)]
     else:
         cues, notes = cue_names(), [*unknowns(log, path, by_cue(log)), _LACKING]
-    return Findings(warnings, notes, advice_rows(log, cues, estimate.position))
+    return Findings(warnings, notes, advice_rows(log, cues, estimate))
 
 
 def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
@@ -101,19 +100,28 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
         yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
 
 
-def advice_rows(log: SensingLog, cues: Collection[str], position: Reals) -> list[dict[str, str]]:
+def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> list[dict[str, str]]:
     """Tabulate which further measurements would constrain robots most: cells by heading.
 
-    Arguments as for `advise`. No row if nothing helps, or if there are too many robots or loops.
+    Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
+    read from a file has none. No row if nothing helps, or if there are too many robots or loops.
     """
     name, unit = log.robot_id.tolist(), log.length_unit
+    is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
+    images = estimate.solutions if is_mirrored else ()
     rows = []
-    for rank, found in enumerate(advise(log, cues, position) or [], start=1):
+    for rank, found in enumerate(advise(log, cues, estimate.position, images) or [], start=1):
         what = f"{found.kind} of robot {name[found.robot]}"
-        if found.contact:
+        if found.kind == "range":
+            what = f"{what} to robot {name[found.contact[1]]}"
+        elif found.contact:
             own, other, dock = found.contact
             what = f"{what}'s dock {own} with robot {name[other]}'s dock {dock}"
-        rmse = {f"expected RMSE [{unit}]": found.rmse_before, f"with it [{unit}]": found.rmse_after}
+        gains = {
+            IMAGES_APART: found.images_apart_sd,
+            f"expected RMSE [{unit}]": found.rmse_before,
+            f"with it [{unit}]": found.rmse_after,
+        }
         rows.append(
             {
                 "rank": str(rank),
@@ -121,7 +129,7 @@ def advice_rows(log: SensingLog, cues: Collection[str], position: Reals) -> list
                 "floppy modes removed": str(found.floppy_modes),
                 "robots determined": named(log, found.determined, most=3),
             }
-            | {key: f"{value:.3g}" for key, value in rmse.items() if not math.isnan(value)}
+            | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
         )
     return rows
 

@@ -169,13 +169,15 @@ def advise(
     """List which further measurements would determine most.
 
     Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
-    1,000 robots. More are ranked by floppy modes.
+    1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:
+    where robots are mirrored, a column has the difference between the two likeliest, and further
+    ranges are candidates if LOG has some.
     """
     from tiswarm.inspection import advice_rows, describe_advice
     from tiswarm.localization.params import JointParams
 
     sensed, found, _ = read_estimated(log, estimate, ConsoleProgress())
-    rows = advice_rows(sensed, JointParams().cues, found.position)
+    rows = advice_rows(sensed, JointParams().cues, found)
     typer.echo("\n".join(describe_advice(rows)))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.aliases import Ints, Reals
+from tiswarm.measurements.advice import IMAGES_APART
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
@@ -147,7 +148,12 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[Table]:
     """Tabulate further measurements that would help."""
     if rows:
         words = ["further measurement", "robots determined"]
-        note = "One further contact, height or known position would constrain the swarm as follows."
+        note = "One further measurement would constrain the swarm as follows."
+        if IMAGES_APART in rows[0]:
+            note += (
+                " Images apart: difference of the measurement between solutions 1 and 2, in "
+                "standard deviations of what is expected; 5 or more exclude one of them."
+            )
         yield Table(frame=pd.DataFrame(rows), words=words, title="What to measure next", note=note)
 
 
