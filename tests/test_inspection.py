@@ -25,10 +25,36 @@ def test_check_warns_of_unlikely_positions(log, tmp_path):
     write_sensing_log(log, path)
     assert "unlikely" not in inspect(path).summary
 
+    alone = replace(log, contacts=log.contacts[:0], stances=None)
     far = np.where(np.arange(30)[:, None] == 7, 1e6, np.zeros((30, 3)))
-    write_sensing_log(replace(log, spawn_position=far), path)
+    ranges, fixes = np.array([[9, 3, 1e5, 1]]), np.array([[8, 1, 0, 0, 1e6, 1]])
+    found = []
+    for changes in ({"spawn_position": far}, {"ranges": ranges}, {"fixes": fixes}):
+        write_sensing_log(replace(alone, **changes), path)
+        found.append(next(line for line in inspect(path).summary.splitlines() if "jsonl" in line))
 
-    assert f"{path}:9: spawn_position: 1e+06 R from the anchor is unlikely" in inspect(path).summary
+    assert found == [
+        f"{path}:{place} is unlikely; correct it or leave it out"
+        for place in (
+            "9: spawn_position: 1e+06 R from the anchor",
+            "11: ranges: 1e+05 R for a range",
+            "10: fixes: 1e+06 R from the anchor",
+        )
+    ]
+
+
+def test_check_warns_of_lengths_in_another_unit(log, tmp_path):
+    """A line names the length, how many times it is off and what to do; a column has one line."""
+    path = tmp_path / "sensing.jsonl"
+    high = np.where(np.arange(30) == 29, 1000.0 * log.flip_height, log.flip_height)
+    for heights in (high, 25.4 * log.flip_height):
+        write_sensing_log(replace(log, flip_height=heights), path)
+        lines = [line for line in inspect(path).summary.splitlines() if "times too" in line]
+
+        (line,) = lines
+        assert line.startswith(f"{path}:{31 if heights is high else 2}: flip_height: ")
+        assert line.endswith("; correct the unit, or leave it out")
+    assert "about 25.4 times too long beside ground_docks" in line
 
 
 def test_check_names_a_turn_about_the_only_dock_of_the_anchor(log, tmp_path):

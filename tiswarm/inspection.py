@@ -13,15 +13,25 @@ from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
+from tiswarm.measurements.units import COLUMNS, Slip, slips
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_format import ROBOT_NUMBERS
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.verdicts import MOST_SHOWN, cautions, describe_outliers, distrust, named
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
+
+_SPARSE = 1000
+"""Robots in a row that a range, or a coordinate of a robot without contacts, may be long."""
+
+
+_USUAL = (10.0, 25.4, 100.0, 1000.0)
+"""Factors between units of length."""
+
+_NEAR = 0.8
+"""A factor times this, or by its square, is near: what a length contradicts only bounds it."""
 
 
 class Inspection(NamedTuple):
@@ -168,20 +178,47 @@ def _inspect_log(path: Path) -> Inspection:
         log = read_sensing_log(path)
     except InputError as mistake:
         return Inspection([mistake])
-    found = [*_unlikely(log, path), *unknowns(log, path, by_cue(log))]
-    return Inspection(summary="\n".join([log.size, *found]))
+    found = slips(log)
+    doubts = [*_slips(path, found), *_unlikely(log, path, found)]
+    return Inspection(summary="\n".join([log.size, *doubts, *unknowns(log, path, by_cue(log))]))
 
 
-def _unlikely(log: SensingLog, path: Path) -> Iterator[str]:
-    """Describe in lines positions farther from the anchor than all robots in a row."""
+def _slips(path: Path, found: Sequence[Slip]) -> Iterator[str]:
+    """Describe in lines lengths that seem to be in another unit than the rest."""
+    for slip in found[:MOST_SHOWN]:
+        times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
+        near = [usual for usual in _USUAL if _NEAR * times <= usual <= times / _NEAR**2]
+        many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
+        size = f"{many} times too {'long' if slip.factor > 1.0 else 'short'}"
+        either = " of either" if slip.against in COLUMNS else ""
+        problem = f"{slip.what}: {size} beside {slip.against}"
+        remedy = f"correct the unit{either}, or leave it out"
+        yield f"{path}:{HEADER_LINES + 1 + slip.robot}: {slip.key}: {problem}; {remedy}"
+    if (more := len(found) - MOST_SHOWN) > 0:
+        yield f"{path}: {counted(more, 'more such length')}"
+
+
+def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
+    """Describe in lines lengths beyond any likely size of the swarm, of keys without slips."""
     size = 2.0 * np.linalg.norm(log.dock_offset_body, axis=1).max() + log.spacing
-    farthest = (log.robot_count + _MARGIN) * size
-    for key in ROBOT_NUMBERS:
-        number = getattr(log, key).reshape(log.robot_count, -1)
-        away = np.abs(number - log.anchor_position[-number.shape[1] :]).max(axis=1)
-        for robot in np.flatnonzero(away > farthest)[:MOST_SHOWN].tolist():
-            text = f"{away[robot]:.3g} {log.length_unit} from the anchor is unlikely"
-            yield f"{path}:{HEADER_LINES + 1 + robot}: {key}: {text}; correct it or leave it out"
+    in_a_row, apart = (log.robot_count + _MARGIN) * size, max(log.robot_count, _SPARSE) * size
+    robots, anchor = np.arange(log.robot_count), log.anchor_position
+    fixed, direction, value = log.fixes[:, 0], log.fixes[:, 1:4], log.fixes[:, 4]
+    spawned = np.abs(log.spawn_position - anchor).max(axis=1)
+    from_anchor, of_range = "from the anchor", "for a range"
+    named = {slip.key for slip in found}
+    for key, robot, away, farthest, what in (
+        ("flip_height", robots, np.abs(log.flip_height - anchor[2]), in_a_row, from_anchor),
+        ("spawn_position", robots, spawned, in_a_row, from_anchor),
+        ("fixes", fixed, np.abs(value - direction @ anchor), apart, from_anchor),
+        ("ranges", log.ranges[:, 0], log.ranges[:, 2], apart, of_range),
+    ):
+        wrong = [] if key in named else np.flatnonzero(away > farthest)[:MOST_SHOWN].tolist()
+        for row in wrong:
+            text = (
+                f"{away[row]:.3g} {log.length_unit} {what} is unlikely; correct it or leave it out"
+            )
+            yield f"{path}:{HEADER_LINES + 1 + int(robot[row])}: {key}: {text}"
 
 
 def _inspect_scenario(path: Path) -> Inspection:
