@@ -30,8 +30,8 @@ _SPARSE = 1000
 _USUAL = (10.0, 25.4, 100.0, 1000.0)
 """Factors between units of length."""
 
-_NEAR = 0.8
-"""A factor times this, or by its square, is near: what a length contradicts only bounds it."""
+_NEAR = (0.9, 3.5)
+"""The true factor is as many times the one found, which follows from bounds, about."""
 
 
 class Inspection(NamedTuple):
@@ -187,7 +187,7 @@ def _slips(path: Path, found: Sequence[Slip]) -> Iterator[str]:
     """Describe in lines lengths that seem to be in another unit than the rest."""
     for slip in found[:MOST_SHOWN]:
         times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
-        near = [usual for usual in _USUAL if _NEAR * times <= usual <= times / _NEAR**2]
+        near = [usual for usual in _USUAL if _NEAR[0] * times <= usual <= _NEAR[1] * times]
         many = f"about {near[0]:g}" if near else f"at least {float(f'{times:.2g}'):g}"
         size = f"{many} times too {'long' if slip.factor > 1.0 else 'short'}"
         either = " of either" if slip.against in COLUMNS else ""

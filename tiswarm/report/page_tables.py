@@ -178,10 +178,9 @@ def _measured_suites(suites: pd.DataFrame) -> Table:
     note = (
         "Prices [USD] are those of the paper's Table I: of the sensors of so many robots, touch "
         "included, and of what the suite needs, if Table I states it. Where a method does not "
-        "place robots one by one, robots are located if its cues determine their positions and it "
-        "finds no second configuration. Systems of a lattice, m-blocks and atron, cannot build "
-        "these structures: their rows mean FireAntV3 robots whose docks know the pose of a "
-        "connection."
+        "place robots one by one, robots are located if its cues determine their positions, up to "
+        "mirror images. Systems of a lattice, m-blocks and atron, cannot build these structures: "
+        "their rows mean FireAntV3 robots whose docks know the pose of a connection."
     )
     prices = [name for name in map(str, suites) if name.startswith("usd_")]
     columns = {

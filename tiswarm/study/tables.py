@@ -260,7 +260,7 @@ def _located(case: Path) -> dict[str, float]:
     elif estimate["known"].isna().any():
         return {"located": math.nan, "rmse_located_R": math.nan}
     else:
-        is_located = estimate["known"] == "yes"
+        is_located = estimate["known"].isin(["yes", "mirrored"])
     return {"located": is_located.mean(), "rmse_located_R": square[is_located].mean() ** 0.5}
 
 
