@@ -71,6 +71,7 @@ _CASE = [
     ("height [R]", "height_R"),
     ("peak stress", "peak_stress"),
 ]
+_VERDICTS = ("converged", "consistent", "misfit_sd", "sd_factor", "distrust")
 _MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
 
 _Column = tuple[str, str]
@@ -154,11 +155,15 @@ def result_tables(
                 " Precision: wrong contacts among those reported as outliers; recall: reported "
                 "outliers among wrong contacts."
             )
-        if any(label in calibration for label in ("consistent estimates", "mirrored robots")):
+        if "consistent estimates" in calibration:
             note += (
                 " Consistent: noise as stated explains the measurements; where it does not, the "
-                "factor multiplies the standard deviations. Mirrored robots, counted by case: "
-                "configurations that fit put them farther apart than their standard deviation."
+                "factor multiplies the standard deviations."
+            )
+        if "mirrored robots" in calibration:
+            note += (
+                " Mirrored robots, counted by case: configurations that fit put them farther apart "
+                "than their standard deviation."
             )
         shown = _labeled(words, calibration, "Calibration", note)
         reported = (shown.frame[[*calibration]] != "").any(axis=1)
@@ -363,37 +368,26 @@ def _some(items: Iterable[object], separator: str) -> str:
 
 def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     """Name the cases whose estimate did not converge, or is not consistent, and why."""
-    verdicts = done.reindex(columns=["converged", "consistent"])
-    lost = done[verdicts["converged"].eq(False)]  # noqa: FBT003 - unknown is neither
-    if len(lost):
-        yield (
-            f"{len(lost)} of {counted(len(done), 'case')} did not converge ({_cases(lost, done)})"
-            f"{_why(lost)}. All tables include their errors. Try more steps or chains."
-        )
-    at_odds = done[verdicts["consistent"].eq(False)]  # noqa: FBT003
-    if len(at_odds):
-        misfit = at_odds["misfit_sd"]
-        sizes = [describe_misfit(misfit[misfit.abs().idxmax()])]
-        if (factor := at_odds["sd_factor"].max()) > 1.0:
-            sizes.append(f"sd is multiplied by {factor:.2g}")
+    found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
+    lost = found["converged"].eq(False)  # noqa: FBT003 - other methods leave it empty
+    if lost.any():
+        text = f"{_share(found, lost, 'did not converge')}. All tables include their errors."
+        yield f"{text} Try more steps or chains."
+    at_odds = found["consistent"].eq(False) & ~lost  # noqa: FBT003
+    if at_odds.any():
+        misfit, factor = found["misfit_sd"][at_odds].dropna(), found["sd_factor"][at_odds].max()
+        sizes = [describe_misfit(max(misfit, key=abs, default=0.0))]
+        sizes += [f"sd is multiplied by {factor:.2g}"] if factor > 1.0 else []
         most = " and ".join(filter(None, sizes))
-        yield (
-            f"{len(at_odds)} of {counted(len(done), 'case')} are not consistent with the noise "
-            f"that their logs state ({_cases(at_odds, done)}){_why(at_odds)}."
-            f"{f' At most, {most}.' if most else ''}"
-        )
+        text = _share(found, at_odds, "are not consistent with the noise that their logs state")
+        yield f"{text}.{f' At most, {most}.' if most else ''}"
 
 
-def _cases(some: pd.DataFrame, every: pd.DataFrame) -> str:
-    """Name cases, but for a series whose cases are all among them, which stands for them."""
-    count = every["series"].value_counts()
-    whole = some["series"].map(some["series"].value_counts()) == some["series"].map(count)
-    whole &= some["series"].map(count) > 1
-    series = [f"all of {name}" for name in some["series"][whole].unique()]
-    return _some([*series, *some["case"][~whole]], ", ")
-
-
-def _why(some: pd.DataFrame) -> str:
-    """Write the reasons that the methods gave, if any."""
-    reasons = [*some["distrust"].dropna().unique()] if "distrust" in some else []
-    return f": {_some(reasons, '; ')}" if reasons else ""
+def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
+    """Count and name cases, or a series that is among them as a whole, and state the reasons."""
+    series, reasons = every["series"], every["distrust"][some].dropna().unique()
+    whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
+    names = [f"all of {name}" for name in series[whole].unique()]
+    names += every["case"][some & ~whole].to_list()
+    why = f": {_some(reasons, '; ')}" if len(reasons) else ""
+    return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"
