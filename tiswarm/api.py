@@ -211,9 +211,11 @@ def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
 def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "pd.DataFrame":
     """List which further contact, height or known position would constrain most robots.
 
+    Where the estimate has robots that are mirrored, the list says what excludes one of the images.
+
     Args:
         log: Sensing log, or its file.
-        estimate: Estimate, or its table; `joint` localizes the log if None.
+        estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
     """
     import pandas as pd  # noqa: PLC0415 - slow to import
 
