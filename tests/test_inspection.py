@@ -1,4 +1,4 @@
-"""Lines on an estimate name robots, and quantify their uncertainty."""
+"""The check of a log names what is unlikely or unknown, and advice what to measure next."""
 
 import re
 from dataclasses import replace
@@ -7,20 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.errors import InputError
-from tiswarm.inspection import (
-    MOST_SHOWN,
-    advice_rows,
-    convergence_warning,
-    describe_advice,
-    describe_residual,
-    describe_solutions,
-    inspect,
-)
-from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.localization.registry import localize
+from tiswarm.inspection import advice_rows, describe_advice, inspect
 from tiswarm.measurements import advice
-from tiswarm.records.estimate import Solution
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
 
@@ -31,122 +19,42 @@ def log(towers):
     return observe(towers[0], SensingParams())
 
 
-def _lines(log, *solutions):
-    """Lines on solutions, each given by its chains, its residual and who stands how far off."""
-    found = []
-    for chains, residual, off in solutions:
-        position = np.zeros((log.robot_count, 3))
-        position[list(off), 1] = list(off.values())
-        found.append(
-            Solution(
-                weight=0.5,
-                chi_square=residual,
-                chains=chains,
-                residual=residual,
-                residual_sd=10.0 * residual,
-                position=position,
-            )
-        )
-    return list(describe_solutions(log, SimpleNamespace(solutions=tuple(found))))
-
-
-def test_each_solution_is_listed_with_its_gap(log):
-    """The gap of residuals, how far off it is at most, and which robots, the farthest first."""
-    assert _lines(log, (2, 0.1, {}), (1, 0.25, {4: 2.5, 7: 5.0, 9: 1.9})) == [
-        "solution 1 of 2: 2 of 3 chains, residual 0.1 R (1 sd)",
-        (
-            "solution 2 of 2: 1 of 3 chains, residual 0.25 R (2.5 sd), "
-            "0.15 R more than solution 1; up to 5 R from there: 2 robots (7, 4)"
-        ),
-    ]
-
-
-def test_counts_of_one_are_singular(log):
-    """Both for robots and for solutions."""
-    lines = _lines(log, (8, 0.1, {}), (1, 0.2, {4: 3.0}), *[(1, 0.3, {})] * (MOST_SHOWN - 1))
-
-    assert lines[1].endswith(": 1 robot (4)")
-    assert lines[-1] == "1 more solution"
-
-
-def test_a_single_solution_is_not_listed(log):
-    """Methods that look for none have an empty list."""
-    assert _lines(log, (8, 0.1, {})) == _lines(log) == []
-
-
-def test_long_lists_are_cut(log):
-    """The last line counts the rest."""
-    many = [(1, 0.1 * k, {k: 3.0 * k for k in range(1, k + 1)}) for k in range(MOST_SHOWN + 3)]
-
-    lines = _lines(log, *many)
-
-    assert len(lines) == MOST_SHOWN + 1
-    assert lines[-1] == "3 more solutions"
-
-
-def test_a_solution_takes_the_place_of_the_mean(log):
-    """It has no standard deviation; a number that no solution has is refused."""
-    found = localize(log, JointParams(chains=2, steps=200, hold_steps=50))
-    second = replace(found.solutions[0], residual=0.5, position=found.position + 7.0)
-    found = replace(found, solutions=(found.solutions[0], second))
-
-    chosen = found.with_solution(2)
-
-    np.testing.assert_array_equal(chosen.position, second.position)
-    assert chosen.sd is None
-    assert describe_residual(log, chosen).startswith("30 robots, residual 0.5 R rms")
-    for number in (0, 3):
-        with pytest.raises(
-            InputError, match=f"{number}: the method found 2 solutions; choose 1 to 2"
-        ):
-            found.with_solution(number)
-    with pytest.raises(InputError, match="found 0 solutions; leave it out"):
-        replace(found, solutions=()).with_solution(1)
-
-
-def test_the_outcome_sets_the_mean_beside_its_best_chain(log):
-    """A mean of chains may miss contacts that each chain satisfies."""
-    robots = log.robot_count
-    best = Solution(
-        weight=1.0,
-        chi_square=1.0,
-        chains=7,
-        residual=0.0042,
-        residual_sd=0.7,
-        position=np.zeros((robots, 3)),
-    )
-    found = SimpleNamespace(
-        robot_count=robots, residual=np.array([2.0, 0.25]), residual_sd=31.0, solutions=(best,)
-    )
-
-    expected = "30 robots, residual 0.25 R rms (31 sd), of the best chain 0.0042 R (0.7 sd)"
-    assert describe_residual(log, found) == expected
-    found.solutions, found.residual_sd = (), None
-    assert describe_residual(log, found) == "30 robots, residual 0.25 R rms"
-
-
-def test_a_method_without_a_verdict_warns_where_contacts_do_not_reach(log):
-    """A height far above its contacts pulls robots off; the estimate is no good."""
-    high = replace(log, flip_height=np.where(np.arange(30) == 29, 1e9, log.flip_height))
-
-    lines = [
-        convergence_warning(each, localize(each, VirtualForceParams())) for each in (log, high)
-    ]
-
-    assert lines[0] == ""
-    assert lines[1].startswith("not converged: beyond the reach of their contacts are ")
-
-
 def test_check_warns_of_unlikely_positions(log, tmp_path):
     """They are possible, unlike those that the reader refuses."""
     path = tmp_path / "sensing.jsonl"
     write_sensing_log(log, path)
     assert "unlikely" not in inspect(path).summary
 
+    alone = replace(log, contacts=log.contacts[:0], stances=None)
     far = np.where(np.arange(30)[:, None] == 7, 1e6, np.zeros((30, 3)))
-    write_sensing_log(replace(log, spawn_position=far), path)
+    ranges, fixes = np.array([[9, 3, 1e5, 1]]), np.array([[8, 1, 0, 0, 1e6, 1]])
+    found = []
+    for changes in ({"spawn_position": far}, {"ranges": ranges}, {"fixes": fixes}):
+        write_sensing_log(replace(alone, **changes), path)
+        found.append(next(line for line in inspect(path).summary.splitlines() if "jsonl" in line))
 
-    assert f"{path}:9: spawn_position: 1e+06 R from the anchor is unlikely" in inspect(path).summary
+    assert found == [
+        f"{path}:{place} is unlikely; correct it or leave it out"
+        for place in (
+            "9: spawn_position: 1e+06 R from the anchor",
+            "11: ranges: 1e+05 R for a range",
+            "10: fixes: 1e+06 R from the anchor",
+        )
+    ]
+
+
+def test_check_warns_of_lengths_in_another_unit(log, tmp_path):
+    """A line names the length, how many times it is off and what to do; a column has one line."""
+    path = tmp_path / "sensing.jsonl"
+    high = np.where(np.arange(30) == 29, 1000.0 * log.flip_height, log.flip_height)
+    for heights in (high, 25.4 * log.flip_height):
+        write_sensing_log(replace(log, flip_height=heights), path)
+        lines = [line for line in inspect(path).summary.splitlines() if "times too" in line]
+
+        (line,) = lines
+        assert line.startswith(f"{path}:{31 if heights is high else 2}: flip_height: ")
+        assert line.endswith("; correct the unit, or leave it out")
+    assert "about 25.4 times too long beside ground_docks" in line
 
 
 def test_check_names_a_turn_about_the_only_dock_of_the_anchor(log, tmp_path):
@@ -174,10 +82,11 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
     log, center = observe(towers[1], SensingParams()), towers[1].position
     log = replace(log, robot_id=log.robot_id + 100)
 
-    rows = advice_rows(log, ["contacts", "ground"], center)
+    estimate = SimpleNamespace(position=center, mirrored=None)
+    rows = advice_rows(log, ["contacts", "ground"], estimate)
     lines = [*describe_advice(rows)]
     monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
-    large = advice_rows(log, ["contacts", "ground"], center)
+    large = advice_rows(log, ["contacts", "ground"], estimate)
 
     assert lines[0].split("  ")[0] == "rank"
     assert len(lines) == len(rows) + 1

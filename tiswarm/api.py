@@ -23,7 +23,7 @@ import numpy as np
 
 from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
-from tiswarm.inspection import Inspection, convergence_warning, explain_estimate, inspect
+from tiswarm.inspection import Inspection, explain_estimate, inspect
 from tiswarm.localization import registry
 from tiswarm.params import AnyArch, AnyFormat, AnyPrecision
 from tiswarm.records.estimate import Estimate
@@ -32,6 +32,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.results import Figure, File, Run, choose, open_run
 from tiswarm.scenario.validation import localization_params
+from tiswarm.verdicts import distrust
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,7 +93,8 @@ def localize(
         settings: Settings of the method by name, nested ones as dictionaries.
 
     Returns:
-        The estimate; a warning is issued if it did not converge.
+        The estimate. A warning is issued if it did not converge, or if noise as stated does not
+        explain the measurements: `estimate.convergence` has both verdicts and the reason.
 
     Raises:
         InputError: the log, method, a cue or a setting is invalid.
@@ -102,7 +104,7 @@ def localize(
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     registry.start_device([params.method], arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
-    if warning := convergence_warning(sensed, estimate):
+    if warning := distrust(sensed, estimate):
         warnings.warn(warning, stacklevel=2)
     return estimate
 
@@ -209,9 +211,11 @@ def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
 def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "pd.DataFrame":
     """List which further contact, height or known position would constrain most robots.
 
+    Where the estimate has robots that are mirrored, the list says what excludes one of the images.
+
     Args:
         log: Sensing log, or its file.
-        estimate: Estimate, or its table; `joint` localizes the log if None.
+        estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
     """
     import pandas as pd  # noqa: PLC0415 - slow to import
 

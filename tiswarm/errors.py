@@ -76,8 +76,9 @@ class OutOfMemoryError(EnvironmentTroubleError):
     """The memory did not suffice; that of fewer robots may."""
 
 
-NOT_CONVERGED = 4
-"""Exit status of `tiswarm localize` if the estimate that it wrote did not converge."""
+NOT_TRUSTED = 4
+"""Exit status of `tiswarm localize` if the estimate that it wrote did not converge, or if noise as
+stated does not explain the measurements."""
 
 
 class CasesFailedError(TiswarmError):

@@ -9,7 +9,7 @@ from tiswarm.errors import InputError
 from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
-from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN
+from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
 from tiswarm.records.positions import Truth, write_positions
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
@@ -37,6 +37,27 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     assert "coverage_50" not in silent
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
+
+
+def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
+    """Tables of a run show which estimates to trust."""
+    history = towers[0]
+    log = observe(history, SensingParams())
+    pose = {"position": history.position, "orientation_wxyz": history.orientation_wxyz}
+    truth = Truth(robot_id=log.robot_id, **pose)
+    estimate = dataclasses.replace(
+        localize(log, VirtualForceParams(iterations=1)), convergence=None, mirrored=None
+    )
+    at_odds = Convergence(
+        converged=True, consistent=False, misfit_sd=27.0, sd_factor=3.1, chains=8, restarted=0
+    )
+    judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
+
+    silent, found = (score(truth, log, e, history.robot, cues=[]) for e in (estimate, judged))
+
+    assert {"converged", "consistent", "mirrored"} & set(silent) == set()
+    names = ("converged", "consistent", "misfit_sd", "sd_factor", "mirrored")
+    assert [found[name] for name in names] == [True, False, 27.0, 3.1, 4]
 
 
 def test_ranges_are_not_judged_as_contacts(towers):

@@ -1,6 +1,7 @@
 """Advice gains what adding the measurement and counting anew shows."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,6 +43,11 @@ def _rows(found, log, center):
     """Derivatives of what a candidate measures by x, y, z of each center, then by each yaw."""
     rows = np.zeros((3, 4 * log.robot_count))
     i = found.robot
+    if found.kind == "range":
+        _, j, _ = found.contact
+        along = (center[i] - center[j]) / np.linalg.norm(center[i] - center[j])
+        rows[0, 3 * i : 3 * i + 3], rows[0, 3 * j : 3 * j + 3] = along, -along
+        return rows[:1]
     if found.kind != "contact":
         rows[:, 3 * i : 3 * i + 3] = np.eye(3)
         return rows if found.kind == "position" else rows[2:]
@@ -58,6 +64,8 @@ def _rows(found, log, center):
 
 def _noise(found, log):
     """Variance of a candidate, with the noise of tilt in the arms of its docks."""
+    if found.kind == "range":
+        return log.ranges[0, 3] ** 2
     if found.kind != "contact":
         return Precision().height ** 2
     own, j, its = found.contact
@@ -106,6 +114,103 @@ def test_expected_errors_follow_from_the_covariance(swarm):
             trace = np.trace(np.linalg.inv(matrix)[:87, :87])
             np.testing.assert_allclose(rmse, np.sqrt(trace / 30), rtol=1e-6)
     assert kinds == {"contact", "height", "position"}
+
+
+def _measured(found, log, center):
+    """What a candidate would measure of robots at some place."""
+    i = found.robot
+    if found.kind in {"height", "position"}:
+        return center[i] if found.kind == "position" else center[i, 2:]
+    own, j, its = found.contact
+    arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    ends = (arm[i, own], arm[j, its]) if found.kind == "contact" else (0.0, 0.0)
+    return np.array([np.linalg.norm(center[i] + ends[0] - center[j] - ends[1])])
+
+
+@pytest.mark.usefixtures("every")
+def test_images_differ_by_what_a_candidate_would_measure(swarm):
+    """In standard deviations of what is expected; the doubt that remains follows from them."""
+    log, center = swarm
+    other = center.copy()
+    other[7] += [1.0, 0.5, -2.0]
+    images = [
+        SimpleNamespace(weight=weight, position=place)
+        for weight, place in [(0.6, center), (0.2, other)]
+    ]
+    information = _information(log, center)
+    doubt = 0.75 * 0.25 * (1.0 + 0.25 + 4.0) / 30
+    kinds = set()
+
+    for found in advise(log, CUES, 0.5 * (center + other), images):
+        rows = _rows(found, log, center)[:, _free(log)]
+        spread = rows @ np.linalg.solve(information, rows.T)
+        spread += _noise(found, log) * np.eye(len(rows))
+        change = _measured(found, log, other) - _measured(found, log, center)
+        apart = np.sqrt(change @ np.linalg.solve(spread, change))
+        after = information + rows.T @ rows / _noise(found, log)
+        square = [np.trace(np.linalg.inv(each)[:87, :87]) / 30 for each in (information, after)]
+        left = min(1.0, np.exp(-(apart**2) / 8.0) / 2.0 / np.sqrt(0.75 * 0.25))
+
+        kinds.add(found.kind)
+        np.testing.assert_allclose(found.images_apart_sd, apart, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(found.rmse_before, np.sqrt(square[0] + doubt), rtol=1e-6)
+        np.testing.assert_allclose(found.rmse_after, np.sqrt(square[1] + left * doubt), rtol=1e-6)
+    assert kinds == {"contact", "height", "position", "range"}
+
+
+def _beacons():
+    """Three beacons on a ceiling, a tag that ranges to them, and both images of its place."""
+    log, _ = structure(Rule(docks=1, offset=0.0), 4, 0)
+    place = np.array([[0.0, 0, 50], [60, 0, 50], [0, 60, 50], [20, 20, 30]])
+    fixes = [[i, *axis, place[i] @ axis, 0.1] for i in (1, 2) for axis in np.eye(3)]
+    ranges = [[3, j, np.linalg.norm(place[3] - place[j]), 0.1] for j in range(3)]
+    log = replace(
+        log, anchor_position=place[0], contacts=log.contacts[:0], fixes=np.array(fixes),
+        ranges=np.array(ranges),
+    )  # fmt: skip
+    return log, [
+        SimpleNamespace(weight=0.5, position=place * [1, 1, side] + [0, 0, 50 - side * 50])
+        for side in (1, -1)
+    ]
+
+
+def test_a_height_decides_between_images_below_and_above_a_ceiling():
+    """Without the images, the tag counts as known, and nothing is worth measuring as much."""
+    log, images = _beacons()
+
+    best, *_ = advise(log, ["ranges", "fixes"], images[0].position, images)
+    plain = advise(log, ["ranges", "fixes"], images[0].position)
+
+    assert (best.robot, best.kind in {"height", "position"}) == (3, True)
+    assert best.images_apart_sd > 100
+    assert best.rmse_before > 5.0
+    assert best.rmse_after < 0.5
+    assert all(np.isnan(each.images_apart_sd) for each in plain)
+    assert all(each.rmse_before < 0.5 for each in plain)
+
+
+def test_a_range_to_a_robot_off_the_mirror_plane_decides():
+    """Ranges to robots in the plane, which are there already, are the same in both images."""
+    log, images = _beacons()
+    low = np.array([40.0, 40.0, 10.0])
+    fixes = [[4, *axis, low @ axis, 0.1] for axis in np.eye(3)]
+    more = {
+        name: np.concatenate([getattr(log, name), getattr(log, name)[-1:]])
+        for name in ("orientation_wxyz", "flip_height", "spawn_position")
+    }
+    five = replace(
+        log, robot_id=np.arange(5), stances=None, fixes=np.concatenate([log.fixes, fixes]), **more
+    )
+    images = [
+        SimpleNamespace(weight=0.5, position=np.concatenate([each.position, low[None]]))
+        for each in images
+    ]
+
+    ranges = [each for each in advise(five, ["ranges", "fixes"], images[0].position, images)
+              if each.kind == "range"]  # fmt: skip
+
+    assert [(each.robot, each.contact[1]) for each in ranges] == [(4, 3)]
+    assert ranges[0].images_apart_sd > 50
 
 
 @pytest.mark.usefixtures("every")

@@ -148,7 +148,8 @@ def test_an_estimate_comes_back_in_join_order(log, tmp_path):
         robot_id=log.robot_id, position=np.arange(15.0).reshape(5, 3),
         disconnected=known.disconnected, sd=np.array([0.0, 0.1, np.nan, 0.3, 0.4]),
         yaw=np.linspace(0.0, 1.0, 5),
-        observability=known, iteration=empty, trace=empty, residual=empty,
+        mirrored=np.arange(5) == 4, observability=known,
+        iteration=empty, trace=empty, residual=empty,
     )  # fmt: skip
     write_estimate(path, estimate)
     header, *rows = path.read_text().splitlines()
@@ -159,7 +160,7 @@ def test_an_estimate_comes_back_in_join_order(log, tmp_path):
     for name in ("robot_id", "position", "sd", "disconnected"):
         np.testing.assert_array_equal(getattr(back, name), getattr(estimate, name))
     np.testing.assert_allclose(back.yaw, estimate.yaw)
-    assert back.observability.known == ["yes", "yes", "floppy", "disconnected", "yes"]
+    assert back.known == ["yes", "yes", "floppy", "disconnected", "mirrored"]
     np.testing.assert_array_equal(read_positions_of(log, path), estimate.position)
 
 
@@ -167,7 +168,10 @@ def test_an_estimate_comes_back_in_join_order(log, tmp_path):
     ("cells", "problem"),
     [
         ("7,0,0,0,yes", "robot: robot 7 is only here or only in the log"),
-        ("10,0,0,0,perhaps", "csv:2: known: 'perhaps' should be yes, floppy or disconnected"),
+        (
+            "10,0,0,0,perhaps",
+            "csv:2: known: 'perhaps' should be yes, mirrored, floppy or disconnected",
+        ),
     ],
 )
 def test_an_estimate_of_another_log_is_refused(log, tmp_path, cells, problem):

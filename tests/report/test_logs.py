@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,9 +13,11 @@ import trimesh
 from tests.browser import probe
 from tiswarm.cli import main
 from tiswarm.drawing import draw_log, render_log
+from tiswarm.inspection import explain_estimate
 from tiswarm.interop.exports import export_view
+from tiswarm.measurements.observability import observability
 from tiswarm.progress import Progress
-from tiswarm.records.estimate import MOST_WITHIN, Estimate, Solution
+from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.render import pictures
 from tiswarm.report.render.pictures import build_pictures
@@ -148,6 +151,56 @@ def test_guesses_do_not_stretch_the_scale(log, estimate, tmp_path):
     (color,) = data["cases"][0]["colors"]
     assert color["value"] == [2.0] * 29 + [None]
     assert "disconnected from the anchor are gray" in text
+
+
+def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
+    log, estimate, tmp_path
+):
+    """A reader sees in the first screen that the mean lies between two places."""
+    good = Convergence(converged=True, consistent=True, misfit_sd=0.3, chains=8, restarted=0)
+    found = replace(
+        estimate,
+        convergence=good,
+        mirrored=np.arange(30) == 4,
+        observability=observability(log, ["contacts", "height"], estimate.position),
+        solutions=tuple(
+            replace(each, weight=weight, chi_square=cost, sd=np.full(30, 2.0))
+            for each, weight, cost in zip(
+                estimate.solutions, (0.714, 0.286), (3.0, 4.8), strict=True
+            )
+        ),
+    )
+
+    text, data = _page(tmp_path, log, found, **explain_estimate(log, Path("log"), found)._asdict())
+
+    assert "Converged; 2 configurations fit, the likeliest has 71 %; mirrored: 1 robot (4)." in text
+    assert "<li>mirrored: 1 robot (4); configurations that fit" in text
+    cells = re.findall("<td[^>]*>(.*?)</td>", text.partition("Solutions</a>")[2])
+    assert cells[:7] == ["1", "71", "0", "5", "0.5", "0", "0"]
+    assert cells[7:11] == ["2", "29", "+1.8", "3"]
+    assert 'class="text">mirrored</td>' in text
+    assert "mirrored if configurations that fit" in text
+    assert [[color["label"] for color in case["colors"]] for case in data["cases"]] == [
+        ["sd"],
+        ["distance from the estimate", "sd"],
+        ["distance from the estimate", "sd"],
+    ]
+
+
+@pytest.mark.parametrize("is_converged", [True, False], ids=["at-odds", "lost"])
+def test_a_page_of_an_estimate_that_is_not_trusted_says_why(is_converged, log, estimate, tmp_path):
+    """The line under the result points to the warning, which has the reason."""
+    verdicts = Convergence(
+        converged=is_converged, consistent=False, misfit_sd=27.0, chains=8, restarted=0,
+        reason="heights disagree",
+    )  # fmt: skip
+    found = replace(estimate, convergence=verdicts, outlier_robots=np.array([3]))
+
+    text, _ = _page(tmp_path, log, found, **explain_estimate(log, Path("log"), found)._asdict())
+
+    verdict = "Not consistent" if is_converged else "Neither converged nor consistent"
+    assert f"{verdict}: see Warnings. The estimate judges 1 orientation wrong." in text
+    assert f"<li>{verdict.lower()}: heights disagree (chi-square exceeds its expectation" in text
 
 
 def test_a_page_without_truth_works_in_a_browser(log, estimate, tmp_path):

@@ -163,16 +163,37 @@ def test_what_makes_results_wrong_is_apart_from_what_is_good_to_know():
 
 
 def test_cases_that_did_not_converge_are_named():
-    """Methods that do not report convergence leave the column empty."""
-    summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "status": "done", "reason": None})
+    """Runs of older versions lack the columns of verdicts."""
+    summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "series": ["a", "a", "b"]})
+    summary = summary.assign(status="done", reason=None)
     lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])
 
-    warnings = warnings_of(lost)
+    (warning,) = warnings_of(lost.assign(distrust=["chains disagree", None, None]))
 
-    assert warnings[0].startswith("1 of 3 cases did not converge (0-a). The misfit")
-    assert "148 sd" in warnings[0]
+    assert warning.startswith("1 of 3 cases did not converge (0-a): chains disagree. All tables")
+    assert "148 sd" not in warning
     assert warnings_of(lost.assign(converged=[True, True, None])) == []
     assert warnings_of(summary) == []
+
+
+def test_cases_that_are_not_consistent_are_named_with_the_reason():
+    """A series of which each case is at odds stands for its cases."""
+    summary = pd.DataFrame({"case": ["0-a", "1-a", "0-b", "1-b"], "series": [*"aabb"]})
+    summary = summary.assign(status="done", reason=None, converged=True, distrust="wrong heights")
+    found = summary.assign(
+        consistent=[False, False, False, True], misfit_sd=[27.2, 9.0, 6.0, 0.1],
+        sd_factor=[3.1, 1.4, 1.2, 1.0],
+    )  # fmt: skip
+
+    (warning,) = warnings_of(found)
+    (too_good,) = warnings_of(found.assign(misfit_sd=-8.0, sd_factor=1.0))
+
+    assert warning == (
+        "3 of 4 cases are not consistent with the noise that their logs state (all of a, 0-b): "
+        "wrong heights. At most, chi-square exceeds its expectation by 27 sd and sd is multiplied "
+        "by 3.1."
+    )
+    assert too_good.endswith("At most, chi-square is below its expectation by 8 sd.")
 
 
 def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():

@@ -59,6 +59,34 @@ def test_rounds_of_back_propagation_are_in_the_table():
     np.testing.assert_equal(rounds.to_numpy(float)[::2], expected)
 
 
+def test_tables_have_verdicts_and_their_reason():
+    """`summary.csv` has them by case, `table.csv` their means over structures."""
+    paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=2", "sweep={}"])
+    cases = study.plan(paper)[:2]
+    scores = {"rmse_R": 3.0, "converged": True, "sd_factor": 2.0, "misfit_sd": 9.0, "mirrored": 3}
+    records = [
+        replace(
+            failure(case, ""),
+            status="done",
+            scores=scores | {"consistent": bool(n)},
+            distrust="" if n else "wrong heights",
+        )
+        for n, case in enumerate(cases)
+    ]
+    settings = [case.settings for case in cases]
+
+    summary, table = tables.summary(records, settings), tables.table(records, settings)
+
+    assert summary["distrust"].tolist() == ["wrong heights", ""]
+    assert summary.columns.get_loc("distrust") < summary.columns.get_loc("reason")
+    assert table["consistent_mean"].mean() == 0.5
+    assert table[["sd_factor_mean", "misfit_sd_mean", "mirrored_mean"]].iloc[0].tolist() == [
+        2,
+        9,
+        3,
+    ]
+
+
 @pytest.mark.parametrize("name", ["NA", "null"])
 def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
     """The headline and the comparison of runs have the names as in `table.csv`."""

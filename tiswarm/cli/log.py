@@ -39,7 +39,7 @@ def localize(
     seed: Annotated[int | None, Option(help="Seed of joint.")] = None,
     solution: Annotated[
         int | None,
-        Option(metavar="K", help="Write solution K of joint, not the mean of its chains."),
+        Option(metavar="K", help="Write solution K, the likeliest first, not their mean."),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     out: Annotated[Path, Option(help="Table of positions to write.")] = Path("estimate.csv"),
@@ -50,27 +50,31 @@ def localize(
     threads: Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
     *,
-    verbose: Annotated[bool, Option("--verbose", "-v", help="List joint's solutions.")] = False,
+    verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the robots' positions from a sensing log.
 
     Simulators and real swarms write such logs (docs/files.md). The exit status is 4 if the estimate
-    did not converge; it is written all the same.
+    did not converge, or if noise as stated does not explain the measurements; it is written all the
+    same.
     """
-    from tiswarm.errors import NOT_CONVERGED, InputError
-    from tiswarm.inspection import (
-        convergence_warning,
-        describe_estimate,
-        describe_residual,
-        describe_solutions,
-        explain_estimate,
-    )
+    from tiswarm.errors import NOT_TRUSTED, InputError
+    from tiswarm.inspection import describe_estimate, explain_estimate
     from tiswarm.localization import registry
+    from tiswarm.records.messages import counted
     from tiswarm.records.positions import write_estimate
     from tiswarm.records.sensing_file import read_sensing_log
     from tiswarm.scenario.validation import localization_params
+    from tiswarm.verdicts import (
+        cautions,
+        describe_solutions,
+        distrust,
+        headline,
+        solution_name,
+        verdict,
+    )
 
     if opened and report is None:
         raise InputError("needs a page; add --report PAGE", key="--open")
@@ -82,21 +86,23 @@ def localize(
     if arch != "cpu":
         progress.info(f"{params.method} computes on {running}")
     estimate = _localized(sensed, params, progress)
-    count = len(estimate.solutions)
+    chosen = ""
     if solution is not None:
         estimate = estimate.with_solution(solution)
+        chosen = f"{solution_name(estimate, solution)}: "
     write_estimate(out, estimate)
-    warning = convergence_warning(sensed, estimate)
+    warning = distrust(sensed, estimate)
     if warning:
         typer.echo(f"tiswarm: warning: {warning}", err=True)
-    notes = [*describe_estimate(sensed, log, estimate)]
-    chosen = "" if solution is None else f"solution {solution} of {count}: "
-    result = f"{chosen}{describe_residual(sensed, estimate)} -> {out}"
+    notes = [*describe_estimate(sensed, log, estimate), *cautions(sensed, estimate)]
+    found = verdict(estimate) if warning else headline(sensed, estimate)
+    size = counted(estimate.robot_count, "robot")
+    result = f"{chosen}{size}{f', {found}' if found else ''} -> {out}"
     listed = [*describe_solutions(sensed, estimate)] if verbose else []
-    if count > 1 and solution is None:
+    if (count := len(estimate.solutions)) > 1 and solution is None:
         listed.append(
-            f"the estimate averages chains that found {count} solutions; "
-            "list them with --verbose, write one with --solution K"
+            f"the positions are the mean of {count} solutions; --solution 1 writes the likeliest "
+            "consistent configuration, --verbose lists all"
         )
     if not quiet:
         typer.echo("\n".join([*notes, result, *listed]))
@@ -108,7 +114,7 @@ def localize(
         if opened or not quiet:
             show_page(report, opened=opened)
     if warning:
-        raise typer.Exit(NOT_CONVERGED)
+        raise typer.Exit(NOT_TRUSTED)
 
 
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
@@ -163,13 +169,15 @@ def advise(
     """List which further measurements would determine most.
 
     Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
-    1,000 robots. More are ranked by floppy modes.
+    1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:
+    where robots are mirrored, a column has the difference between the two likeliest, and further
+    ranges are candidates if LOG has some.
     """
     from tiswarm.inspection import advice_rows, describe_advice
     from tiswarm.localization.params import JointParams
 
     sensed, found, _ = read_estimated(log, estimate, ConsoleProgress())
-    rows = advice_rows(sensed, JointParams().cues, found.position)
+    rows = advice_rows(sensed, JointParams().cues, found)
     typer.echo("\n".join(describe_advice(rows)))
 
 
@@ -181,10 +189,10 @@ def read_estimated(
     Without a table of the estimate, joint localizes the log.
     """
     from tiswarm.compute import backend
-    from tiswarm.inspection import convergence_warning
     from tiswarm.localization.params import JointParams
     from tiswarm.records.positions import read_estimate, read_positions_of
     from tiswarm.records.sensing_file import read_sensing_log
+    from tiswarm.verdicts import distrust
 
     sensed = read_sensing_log(log)
     true = None if truth is None else read_positions_of(sensed, truth)
@@ -192,7 +200,7 @@ def read_estimated(
         return sensed, read_estimate(sensed, estimate), true
     backend.start()
     found = _localized(sensed, JointParams(), progress)
-    if warning := convergence_warning(sensed, found):
+    if warning := distrust(sensed, found):
         typer.echo(f"tiswarm: warning: {warning}", err=True)
     return sensed, found, true
 

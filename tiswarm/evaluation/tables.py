@@ -239,15 +239,18 @@ def _of_located(truth: Truth, estimate: Estimate) -> dict[str, float]:
 
 
 def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:
-    """Return the shares of robots in their intervals, without the anchor, and the convergence."""
+    """Return the shares of robots in their intervals, without the anchor, and the verdicts."""
     scores: dict[str, float | int] = {}
     if estimate.sd is not None:
         error, sd = metrics.robot_errors(estimate.position, truth.position)[1:], estimate.sd[1:]
         scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
     if (found := estimate.convergence) is not None:
-        scores |= {"converged": found.converged, "misfit_sd": found.misfit_sd}
+        scores |= {"converged": found.converged, "consistent": found.consistent}
+        scores |= {"misfit_sd": found.misfit_sd, "sd_factor": found.sd_factor}
         scores |= {"chains": found.chains, "restarted_chains": found.restarted}
+    if estimate.mirrored is not None:
+        scores["mirrored"] = int(estimate.mirrored.sum())
     return scores
 
 

@@ -10,15 +10,21 @@ vector between two docks in contact has the length D and any direction, so that 
 coordinates has the variance D^2 / 3. The same holds for ranges. Robots are within the swarm's
 extent, and yaw biases have the variance that the log states. Rows R of variance W reduce C by
 C R^T (W + R C R^T)^-1 R C.
+
+Where robots are mirrored, the two likeliest solutions add the variance w w' d^2, with w and w'
+their weights and d the distance of a robot between them. If they predict measurements that differ
+by s standard deviations of W + R C R^T, the candidate leaves the share exp(-s^2 / 8) / 2 (w w')^1/2
+of that variance, or less (the Bhattacharyya bound).
 Lengths in R.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
+from scipy.spatial.distance import cdist
 
 from tiswarm.aliases import Ints, Reals
 from tiswarm.measurements.contacts import close_docks
@@ -28,6 +34,7 @@ from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.measurements.rigidity import floppy_motions, further_rows, weld
 from tiswarm.measurements.rows import SPACING, Distances, Places
+from tiswarm.records.estimate import Solution
 from tiswarm.records.sensing_log import SensingLog
 
 MOST_ROBOTS = 1000
@@ -48,7 +55,13 @@ _SEEN = 1e-3
 _AT_ONCE = 256
 """Candidates that are judged at a time: memory."""
 
-Kind = Literal["contact", "height", "position"]
+_DECISIVE = 5.0
+"""Difference between two solutions from which on a measurement excludes one of them [sd]."""
+
+IMAGES_APART = "images apart [sd]"
+"""Heading of `Advice.images_apart_sd` in tables."""
+
+Kind = Literal["contact", "height", "position", "range"]
 
 
 class Advice(NamedTuple):
@@ -60,7 +73,7 @@ class Advice(NamedTuple):
     """Robot to measure, by join order."""
 
     contact: list[int]
-    """Own dock, other robot and its dock; empty for other kinds."""
+    """Own dock, other robot and its dock, CENTER for docks of a range; empty for other kinds."""
 
     floppy_modes: int
     """Floppy modes that it removes."""
@@ -73,6 +86,10 @@ class Advice(NamedTuple):
 
     rmse_after: float
     """Expected error with it [log unit]; NaN for more than `MOST_ROBOTS` robots."""
+
+    images_apart_sd: float
+    """Difference that it would have between the two likeliest solutions, in standard deviations of
+    what is expected; NaN without them."""
 
 
 class _Candidates(NamedTuple):
@@ -87,16 +104,21 @@ class _Candidates(NamedTuple):
     """Rows of each."""
 
 
-def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advice] | None:
+def advise(
+    log: SensingLog, cues: Collection[str], position: Reals, images: Sequence[Solution] = ()
+) -> list[Advice] | None:
     """Find the few further contacts, heights and known positions that are worth most.
 
     Contacts are between docks that are close to each other in the estimate. They are as precise as
-    `Precision.contact`, heights and positions as `Precision.height`.
+    `Precision.contact`, heights and positions as `Precision.height`. Where there are images and the
+    log has ranges, further ranges of their median precision are candidates, too.
 
     Args:
         log: What was sensed.
         cues: Cues in use.
         position: Estimated centers, in the log's unit, shape (N, 3).
+        images: Solutions between which robots are mirrored, the likeliest first; the first two
+            count. Positions are then those of the first.
 
     Returns:
         Advice by expected error, or by floppy modes for more than `MOST_ROBOTS` robots; the best
@@ -105,7 +127,8 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
     noise = log.noise or ASSUMED
     yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
-    center = position / log.dock_radius
+    pair = _Images.of(images, log.dock_radius) if len(images) > 1 else None
+    center = position / log.dock_radius if pair is None else pair.first
     rows = measure(log, cues, odometry=odometry).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     motions = floppy_motions(bodies)
@@ -117,17 +140,24 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
     is_small = len(center) <= MOST_ROBOTS
     posterior = _Posterior(rows.averaged(), center, log.yaw_bias) if is_small else None
     advice = []
-    for kind, further, size in _candidates(log, odometry, center):
-        jacobian = further.jacobian(center)
+    candidates = [*_candidates(log, odometry, center)]
+    if pair is not None and len(log.ranges) and len(center) <= MOST_ROBOTS:
+        candidates.append(_ranges(log, odometry, pair))
+    for kind, further, size in candidates:
+        jacobian, variance = further.jacobian(center), further.variance()
+        change = np.zeros(len(further)) if pair is None else pair.change(further)
         modes = _rank(jacobian, moved, size)
         if bodies.has_gauge_yaw and kind == "position":  # it fixes the gauge, which is no mode
             modes -= (center[1:, :2] != center[0, :2]).any(axis=1)
         before, after = np.nan, modes * np.nan
+        apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
         if posterior is not None:
             before = posterior.mean_square
-            after = posterior.with_rows(jacobian, further.variance(), size)
-        helps = (modes > 0) | (after < (1.0 - _GAIN) ** 2 * before)
-        best = np.lexsort((-modes, after, ~helps))[: min(_EACH, helps.sum())]
+            after, apart = posterior.with_rows(jacobian, variance, change, size)
+        if pair is not None:
+            before, after = before + pair.mean_square, after + pair.left(apart)
+        helps = (modes > 0) | (after < (1.0 - _GAIN) ** 2 * before) | (apart > _DECISIVE)
+        best = np.lexsort((-modes, -apart, after, ~helps))[: min(_EACH, helps.sum())]
         for chosen in best.tolist():
             one = further.select(np.arange(len(further)) // size == chosen)
             left = motions.robots(further_rows(bodies, one, center))
@@ -141,10 +171,47 @@ def advise(log: SensingLog, cues: Collection[str], position: Reals) -> list[Advi
                     determined=np.flatnonzero(floppy & ~left),
                     rmse_before=float(rmse[0]),
                     rmse_after=float(rmse[1]),
+                    images_apart_sd=np.nan if pair is None else float(apart[chosen]),
                 )
             )
-    order = np.lexsort(([-a.floppy_modes for a in advice], [a.rmse_after for a in advice]))
+    keys = [[-a.floppy_modes, -a.images_apart_sd, a.rmse_after] for a in advice]
+    order = np.lexsort(np.reshape(keys, (-1, 3)).T)
     return [advice[place] for place in order.tolist()]
+
+
+class _Images(NamedTuple):
+    """The two likeliest solutions."""
+
+    first: Reals
+    """Centers in the likelier one [R], shape (N, 3)."""
+
+    second: Reals
+    """Centers in the other one [R], shape (N, 3)."""
+
+    odds: float
+    """Product of their weights, which add up to 1."""
+
+    @classmethod
+    def of(cls, images: Sequence[Solution], unit: float) -> "_Images":
+        """Take the first two solutions, in a log whose dock radius is `unit`."""
+        first, second = images[:2]
+        share = first.weight / (first.weight + second.weight)
+        return cls(first.position / unit, second.position / unit, share * (1.0 - share))
+
+    @property
+    def mean_square(self) -> float:
+        """Mean square error of the positions, since both may be true [R^2]."""
+        return self.odds * float(((self.first - self.second) ** 2).sum(axis=1).mean())
+
+    def change(self, rows: Measurements) -> Reals:
+        """Compute by how much the measurement of each row differs between both [R], shape (E,)."""
+        return rows.residual(self.second) - rows.residual(self.first)
+
+    def left(self, apart: Reals) -> Reals:
+        """Bound the mean square error with measurements that differ by some sd [R^2]."""
+        doubt = 0.5 * np.exp(-(apart**2) / 8.0) / np.sqrt(self.odds)
+        left: Reals = self.mean_square * np.minimum(doubt, 1.0)
+        return left
 
 
 def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
@@ -167,6 +234,25 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
             variance=precision.height**2,
         )
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
+
+
+def _ranges(log: SensingLog, odometry: Odometry, pair: _Images) -> _Candidates:
+    """List one range of each robot: the new one within reach that differs most between images."""
+    first, second = (cdist(image, image) for image in (pair.first, pair.second))
+    change, (i, j) = np.abs(second - first), log.ranges[:, :2].astype(np.int64).T
+    change[first > log.ranges[:, 2].max() / log.dock_radius] = 0.0
+    change[i, j] = change[j, i] = 0.0
+    robot, other = np.arange(len(change)), change.argmax(axis=1)
+    later, earlier = np.maximum(robot, other), np.minimum(robot, other)
+    chosen = np.unique(np.column_stack([later, earlier])[later > earlier], axis=0)
+    later, earlier = chosen.T
+    center = np.full(len(chosen), CENTER)
+    sd = float(np.median(log.ranges[:, 3])) / log.dock_radius
+    ranges = Distances.of(
+        odometry.final[later], center, odometry.final[earlier], center,
+        length=first[later, earlier], sd=sd,
+    )  # fmt: skip
+    return _Candidates("range", Measurements.gather(odometry, [ranges]), 1)
 
 
 def _rank(jacobian: csc_array, motions: Reals, size: int) -> Ints:
@@ -204,9 +290,16 @@ class _Posterior:
         self.mean_square = float(square) / self.robots
         """Expected mean square error of the positions [R^2]."""
 
-    def with_rows(self, jacobian: csc_array, variance: Reals, size: int) -> Reals:
-        """Compute the expected mean square error with each candidate [R^2], shape (n,)."""
-        gone = [np.empty(0)]
+    def with_rows(
+        self, jacobian: csc_array, variance: Reals, change: Reals, size: int
+    ) -> tuple[Reals, Reals]:
+        """Compute the expected mean square error with each of n candidates of some rows.
+
+        Returns:
+            Mean square errors [R^2], and how far a change of the measurements is beyond what is
+            expected of them [sd], both of shape (n,).
+        """
+        gone, apart = [np.empty(0)], [np.empty(0)]
         step = size * _AT_ONCE
         for begin in range(0, len(variance), step):
             part = slice(begin, begin + step)
@@ -217,4 +310,6 @@ class _Posterior:
             shift = spread[:, :, : self.coordinates]
             drop = np.linalg.solve(own, shift @ shift.swapaxes(1, 2))
             gone.append(np.trace(drop, axis1=1, axis2=2))
-        return self.mean_square - np.concatenate(gone) / self.robots
+            off = change[part].reshape(-1, size, 1)
+            apart.append(np.sqrt((off * np.linalg.solve(own, off)).sum(axis=(1, 2))))
+        return self.mean_square - np.concatenate(gone) / self.robots, np.concatenate(apart)

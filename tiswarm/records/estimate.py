@@ -20,6 +20,10 @@ robots. They are fitted on training structures: robots of an arm share their err
 are not normally distributed."""
 
 
+MOST_MISFIT_SD = 5.0
+"""Misfit, above or below what noise explains, from which on measurements are not consistent."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solution:
     """One of several distinct configurations that the measurements allow."""
@@ -53,8 +57,8 @@ class Convergence:
     """Two verdicts on an estimate: on the search, and on the measurements."""
 
     converged: bool
-    """Whether the search found one least cost from several starts, none of which is out of reach of
-    the measurements."""
+    """Whether the search found one least cost from several starts, with no robot out of reach of
+    its measurements."""
 
     consistent: bool
     """Whether noise as stated explains the least cost, outliers left out."""
@@ -156,8 +160,9 @@ class Estimate:
     the method does not look for them, or did not converge."""
 
     outlier_places: Ints | None = None
-    """Outliers among ground contacts, heights, fixes and spawn positions: rows of (robot, its stance
-    from the spawn on, dock, or -1 for the center), shape (K, 3); None where the former is."""
+    """Outliers among ground contacts, heights, fixes and spawn positions: rows of (robot, its
+    stance from the spawn on, dock, or -1 for the center), shape (K, 3); None where the former
+    is."""
 
     outlier_robots: Ints | None = None
     """Robots whose measurements all disagree with their neighbors', so that the sensed orientation
@@ -173,7 +178,8 @@ class Estimate:
 
     free_frame: tuple[str, ...] = ()
     """Rigid motions of all robots that change no measurement: "rotation" about every axis through
-    the anchor, "axis" about one axis, and "hand", a mirror image. `sd` is that of the shape then."""
+    the anchor, "axis" about one axis, and "hand", a mirror image. `sd` is that of the shape
+    then."""
 
     solutions: tuple[Solution, ...] = ()
     """Distinct configurations that the measurements allow, the likeliest first. `position` is the

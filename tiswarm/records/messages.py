@@ -56,6 +56,17 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def percent(share: float) -> str:
+    """Write a share in percent, without the sign; one that is nearly all is less than 100.
+
+    >>> percent(0.714), percent(0.004), percent(0.9999), percent(1.0)
+    ('71', '0.4', '> 99', '100')
+    """
+    if 0.995 <= share < 1.0:  # noqa: PLR2004 - would be rounded to 100
+        return "> 99"
+    return f"{100.0 * share:.0f}" if share >= 0.095 else f"{100.0 * share:.2g}"  # noqa: PLR2004
+
+
 def three_digits(number: float) -> str:
     """Write a number with three significant digits, zeros included.
 

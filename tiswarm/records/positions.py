@@ -22,7 +22,7 @@ from tiswarm.records.io import Table, write_text
 from tiswarm.records.sensing_log import SensingLog
 
 _WORDS = {
-    "known": ("yes", "floppy", "disconnected"),
+    "known": ("yes", "mirrored", "floppy", "disconnected"),
     "undetermined": ("x", "y", "z", "xy", "xz", "yz", "xyz"),
 }
 """Words that the cells of a column may have, besides none."""
@@ -118,6 +118,7 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
         if axes is None
         else np.array([[*map(w.count, "xyz")] for w in axes[order]], np.bool_),
         yaw=None if yaw_deg is None else np.radians(yaw_deg[order]),
+        mirrored=known == "mirrored" if (known != "").all() else None,
         observability=Observability(
             cues=(),
             yaw_unknown=yaw_deg is not None,

@@ -78,13 +78,16 @@ def _in_words(row: _Row) -> str:
     name = f"{point} {row['condition']}".strip()
     if not row["cases"]:
         return f"{name}: no case was finished"
-    share = row.get("converged_mean", math.nan)
-    lost = 0 if math.isnan(share) else round(row["cases"] * (1.0 - share))
-    return (
+    text = (
         f"{name}: RMSE {_spread(row)}, disparity {row['procrustes_disparity_mean']:.3g}, "
         f"{counted(row['cases'], 'structure')}"
-        f"{f', {lost} of them not converged' if lost else ''}"
     )
+    doubtful = []
+    for word in ("converged", "consistent"):
+        share = row.get(f"{word}_mean", math.nan)
+        if lost := 0 if math.isnan(share) else round(row["cases"] * (1.0 - share)):
+            doubtful.append(f"{lost} of them not {word}")
+    return ", ".join([text, *doubtful])
 
 
 def _swept(row: _Row) -> list[Hashable]:

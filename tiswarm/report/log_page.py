@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Ints, Reals
+from tiswarm.measurements.advice import IMAGES_APART
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, percent
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.page import Page
 from tiswarm.report.page_tables import MOST_ROWS, Table
 from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
+from tiswarm.verdicts import distrust, headline, verdict
 
 
 def gather_log_page(
@@ -41,14 +44,14 @@ def gather_log_page(
     return Page(
         name=name,
         result=_result(view, estimate, scores),
-        what=_in_words(estimate),
+        what=_in_words(view.log, estimate),
         warnings=warnings,
         notes=notes,
         headline=_summary(view, estimate, scores),
         tables=[*_solutions(view, estimate), *_advice(advice)],
         view=_space(view, estimate),
         rows=_robots(view, estimate),
-        rows_example="floppy",
+        rows_example="mirrored" if "mirrored" in estimate.known else "floppy",
     )
 
 
@@ -64,18 +67,28 @@ def _result(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) ->
     return f"{located} with {' and '.join(accuracy)}." if accuracy else f"{located}."
 
 
-def _in_words(estimate: Estimate) -> str:
-    """State in a line what limits the estimate; empty if nothing does."""
-    found = []
+def _in_words(log: SensingLog, estimate: Estimate) -> str:
+    """State in a line whether to trust the estimate, and what limits it."""
+    text = (
+        f"{verdict(estimate)}: see Warnings" if distrust(log, estimate) else headline(log, estimate)
+    )
+    found = [text[:1].upper() + text[1:]] if text else []
     words = estimate.known
     if floppy := words.count("floppy"):
         found.append(f"Floppy modes move {counted(floppy, 'robot')}")
     if lost := words.count("disconnected"):
         found.append(f"No measurement ties {counted(lost, 'robot')} to the anchor")
     outliers = (estimate.outlier_contacts, estimate.outlier_places)
-    if many := sum(len(rows) for rows in outliers if rows is not None):
-        found.append(f"The estimate judges {counted(many, 'measurement')} wrong")
+    judged = [counted(many, "measurement")] if (many := sum(map(_count, outliers))) else []
+    if turned := _count(estimate.outlier_robots):
+        judged.append(counted(turned, "orientation"))
+    if judged:
+        found.append(f"The estimate judges {' and '.join(judged)} wrong")
     return " ".join(f"{sentence}." for sentence in found)
+
+
+def _count(rows: Ints | None) -> int:
+    return 0 if rows is None else len(rows)
 
 
 def _tied_sd(view: SwarmView, estimate: Estimate) -> Reals:
@@ -110,17 +123,24 @@ def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[Table]:
         return
     unit = log.length_unit
     away = [np.linalg.norm(each.position - found[0].position, axis=1) for each in found]
+    more = [each.chi_square - found[0].chi_square for each in found]
     frame = pd.DataFrame(
         {
             "solution": [str(number) for number in range(1, len(found) + 1)],
+            "weight [%]": [percent(each.weight) for each in found],
+            "chi-square": ["" if math.isnan(v) else f"{v:+.3g}" if v else "0" for v in more],
             "chains": [str(each.chains) for each in found],
             f"residual [{unit}]": [f"{each.residual:.3g}" for each in found],
-            "residual [sd]": [f"{each.residual_sd:.2g}" for each in found],
             f"largest distance from solution 1 [{unit}]": [f"{each.max():.3g}" for each in away],
             "robots farther than D from there": [str(int((a > log.spacing).sum())) for a in away],
         }
     )
-    note = "Each fits the measurements about equally well. The 3D view shows each."
+    note = (
+        "The estimate is the mean of these configurations, by weight; solution 1 is the likeliest "
+        "one that is consistent in itself. Chi-square is relative to that of solution 1; 4.6 more "
+        "leave a tenth of the weight, where solutions are equally precise. The 3D view shows each."
+    )
+    frame = frame.loc[:, (frame != "").any()]
     yield Table(frame=frame, words=[], title="Solutions", note=note)
 
 
@@ -128,7 +148,12 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[Table]:
     """Tabulate further measurements that would help."""
     if rows:
         words = ["further measurement", "robots determined"]
-        note = "One further contact, height or known position would constrain the swarm as follows."
+        note = "One further measurement would constrain the swarm as follows."
+        if IMAGES_APART in rows[0]:
+            note += (
+                " Images apart: difference of the measurement between solutions 1 and 2, in "
+                "standard deviations of what is expected; 5 or more exclude one of them."
+            )
         yield Table(frame=pd.DataFrame(rows), words=words, title="What to measure next", note=note)
 
 
@@ -145,7 +170,9 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         pose = np.column_stack([each.position / radius, view.estimated_pose[:, 3:]])
         moved = replace(view, estimated_pose=pose, name=f"solution {number}")
         away = np.linalg.norm(each.position - estimate.position, axis=1)
-        shown.append(view_data(moved, [Coloring("distance from the estimate", unit, away)]))
+        sd = np.full(len(away), np.nan) if each.sd is None else each.sd
+        values = [("distance from the estimate", away), (SD, sd)]
+        shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
     notes = []
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append(
@@ -177,9 +204,15 @@ def _robots(view: SwarmView, estimate: Estimate) -> Table:
     if estimate.observability is not None:
         columns["known"] = estimate.known
     left_out = len(view.robot) - MOST_ROWS
+    mirrored = (
+        "mirrored if configurations that fit put the robot farther apart than its sd; "
+        if "mirrored" in estimate.known
+        else ""
+    )
     note = (
-        "Known: yes if the measurements determine the position; floppy if a motion that changes no "
-        "measurement moves the robot; disconnected if at most a height ties it to the anchor."
+        f"Known: yes if the measurements determine the position; {mirrored}floppy if a motion that "
+        "changes no measurement moves the robot; disconnected if at most a height ties it to the "
+        "anchor."
     )
     note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
     return Table(

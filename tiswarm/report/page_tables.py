@@ -1,7 +1,7 @@
 """The tables, warnings and notes of a run's page: chosen columns, formatted, with units."""
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import swept_columns, swept_words
+from tiswarm.verdicts import describe_misfit
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
@@ -36,6 +37,9 @@ _CALIBRATION = [
     ("precision of outliers", "outlier_precision"),
     ("recall of outliers", "outlier_recall"),
     ("converged estimates", "converged"),
+    ("consistent estimates", "consistent"),
+    ("factor of sd", "sd_factor"),
+    ("mirrored robots", "mirrored"),
     ("robots located", "located"),
     ("RMSE of robots located [R]", "rmse_located_R"),
 ]
@@ -67,6 +71,7 @@ _CASE = [
     ("height [R]", "height_R"),
     ("peak stress", "peak_stress"),
 ]
+_VERDICTS = ("converged", "consistent", "misfit_sd", "sd_factor", "distrust")
 _MEASURES = {"rmse_R": "RMSE [R]", "procrustes_disparity": "disparity"}
 
 _Column = tuple[str, str]
@@ -149,6 +154,16 @@ def result_tables(
             note += (
                 " Precision: wrong contacts among those reported as outliers; recall: reported "
                 "outliers among wrong contacts."
+            )
+        if "consistent estimates" in calibration:
+            note += (
+                " Consistent: noise as stated explains the measurements; where it does not, the "
+                "factor multiplies the standard deviations."
+            )
+        if "mirrored robots" in calibration:
+            note += (
+                " Mirrored robots, counted by case: configurations that fit put them farther apart "
+                "than their standard deviation."
             )
         shown = _labeled(words, calibration, "Calibration", note)
         reported = (shown.frame[[*calibration]] != "").any(axis=1)
@@ -313,7 +328,7 @@ def warnings_of(summary: pd.DataFrame) -> list[str]:
     if len(failed):
         why = _some(failed["reason"].dropna().unique(), "; ")
         found.append(f"{len(failed)} of {len(summary)} cases failed: {why}.")
-    found += _unconverged(done)
+    found += _untrusted(done)
     if "disconnected" in done and (lost := done["disconnected"].fillna(0)).any():
         robots, cases = counted(int(lost.sum()), "robot"), counted(int((lost > 0).sum()), "case")
         found.append(
@@ -351,17 +366,28 @@ def _some(items: Iterable[object], separator: str) -> str:
     return separator.join(first[:_MOST_REASONS] + more)
 
 
-def _unconverged(done: pd.DataFrame) -> list[str]:
-    """Name the cases whose estimate did not converge."""
-    if "converged" not in done:
-        return []
-    lost = done[done["converged"].eq(False)]  # noqa: FBT003 - other methods leave it empty
-    if not len(lost):
-        return []
-    warning = (
-        f"{len(lost)} of {counted(len(done), 'case')} did not converge "
-        f"({_some(lost['case'], ', ')}). The misfit of their best chain exceeds its expectation "
-        f"by up to {lost['misfit_sd'].max():.0f} sd. All tables include their errors. Try more "
-        "steps or chains."
-    )
-    return [warning]
+def _untrusted(done: pd.DataFrame) -> Iterator[str]:
+    """Name the cases whose estimate did not converge, or is not consistent, and why."""
+    found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
+    lost = found["converged"].eq(False)  # noqa: FBT003 - other methods leave it empty
+    if lost.any():
+        text = f"{_share(found, lost, 'did not converge')}. All tables include their errors."
+        yield f"{text} Try more steps or chains."
+    at_odds = found["consistent"].eq(False) & ~lost  # noqa: FBT003
+    if at_odds.any():
+        misfit, factor = found["misfit_sd"][at_odds].dropna(), found["sd_factor"][at_odds].max()
+        sizes = [describe_misfit(max(misfit, key=abs, default=0.0))]
+        sizes += [f"sd is multiplied by {factor:.2g}"] if factor > 1.0 else []
+        most = " and ".join(filter(None, sizes))
+        text = _share(found, at_odds, "are not consistent with the noise that their logs state")
+        yield f"{text}.{f' At most, {most}.' if most else ''}"
+
+
+def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
+    """Count and name cases, or a series that is among them as a whole, and state the reasons."""
+    series, reasons = every["series"], every["distrust"][some].dropna().unique()
+    whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
+    names = [f"all of {name}" for name in series[whole].unique()]
+    names += every["case"][some & ~whole].to_list()
+    why = f": {_some(reasons, '; ')}" if len(reasons) else ""
+    return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"

@@ -227,8 +227,11 @@ class _CaseRunner:
         cues = case.settings.localization.cues
         scored = scores.score(truth, log, estimate, history.robot, cues=cues)
         scored |= scores.outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
+        record = _record(case, "done", history.ended, scored)
+        if estimate.convergence is not None:
+            record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
-            _record(case, "done", history.ended, scored),
+            record,
             truth=truth,
             log=log,
             estimate=estimate,

@@ -50,6 +50,7 @@ class CaseRecord:
     point: Mapping[str, Any]  # values of the swept keys
     status: Literal["done", "failed"]
     reason: str = ""  # reason of the failure, or of the early end of growth
+    distrust: str = ""  # why the estimate did not converge, or is not consistent
     scores: Mapping[str, float | int | bool | None] = field(default_factory=dict)  # None: unknown
     version: str = __version__  # version of the package that computed the case
     code: str = field(default_factory=lambda: CODE)  # digest of the code that computed the case

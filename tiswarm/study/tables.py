@@ -38,8 +38,8 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
-    "coverage_90", "outlier_precision", "outlier_recall", "converged", "steps_per_robot",
-    "located", "rmse_located_R",
+    "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
+    "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
@@ -59,6 +59,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "kind": setting.structure.kind,
             **record.point,
             "status": record.status,
+            "distrust": record.distrust,
             "reason": record.reason,
             **_edges(setting.structure.terrain),
             **record.scores,
@@ -259,7 +260,7 @@ def _located(case: Path) -> dict[str, float]:
     elif estimate["known"].isna().any():
         return {"located": math.nan, "rmse_located_R": math.nan}
     else:
-        is_located = estimate["known"] == "yes"
+        is_located = estimate["known"].isin(["yes", "mirrored"])
     return {"located": is_located.mean(), "rmse_located_R": square[is_located].mean() ** 0.5}
 
 

@@ -1,0 +1,163 @@
+"""Lengths in another unit than the rest of a log are named; logs in one unit pass."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.structures import Rule, structure, with_fixes, with_ranges
+from tiswarm.measurements.units import HEADER, slips
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.suites import SUITES
+
+FACTORS = [0.001, 0.01, 25.4, 100.0, 1000.0]
+"""Ten times the shortest range is possible in a room of this size."""
+
+
+@pytest.fixture(scope="module")
+def log(towers):
+    """What thirty robots sensed with noise, ranges to those within 12 R, and spawn positions."""
+    return observe(towers[0], SensingParams(tilt_noise_deg=1.0, range_reach=12.0, spawn_noise=0.2))
+
+
+@pytest.fixture(scope="module")
+def room():
+    """Four beacons at known places, and six tags that range to all before them; no contacts."""
+    empty, _ = structure(Rule(docks=1, offset=0.0), 10, 0)
+    beacons = np.array([[0, 0, 2], [60, 0, 25], [60, 50, 2], [0, 50, 25.0]])
+    tags = np.random.default_rng(0).uniform([10, 10, 3], [50, 40, 15], (6, 3))
+    place = np.concatenate([beacons, tags])
+    fixes = [[i, *axis, place[i] @ axis, 0.1] for i in range(1, 4) for axis in np.eye(3)]
+    ranges = [
+        [i, j, np.linalg.norm(place[i] - place[j]), 0.1] for i in range(4, 10) for j in range(i)
+    ]
+    return replace(
+        empty, anchor_position=place[0], contacts=empty.contacts[:0], fixes=np.array(fixes),
+        ranges=np.array(ranges),
+    )  # fmt: skip
+
+
+def _scaled(log, key, factor, rows=slice(None)):
+    """Multiply some lengths of a log; a range and the value of a fix have columns of their own."""
+    column = {"ranges": 2, "fixes": 4}.get(key)
+    values = getattr(log, key).copy()
+    values[rows if column is None else (rows, column)] *= factor
+    return replace(log, **{key: values})
+
+
+@pytest.mark.parametrize("suite", sorted(SUITES))
+def test_logs_in_one_unit_pass(towers, suite):
+    """Neither noise nor false contacts nor any sensor suite looks like another unit."""
+    wrong = {"false_contacts": 0.1, "wrong_docks": 0.05, "tilt_noise_deg": 2.0}
+    for history in towers[:2]:
+        for noise in ({}, wrong):
+            assert slips(observe(history, SensingParams(suite=suite, touch=True, **noise))) == []
+
+
+def test_radio_without_line_of_sight_passes(room):
+    """A range of twice the distance is an outlier, which an estimate names."""
+    assert slips(room) == []
+    assert slips(_scaled(room, "ranges", 2.0, rows=7)) == []
+
+
+@settings(max_examples=25, deadline=None)
+@given(row=st.integers(0, 38), factor=st.sampled_from(FACTORS))
+def test_one_range_in_another_unit_is_named(room, row, factor):
+    """Triangles with other robots say which of three ranges is wrong, and by how much at least."""
+    robot, other = room.ranges[row, :2].astype(int).tolist()
+
+    (slip,) = slips(_scaled(room, "ranges", factor, rows=row))
+
+    assert (slip.robot, slip.key) == (robot, "ranges")
+    assert slip.what.endswith(f"to robot {room.robot_id[other]}")
+    assert (slip.factor > 1.0) == (factor > 1.0)
+    assert max(slip.factor, 1.0 / slip.factor) <= max(factor, 1.0 / factor)
+
+
+@pytest.mark.parametrize("factor", [25.4, 100.0, 1000.0, 0.01, 0.001])
+def test_ranges_in_another_unit_than_fixes_are_one_finding(room, factor):
+    """Either column may be wrong: they disagree."""
+    (ranges,), (fixes,) = (
+        slips(_scaled(room, "ranges", factor)),
+        slips(_scaled(room, "fixes", 1.0 / factor)),
+    )
+
+    assert (ranges.key, ranges.against, ranges.what) == ("ranges", "fixes", "39 ranges")
+    assert (ranges.factor > 1.0) == (fixes.factor > 1.0) == (factor > 1.0)
+
+
+@pytest.mark.parametrize("factor", [25.4, 100.0, 1000.0])
+@pytest.mark.parametrize("key", ["flip_height", "ranges", "spawn_position"])
+def test_a_column_in_another_unit_than_contacts_is_one_finding(log, key, factor):
+    """A line for each robot would hide that the mistake is one."""
+    (slip,) = slips(_scaled(log, key, factor))
+
+    assert slip.key == key
+    assert 4.0 < slip.factor < 1.05 * factor
+    assert slip.against in {"contacts", "ground_docks"}
+
+
+def test_heights_that_are_too_short_contradict_the_ground(log):
+    """Docks on the ground say how high the center is; chains of contacts bound from above only."""
+    (slip,) = slips(_scaled(log, "flip_height", 0.001))
+
+    assert (slip.key, slip.against) == ("flip_height", "ground_docks")
+    assert slip.factor == pytest.approx(0.001, rel=0.1)
+
+
+@pytest.mark.parametrize("key", ["flip_height", "ranges", "spawn_position"])
+def test_one_length_longer_than_contacts_reach_is_named(log, key):
+    """The row of the last robot's first length counts in millimeters where others count in R."""
+    rows = {"ranges": len(log.ranges) - 1}.get(key, 29)
+
+    (slip,) = slips(_scaled(log, key, 1000.0, rows=rows))
+
+    assert (slip.robot, slip.key) == (29, key)
+    assert 20.0 < slip.factor <= 1000.0
+
+
+def test_a_fix_in_another_unit_is_named_with_its_value(log, towers):
+    """Other robots have good fixes, and ranges to this one."""
+    fixed = with_fixes(log, towers[0], range(1, 30), each=3, sd=0.1)
+    row = int(np.flatnonzero(fixed.fixes[:, 0] == 17)[np.abs(fixed.fixes[51 - 3 : 51, 4]).argmax()])
+
+    (slip,) = slips(_scaled(fixed, "fixes", 1000.0, rows=row))
+
+    assert (slip.robot, slip.key) == (17, "fixes")
+    assert f"{1000.0 * fixed.fixes[row, 4]:.4g} R" in slip.what
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"anchor_position": np.array([0.0, 0.0, 33.0])}, "anchor_position"),
+        ({"dock_offset_body": 1000.0 * np.eye(3)}, "dock_offsets"),
+    ],
+    ids=["anchor-above-the-ground", "arms-longer-than-robots"],
+)
+def test_lengths_of_the_header_are_compared(changes, key):
+    """An anchor that stands on the ground has a height of few radii."""
+    log, _ = structure(Rule(), 1, 0)
+    log = replace(
+        log, ground_z=0.0, ground_docks=np.array([[0, 0]], np.int32),
+        anchor_position=np.array([0.0, 0.0, 1.0]),
+    )  # fmt: skip
+
+    found = slips(replace(log, **changes))
+
+    assert (HEADER, key) in {(slip.robot, slip.key) for slip in found}
+
+
+def test_many_ranges_take_bounded_time():
+    """Robots that range to hundreds compare a sample, with the longest and the shortest in it."""
+    log, center = structure(Rule(kind="loops"), 300, 0)
+    history = type("History", (), {"position": center})
+    ranged = with_ranges(log, history, reach=30.0, sd=0.1)
+    row = len(ranged.ranges) // 2
+
+    (slip,) = slips(_scaled(ranged, "ranges", 1000.0, rows=row))
+
+    assert len(ranged.ranges) > 40_000
+    assert slip.robot == int(ranged.ranges[row, 0])

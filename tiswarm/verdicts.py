@@ -1,0 +1,275 @@
+"""An estimate in words: whether to trust it, which configurations fit, and what is an outlier."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tiswarm.aliases import AnyInts, Ints, Reals
+from tiswarm.measurements.consistency import HEADER_LINES
+from tiswarm.measurements.contacts import parts, reach
+from tiswarm.measurements.cues import measure
+from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
+from tiswarm.measurements.rows import SPACING
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
+from tiswarm.records.messages import counted, percent
+from tiswarm.records.sensing_log import SensingLog
+
+MOST_SHOWN = 10
+"""Robots, and solutions, that a line or a list names."""
+
+_STRETCH = 1.5
+"""A chain of contacts this many times as long as it can be is no error of a few dock radii."""
+
+_FEW = 1.0 / 3.0
+"""Share of the robots that carry most of a misfit, below which these are what to look at."""
+
+_MOTIONS = {
+    "rotation": "turned about the anchor",
+    "axis": "turned about one axis through the anchor",
+    "hand": "were replaced by their mirror image",
+}
+
+_PLACES = {
+    "height": ("flip_height", "height"),
+    "odometry": ("spawn_position", "spawn position"),
+    "plane": ("fixes", "fix"),
+    "fixes": ("fixes", "fix"),
+    "ground": ("ground_docks", "ground contact"),
+}
+"""Cues that measure coordinates, their keys in the log, and their names."""
+
+
+def headline(log: SensingLog, estimate: Estimate) -> str:
+    """Say in a line whether to trust an estimate, and how many configurations fit.
+
+    Empty where the method gave no verdict.
+    """
+    if text := distrust(log, estimate):
+        return text
+    if estimate.convergence is None:
+        return ""
+    return "; ".join(["converged", *_fitting(estimate), *_mirrored(log, estimate)])
+
+
+def verdict(estimate: Estimate) -> str:
+    """Give both verdicts in a word or two; empty where the method gave none."""
+    found = estimate.convergence
+    if found is None:
+        return ""
+    if not found.converged:
+        return "not converged" if found.consistent else "neither converged nor consistent"
+    return "converged" if found.consistent else "not consistent"
+
+
+def distrust(log: SensingLog, estimate: Estimate) -> str:
+    """Say why an estimate cannot be trusted, and what to do; empty if it can."""
+    found, beyond = estimate.convergence, _beyond_reach(log, estimate)
+    if found is None:
+        if not beyond.size:
+            return ""
+        where = f"beyond the reach of their contacts are {named(log, beyond)}"
+        return f"not converged: {where}; look for wrong contacts, heights and spawn positions"
+    if found.trusted:
+        return ""
+    text = verdict(estimate) + (f": {found.reason}" if found.reason else "")
+    if not found.consistent and (misfit := describe_misfit(found.misfit_sd)):
+        text += f" ({misfit})"
+    clauses = [text] if found.converged else [text, "positions and sd may be far off"]
+    if found.sd_factor != 1.0 and estimate.sd is not None:
+        clauses.append(f"sd is multiplied by {found.sd_factor:.2g}")
+    carriers = (
+        _carriers(estimate) if found.converged and found.misfit_sd > 0.0 else np.empty(0, int)
+    )
+    if carriers.size:
+        clauses.append(f"most of it is carried by {named(log, carriers)}")
+    remedy = _remedy(found, carriers, log, beyond)
+    return "; ".join([*clauses, remedy])
+
+
+def describe_misfit(misfit_sd: float) -> str:
+    """Say how far chi-square is from its expectation; empty where noise explains that."""
+    if not abs(misfit_sd) > MOST_MISFIT_SD:
+        return ""
+    side = "exceeds" if misfit_sd > 0.0 else "is below"
+    return f"chi-square {side} its expectation by {abs(misfit_sd):.0f} sd"
+
+
+def _remedy(found: Convergence, carriers: Ints, log: SensingLog, beyond: Ints) -> str:
+    if not found.converged and beyond.size:
+        return f"look for wrong contacts, heights and spawn positions of {named(log, beyond)}"
+    if found.chains <= 1:
+        return "localize by joint, with several chains"
+    if not found.converged:
+        other = "if that does not help, look for wrong measurements"
+        return f"try twice the steps or chains, or another seed; {other}"
+    if found.misfit_sd < -MOST_MISFIT_SD:
+        return "state smaller noise in the log"
+    if carriers.size:
+        return "look at the measurements of these robots, or leave them out"
+    return (
+        "look for wrong measurements; if there are none, state larger noise in the log, or correct "
+        "its dock_radius and dock_offsets"
+    )
+
+
+def cautions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Describe in lines what even an estimate that is trusted leaves ambiguous."""
+    for text in _mirrored(log, estimate):
+        yield (
+            f"{text}; configurations that fit put them farther apart than their sd, and their "
+            "estimate is the mean of these; measure what would exclude all but one"
+        )
+    if estimate.free_frame:
+        motions = " or ".join(_MOTIONS[name] for name in estimate.free_frame)
+        text = f"frame arbitrary: no measurement would change if all robots {motions}"
+        shape = f"; sd_{log.length_unit} is that of the shape"
+        yield text + (shape if estimate.sd is not None else "")
+
+
+def describe_solutions(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    """Describe in lines the solutions that a method found, if there are several."""
+    found, unit = estimate.solutions, log.length_unit
+    if len(found) <= 1:
+        return
+    chains = sum(solution.chains for solution in found)
+    for number, solution in enumerate(found[:MOST_SHOWN], start=1):
+        text = solution_name(estimate, number)
+        more = solution.chi_square - found[0].chi_square
+        if number > 1 and np.isfinite(more):
+            text += f", chi-square {more:+.3g}"
+        text += f", {solution.chains} of {chains} chains"
+        if number > 1:
+            away = np.linalg.norm(solution.position - found[0].position, axis=1)
+            farthest = np.argsort(-away, kind="stable")
+            elsewhere = farthest[away[farthest] > log.spacing]
+            text += f"; up to {away.max():.3g} {unit} from solution 1"
+            text += f": {named(log, elsewhere)}" if elsewhere.size else ""
+        yield text
+    if (more_solutions := len(found) - MOST_SHOWN) > 0:
+        yield counted(more_solutions, "more solution")
+
+
+def solution_name(estimate: Estimate, number: int) -> str:
+    """Name a solution, counted from 1, with its weight."""
+    found = estimate.solutions
+    return f"solution {number} of {len(found)}, weight {percent(found[number - 1].weight)} %"
+
+
+def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
+    """Name each outlier with its line of the log; none where the method looks for none."""
+    name = log.robot_id.tolist()
+    flips = np.zeros(log.robot_count) if log.stances is None else np.diff(log.stances.start)
+    rows = [*_outlier_pairs(log, estimate), *_outlier_places(log, estimate)]
+    for robot, stance, key, what in rows:
+        of_robot = key in {"flip_height", "spawn_position"} or stance == flips[robot]
+        place = f"{_line(path, robot)}: {'' if of_robot else f'stances[{stance}].'}{key}"
+        yield f"{place}: robot {name[robot]}'s {what} is an outlier"
+    for robot in [] if estimate.outlier_robots is None else estimate.outlier_robots.tolist():
+        yield (
+            f"{_line(path, robot)}: orientation_wxyz: robot {name[robot]}'s orientation is an "
+            "outlier: its measurements all disagree; look at its IMU"
+        )
+
+
+def named(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
+    """Count robots, and list the first."""
+    names = [*map(str, log.robot_id[rows[:most]].tolist()), *["..."] * (len(rows) > most)]
+    return counted(len(rows), "robot") + (f" ({', '.join(names)})" if names else "")
+
+
+def _line(path: Path, robot: int) -> str:
+    return f"{path}:{HEADER_LINES + 1 + robot}"
+
+
+def _fitting(estimate: Estimate) -> Iterator[str]:
+    """Count the configurations that fit, where a method looks for several."""
+    found = estimate.solutions
+    if len(found) > 1:
+        yield f"{len(found)} configurations fit, the likeliest has {percent(found[0].weight)} %"
+    elif found:
+        yield "one configuration fits"
+
+
+def _mirrored(log: SensingLog, estimate: Estimate) -> Iterator[str]:
+    if estimate.mirrored is not None and (robots := np.flatnonzero(estimate.mirrored)).size:
+        yield f"mirrored: {named(log, robots)}"
+
+
+def _carriers(estimate: Estimate) -> Ints:
+    """Find the few robots that carry most of the chi-square; empty if it is spread over many."""
+    if estimate.misfit is None:
+        return np.empty(0, np.int64)
+    order = np.argsort(-estimate.misfit, kind="stable")
+    share = np.cumsum(estimate.misfit[order])
+    count = int((share <= 0.5 * share[-1]).sum()) + 1
+    few = count <= min(MOST_SHOWN, _FEW * len(order))
+    return order[: count if few else 0]
+
+
+def _beyond_reach(log: SensingLog, estimate: Estimate) -> Ints:
+    """Find robots where no chain of their contacts ends."""
+    rows = measure(log, ["contacts"])
+    arms = np.linalg.norm([rows.arm, rows.other_arm], axis=2).sum(axis=0)
+    part = parts(rows)
+    bound = reach(np.column_stack([rows.robot, rows.other]), SPACING + arms, part)
+    first = np.unique(part, return_index=True)[1][part]
+    away = np.linalg.norm(estimate.position - estimate.position[first], axis=1)
+    return np.flatnonzero(away > _STRETCH * bound * log.dock_radius)
+
+
+_Outlier = tuple[int, int, str, str]
+"""Robot, its stance, the key of the log, and what it is."""
+
+
+def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
+    if estimate.outlier_contacts is None:
+        return
+    name = log.robot_id.tolist()
+    directed = set(map(tuple, measure(log, ["directions"]).sensed_contacts.tolist()))
+    for robot, stance, own, other, dock in estimate.outlier_contacts.tolist():
+        if own == CENTER:
+            yield robot, stance, "ranges", f"range to robot {name[other]}"
+        elif UNKNOWN in (own, dock):
+            yield robot, stance, "touches", f"touch of robot {name[other]}"
+        elif (robot, stance, own, other, dock) in directed:
+            what = f"direction of contact [{own}, {name[other]}, {dock}]"
+            yield robot, stance, "directions", what
+        else:
+            yield robot, stance, "contacts", f"contact [{own}, {name[other]}, {dock}]"
+
+
+def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
+    """Of all coordinates of a point that are outliers, the estimate misses these the most."""
+    places = estimate.outlier_places
+    if places is None or not len(places):
+        return
+    walks, center = Odometry(log), estimate.position / log.dock_radius
+    wanted, number = np.unique(places, axis=0, return_counts=True)
+    listed: dict[tuple[int, ...], list[tuple[float, str, str]]] = {}
+    for cue, (key, what) in _PLACES.items():
+        cues = [cue, "walk_contacts"] if cue == "ground" else [cue]
+        rows = measure(log, cues, odometry=walks)
+        count = len(rows.other)
+        missed = np.abs(rows.residual(center, estimate.yaw)) / np.sqrt(rows.variance())
+        for point, axis, value, off in zip(
+            rows.sensed_places.tolist(), rows.places.direction, rows.places.value,
+            missed[count:].tolist(), strict=True,
+        ):  # fmt: skip
+            text = what
+            if cue == "ground":
+                text += f" of dock {point[2]}"
+            elif cue != "height":
+                text += f" along {_axis(axis)}"
+            if key == "fixes":
+                text += f" at {value * log.dock_radius:.4g} {log.length_unit}"
+            listed.setdefault(tuple(point), []).append((-off, key, text))
+    for point, many in zip(wanted.tolist(), number.tolist(), strict=True):
+        for _, key, text in sorted(listed.get(tuple(point), []))[:many]:
+            yield point[0], point[1], key, text
+
+
+def _axis(direction: Reals) -> str:
+    """Write a unit vector, an axis by its letter."""
+    along = np.flatnonzero(direction == 1.0)
+    return "xyz"[along[0]] if along.size else f"[{', '.join(f'{part:.3g}' for part in direction)}]"
