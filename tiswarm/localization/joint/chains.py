@@ -169,5 +169,3 @@ def _noise_share(variance: Reals) -> float:
     if not len(variance):
         return 1.0
     return float(np.mean(variance / (variance + AnnealSchedule.warmest**2)))
-
-

@@ -57,7 +57,9 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools) -> Frame:
     frame = Frame(axes, is_hand_free=True)
     image = np.where(moves[:, None], position[0] + _mirrored(arm, frame), position)
     change = rows.residual(image) - rows.residual(position)
-    return frame._replace(is_hand_free=bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent))
+    return frame._replace(
+        is_hand_free=bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent)
+    )
 
 
 def align(position: Reals, other: Reals, frame: Frame, moves: Bools) -> Reals:

@@ -321,7 +321,10 @@ def _joined(
     warm = MixtureSettings.unfolding * float(np.median(problem.length[~problem.is_offset]))
     found = []
     for position in further:
-        for sigma, rounds in ((warm, MixtureSettings.warm_rounds), (annealed.sigma, 5 * MixtureSettings.rounds)):
+        for sigma, rounds in (
+            (warm, MixtureSettings.warm_rounds),
+            (annealed.sigma, 5 * MixtureSettings.rounds),
+        ):
             position, yaw, cost = _descended(log, params, problem, (position, none), sigma, rounds)
         found.append((position, yaw, cost))
     position, yaw, cost = (np.array(column) for column in zip(*found, strict=True))
