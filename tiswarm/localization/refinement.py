@@ -400,9 +400,13 @@ class Linear:
         self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
         prior = self.precision * self.off**2
-        self.chi_square = float(square.sum() + self.excess.sum() + prior[self.shifts :].sum())
-        """Cost without the prior of positions [1]."""
-        self.cost = self.chi_square + float(prior[: self.shifts].sum())
+        overlap = slice(measured, measured + len(self.tables[1].residual))
+        self.overlap = float(square[overlap].sum())
+        """Cost of overlaps [1]."""
+        of_rows = float(square.sum() + self.excess.sum()) - self.overlap
+        self.chi_square = of_rows + float(prior[self.shifts :].sum())
+        """Cost of measurements and connections, and of what their noise is taken to be [1]."""
+        self.cost = self.chi_square + self.overlap + float(prior[: self.shifts].sum())
         self.slope = self.jacobian.T @ pull + self.precision * self.off
 
     def _weighted(self, values: Reals) -> Reals:

@@ -45,10 +45,12 @@ def anneal(
     problems: Sequence[Problem],
     *,
     halvings: int = 0,
+    start: Sequence[Reals] | None = None,
     on_progress: Callable[[float], None] = ignore,
 ) -> list[Annealed]:
     """Anneal structures side by side, in steps halved so often; arguments as for `Annealer`."""
-    return Annealer(logs, params, problems, inertia_factor=4.0**halvings).run(on_progress)
+    annealer = Annealer(logs, params, problems, inertia_factor=4.0**halvings, start=start)
+    return annealer.run(on_progress)
 
 
 class Annealer:
@@ -62,6 +64,7 @@ class Annealer:
         *,
         by_block: bool | None = None,
         inertia_factor: float = 1.0,
+        start: Sequence[Reals] | None = None,
     ) -> None:
         """Put every chain where it begins.
 
@@ -72,6 +75,8 @@ class Annealer:
             by_block: Whether one thread takes all steps of a structure in one chain; else all
                 threads take each step together. By what is quicker if None; no bit depends on it.
             inertia_factor: Factor of every mass; 4 halves the steps.
+            start: Where the chains of each structure begin, at `start_sigma` of its settings [R],
+                shape (chains, N, 3); at initial guesses if None.
         """
         running = backend.current()
         self.memory = memory = Allocator(running, on_host=False)
@@ -89,7 +94,7 @@ class Annealer:
         self.sigma = np.array(
             [
                 cooled(
-                    start_sigma(problem, p),
+                    start_sigma(problem, p) if start is None else p.start_sigma,
                     end_sigma(problem, p),
                     self.steps,
                     self.shared.hold_steps,
@@ -102,7 +107,7 @@ class Annealer:
         trees = [find_subtrees(p.pair, len(p.place)) for p in problems]
         offsets = self.start[:-1]
         self.order = np.concatenate([a + t.order for t, a in zip(trees, offsets, strict=True)])
-        guess = [
+        guess = start or [
             initial_guess(log, problem, self.shared.seed, self.chains)
             for log, problem in zip(logs, problems, strict=True)
         ]

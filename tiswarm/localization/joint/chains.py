@@ -18,6 +18,8 @@ from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
 
 
+_BY_CHAIN = ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
+
 _LEAST_CHAINS = 1.5
 """Effective number of chains below which their spread says nothing."""
 
@@ -57,16 +59,19 @@ class Annealed:
     yaw_trace: Reals
     """Yaw corrections of the first chain then [rad], shape (K, N)."""
 
-    def joined(self, position: Reals, yaw: Reals, within: Reals) -> "Annealed":
-        """Add configurations that do not move: (K, N, 3), (K, N) and (K, N)."""
-        further = {
-            "mean": position, "last": position, "mean_yaw": yaw, "last_yaw": yaw,
-            "within": within, "temperature": np.ones(len(yaw)),
-        }  # fmt: skip
+    def joined(self, other: "Annealed") -> "Annealed":
+        """Add the chains of others that ended at the same temperature."""
         arrays: dict[str, Any] = {
-            name: np.concatenate([getattr(self, name), value]) for name, value in further.items()
+            name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in _BY_CHAIN
         }
         return replace(self, **arrays)
+
+    def still(self, position: Reals, yaw: Reals) -> "Annealed":
+        """Put chains that do not move in place of these: (K, N, 3) and (K, N)."""
+        return replace(
+            self, mean=position, last=position, mean_yaw=yaw, last_yaw=yaw,
+            within=np.zeros(yaw.shape), temperature=np.ones(len(yaw)),
+        )  # fmt: skip
 
     def with_chains(self, chosen: Bools, other: "Annealed") -> "Annealed":
         """Replace some chains, chosen by an array of shape (chains,), by those of `other`."""
@@ -76,7 +81,7 @@ class Annealed:
                 getattr(other, name),
                 getattr(self, name),
             )
-            for name in ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
+            for name in _BY_CHAIN
         }
         if chosen[0]:
             arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}

@@ -9,7 +9,7 @@ from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.initialization import place_disconnected
-from tiswarm.localization.joint.mixture import mix
+from tiswarm.localization.joint.mixture import further_starts, mix
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
@@ -49,7 +49,14 @@ def localize_batch(
 def _estimate(
     log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
 ) -> Estimate:
-    annealed, has_failed, restarted = _restarted(log, params, problem, annealed)
+    starts = further_starts(log, params, problem)
+    if starts:
+        # Twice the chains, of which half unfold what the initial guess has folded.
+        start = np.array([starts[k % len(starts)] for k in range(len(annealed.mean))])
+        annealed = annealed.joined(anneal([log], [params], [problem], start=[start])[0])
+        restarted, has_failed = 0, failed(problem, annealed)
+    else:
+        annealed, has_failed, restarted = _restarted(log, params, problem, annealed)
     mixture = mix(log, params, problem, annealed, has_failed)
     position, yaw = mixture.position, mixture.yaw
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])

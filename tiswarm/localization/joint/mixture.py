@@ -70,8 +70,11 @@ class Minimum(NamedTuple):
     is_held: Bools
     """Whether measurements hold the robot; else chains say where it is, shape (N,)."""
 
+    cost: float
+    """Squared residuals and overlaps in variances, priors of turns included [1]."""
+
     chi_square: float
-    """Squared residuals in variances, priors included [1]."""
+    """The same without overlaps [1]."""
 
     freedom: int
     """Degrees of freedom of the chi-square: measurements beyond the unknowns that they determine."""
@@ -128,34 +131,31 @@ def mix(
     """
     ends = rank(log, params, problem, annealed, has_failed)
     if params.refines(log.robot_count):
-        anchor = log.anchor_position / log.dock_radius
         best = ends.position[int(ends.cost.argmin())]
-        further = [*scaled_distances(problem, anchor), *images(problem, best)]
-        annealed, ends = _joined(log, params, problem, annealed, ends, further)
+        annealed, ends = _joined(log, params, problem, annealed, ends, images(problem, best))
     annealed, ends, frame = _aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
     by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
-    placed, square = place_disconnected(annealed.mean, problem)
-    placed = replace(annealed, mean=placed)
     minima, shares = [], []
     for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
         weight = np.where(ends.solution == solution, ends.weight, 0.0)
         shares.append(weight.sum())
         chosen = weight / weight.sum()
-        minima.append(minimum(log, params, problem, placed, chosen, ~outlier, by_chains))
+        minima.append(minimum(log, params, problem, annealed, ends, chosen, ~outlier, by_chains))
     minima, share = _weighed(minima, np.array(shares))
     best = minima[0]
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
     position = np.where(
-        is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, placed.mean, 1)
+        is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, annealed.mean, 1)
     )
+    # Chains agree where disconnected parts are, but nothing measures it.
+    placed, square = place_disconnected(np.concatenate([position[None], at]), problem)
     within = share @ np.array([each.sd**2 for each in minima])
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), by_chains)
     verdict = _convergence(problem, ends, outlier, best, has_failed)
-    # Chains agree where they place disconnected parts, but nothing measures it.
-    sd = verdict.sd_factor * np.sqrt(sd**2 + ends.weight @ square)
+    sd = np.sqrt((verdict.sd_factor * sd) ** 2 + square[0])
     pair = best.square[: len(problem.rows.other)]
     misfit = np.bincount(problem.rows.robot, best.square, problem.rows.robots)
     misfit -= 0.5 * np.bincount(problem.rows.robot[: len(pair)], pair, len(misfit))
@@ -166,16 +166,16 @@ def mix(
         Solution(
             weight=float(share[n]),
             chains=int((ends.weight[ends.solution == n] > 0.0).sum()),
-            chi_square=each.chi_square,
+            chi_square=each.cost,
             residual=float(np.sqrt((gap[n] ** 2).mean())) if gap.size else 0.0,
             residual_sd=float(np.sqrt(((gap[n] / width) ** 2).mean())) if gap.size else 0.0,
-            position=each.position,
-            sd=each.sd,
+            position=placed[1 + n],
+            sd=np.sqrt(each.sd**2 + square[1 + n]),
         )
         for n, each in enumerate(minima)
     )
     return Mixture(
-        position=position,
+        position=placed[0],
         yaw=np.tensordot(share, np.array([each.yaw for each in minima]), 1),
         sd=sd,
         mirrored=between > within,
@@ -194,7 +194,7 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     widths (Laplace). Elsewhere nothing but the chains says how wide a solution is.
     """
     if all(each.is_held[1:].all() for each in minima):
-        height = np.array([each.log_volume - 0.5 * each.chi_square for each in minima])
+        height = np.array([each.log_volume - 0.5 * each.cost for each in minima])
         share = np.exp(height - height.max())
     share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
@@ -317,22 +317,38 @@ def _joined(
     """Add the minima that further starts lead to, as chains that do not move."""
     if not further:
         return annealed, ends
-    none = np.zeros(log.robot_count)
-    warm = MixtureSettings.unfolding * float(np.median(problem.length[~problem.is_offset]))
+    rounds = MixtureSettings.warm_rounds
+    found = [
+        _descended(log, params, problem, (position, ends.yaw[0]), annealed.sigma, rounds)
+        for position in further
+    ]
+    position, yaw = (np.array([each[k] for each in found]) for k in (0, 1))
+    annealed = annealed.joined(annealed.still(position, yaw))
+    return annealed, _ends(
+        problem,
+        np.concatenate([ends.position, position]),
+        np.concatenate([ends.yaw, yaw]),
+        np.concatenate([ends.cost, [cost for _, _, cost in found]]),
+        annealed.sigma,
+    )
+
+
+def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> list[Reals]:
+    """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
+
+    None where contacts alone tie robots, or for structures too large to be refined.
+    """
+    if not params.refines(log.robot_count):
+        return []
+    anchor, none = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
     found = []
-    for position in further:
-        for sigma, rounds in (
-            (warm, MixtureSettings.warm_rounds),
-            (annealed.sigma, 5 * MixtureSettings.rounds),
-        ):
-            position, yaw, cost = _descended(log, params, problem, (position, none), sigma, rounds)
-        found.append((position, yaw, cost))
-    position, yaw, cost = (np.array(column) for column in zip(*found, strict=True))
-    within = np.zeros(position.shape[:2])
-    annealed = annealed.joined(position, yaw, within)
-    columns = zip((ends.position, ends.yaw, ends.cost), (position, yaw, cost), strict=True)
-    position, yaw, cost = (np.concatenate(pair) for pair in columns)
-    return annealed, _ends(problem, position, yaw, cost, annealed.sigma)
+    for start in scaled_distances(problem, anchor):
+        warm = MixtureSettings.unfolding * float(np.median(problem.length[~problem.is_offset]))
+        position, _, cost = _descended(
+            log, params, problem, (start, none), warm, MixtureSettings.warm_rounds
+        )
+        found.append((cost, position))
+    return [position for _, position in sorted(found, key=lambda pair: pair[0])]
 
 
 def _aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends, Frame]:
@@ -398,6 +414,7 @@ def minimum(
     params: JointParams,
     problem: Problem,
     annealed: Annealed,
+    ends: Ends,
     weight: Reals,
     inlier: Bools,
     sd: Reals,
@@ -409,12 +426,13 @@ def minimum(
         params: Settings.
         problem: Measurements.
         annealed: Chains.
+        ends: Minima that they lead to.
         weight: Weights of the chains of this solution, which add up to 1, shape (K,).
         inlier: Measurements that count, shape (E,).
         sd: Standard deviation of positions by the chains [R], shape (N,).
     """
-    members = weight > 0.0
-    position, yaw = np.tensordot(weight, annealed.mean, 1), weight @ annealed.mean_yaw
+    members, best = weight > 0.0, int(np.where(weight > 0.0, ends.cost, np.inf).argmin())
+    position, yaw = ends.position[best], ends.yaw[best]
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
@@ -436,10 +454,13 @@ def minimum(
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(
-        position=np.where(is_held[:, None], state.position, position),
-        yaw=np.where(is_held, state.yaw, yaw),
+        position=np.where(
+            is_held[:, None], state.position, np.tensordot(weight, annealed.mean, 1)
+        ),
+        yaw=np.where(is_held, state.yaw, weight @ annealed.mean_yaw),
         sd=np.where(is_held, left, sd),
         is_held=is_held,
+        cost=linear.chi_square + linear.overlap,
         chi_square=linear.chi_square,
         freedom=max(linear.freedom(), int(MixtureSettings.spare * 3 * (len(sd) - 1))),
         square=square,
