@@ -29,7 +29,7 @@ def robot_arrays(
     memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
 ) -> Robots:
     """Put the constants of all robots on the device."""
-    size = [len(p.place) for p in problems]
+    size = [len(p.part) for p in problems]
     number = np.concatenate([np.arange(robots) for robots in size])[order]
     non_overlap = np.repeat([int(p.non_overlap) for p in params], size)
     robust = [AnnealSchedule.outlier_sd**-2 * p.robust for p in params]
@@ -94,17 +94,27 @@ def contact_arrays(
     )
 
 
-def prior_arrays(memory: Allocator, problems: Sequence[Problem], order: Ints) -> Priors:
+def prior_arrays(
+    memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
+) -> Priors:
     """Put the planes of all structures on the device, robot by robot."""
-    planes = [p.planes() for p in problems]
+    planes = [p.planes for p in problems]
     robot = _in_memory([own.robot for own in planes], problems, order)
     every = Planes.joined(planes)
-    table = np.column_stack(
-        [every.point, every.direction, every.walk, every.precision, every.crowd]
+    crowd = np.concatenate([p.planes.crowd(len(p.part)) for p in problems])
+    robust = np.concatenate(
+        [
+            AnnealSchedule.outlier_sd**-2 * p.robust * e.planes.is_redundant(e.part)
+            for e, p in zip(problems, params, strict=True)
+        ]
     )
+    table = np.column_stack(
+        [every.point, every.direction, every.walk, every.precision, crowd, robust]
+    )
+    axis = np.abs(every.direction).argmax(axis=1)
     return Priors(
         start=memory.upload(_row_starts(robot, len(order))),
-        plane=_upload(memory, table[np.argsort(robot, kind="stable")]),
+        plane=_upload(memory, table[np.lexsort((axis, robot))]),
     )
 
 
@@ -149,7 +159,7 @@ def block_arrays(memory: Allocator, start: Ints) -> Blocks:
 
 def _in_memory(robot: Sequence[Ints], problems: Sequence[Problem], order: Ints) -> Ints:
     """Number robots, given structure by structure, as they stand in memory."""
-    first = np.cumsum([0, *(len(p.place) for p in problems)])[:-1]
+    first = np.cumsum([0, *(len(p.part) for p in problems)])[:-1]
     number: Ints = np.argsort(order)[
         np.concatenate([own + a for own, a in zip(robot, first, strict=True)])
     ]
