@@ -1,6 +1,5 @@
 """Planes on which robots were measured to be: all that is known of where they are. Lengths in R."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +34,6 @@ class Planes(NamedTuple):
 
     precision: Reals
     """Precision of the distance from it [R^-2], shape (P,)."""
-
-    @classmethod
-    def joined(cls, parts: "Sequence[Planes]") -> "Planes":
-        """Concatenate planes."""
-        return cls._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
     def along(self, robots: int) -> Bools:
         """Find the axes along which each of N robots was measured, shape (N, 3)."""

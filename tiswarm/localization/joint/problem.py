@@ -90,12 +90,6 @@ class Problem:
         return np.isin(self.link, self.rows.touch)
 
     @property
-    def touch_arms(self) -> Reals:
-        """Arms of the docks that may be those of each touch, and the others [R], (T, docks, 6)."""
-        (own, _), (its, _) = self.rows.touch_arms
-        return np.concatenate([own, its], axis=2)
-
-    @property
     def robot(self) -> Ints:
         """Robot that sensed each link, shape (C,)."""
         return self.rows.robot[self.link]
@@ -154,11 +148,7 @@ class Problem:
         return np.repeat(flagged, np.diff(self.link, append=len(flag)))
 
     def sensed_place(self) -> tuple[Reals, Bools]:
-        """Compute measured centers, yaw taken as sensed.
-
-        Returns:
-            Centers [R], and which coordinates are measured, both of shape (N, 3).
-        """
+        """Return centers [R] and which coordinates are measured, both (N, 3); `Planes.centers`."""
         return self._sensed_place
 
     @cached_property
@@ -261,7 +251,8 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
     apart = _separating(problem, log.anchor_position / log.dock_radius, params.height_sd)
-    return replace(problem, planes=Planes.joined([problem.planes, apart]))
+    every = zip(problem.planes, apart, strict=True)
+    return replace(problem, planes=Planes._make(map(np.concatenate, every)))
 
 
 def _most_precise(rows: Measurements) -> Bools:

@@ -1,6 +1,7 @@
 """Subtrees of the contact graph: robots tied to the anchor only by way of robots nearer to it.
 
-With orientations sensed, a subtree can move as one only by a shift. Moving its robots one by one
+Measured coordinates tie a part without the anchor to it: each such part is a subtree, too. With
+orientations sensed, a subtree can move as one only by a shift. Moving its robots one by one
 would take ever longer the more there are, so the annealer shifts whole subtrees too.
 """
 
@@ -140,8 +141,7 @@ def weights(tree: Forest) -> Reals:
 
 def _levels(robots: int, pair: Ints) -> Ints:
     """Count the hops from the anchor to each robot, -1 if none lead there, shape (N,)."""
-    anchor = np.zeros(1, np.int64)
-    hops = dijkstra(touching(pair, robots), directed=False, indices=anchor, unweighted=True)[0]
+    hops = dijkstra(touching(pair, robots), directed=False, indices=0, unweighted=True)
     return np.where(np.isfinite(hops), hops, -1).astype(np.int64)
 
 
