@@ -52,10 +52,10 @@ class Planes(NamedTuple):
         return np.where(self._square(of_robot) > 1.0 + _PERPENDICULAR, 3.0, 1.0)
 
     def is_redundant(self, part: NDArray[np.int32]) -> Bools:
-        """Find planes without which others, or the anchor, hold the robot's part as well.
+        """Find planes without which other planes, or the anchor, still hold the robot's part.
 
-        Of the other planes no majority can contradict: without one of them, nothing would hold the
-        part in some direction.
+        Without one that is not redundant, nothing holds the part in some direction: no majority of
+        measurements can contradict it.
 
         Args:
             part: Connected part of the contact graph that each robot is in, shape (N,).
@@ -79,7 +79,7 @@ class Planes(NamedTuple):
         point = self.point - np.pad(self.walk, ((0, 0), (0, 1)))
         row, axis = np.arange(len(robot)), np.abs(direction).argmax(axis=1)
         center = np.zeros((robots, 3))
-        center[robot, axis] = point[row, axis]  # right along axes that one plane alone measures
+        center[robot, axis] = point[row, axis]  # exact along axes that one plane alone measures
         residual = (direction * (point - center[robot])).sum(axis=1)
         information = spans(robot, direction, robots, self.precision)
         pull = np.zeros((robots, 3))
