@@ -261,17 +261,24 @@ def joint_force(log, known, position, yaw, tolerance, width, stretch, size=2.0):
                         force[j] -= push
                         torque[i] += np.cross(own, push)[2]
                         torque[j] -= np.cross(other, push)[2]
-    known_well = tolerance**2 * known.precision
-    walk = np.array([r @ [*b, 0.0] for r, b in zip(turn, known.walk, strict=True)])
-    hold = known.place - walk - position
-    hold *= known_well / (1.0 + known_well + known.precision * (hold / width) ** 2)
-    torque += np.cross(walk, hold)[:, 2] - tolerance**2 * known.yaw_precision * yaw
-    for robot, x, y, z, value, sd, _ in log.fixes:
-        normal = np.array([x, y, z])
-        gap = value - normal @ position[int(robot)]
-        stiff = (tolerance / sd) ** 2
-        hold[int(robot)] += normal * gap * stiff / (1.0 + stiff + (gap / width / sd) ** 2)
-    return force + hold, torque
+    for row, (robot, normal, point, walk, precision) in enumerate(zip(*known.planes, strict=True)):
+        walked = turn[robot] @ [*walk, 0.0]
+        gap = normal @ (point - walked - position[robot])
+        stiff = tolerance**2 * precision
+        torn = 0.0 if _is_alone(known, row) else precision * (gap / width) ** 2
+        hold = normal * gap * stiff / (1.0 + stiff + torn)
+        force[robot] += hold
+        torque[robot] += np.cross(walked, hold)[2]
+    return force, torque - tolerance**2 * known.yaw_precision * yaw
+
+
+def _is_alone(known, row):
+    """Whether without that plane nothing would hold the robot's part along it."""
+    of_part = known.part[known.planes.robot]
+    is_other = (of_part == of_part[row]) & (np.arange(len(of_part)) != row)
+    others, normal = known.planes.direction[is_other], known.planes.direction[row]
+    span = np.linalg.pinv(others) @ others if is_other.any() else np.zeros((3, 3))
+    return of_part[row] != known.part[0] and np.linalg.norm(normal - span @ normal) > 1e-9
 
 
 def _distances(known, position, turn):

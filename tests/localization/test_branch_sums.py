@@ -71,7 +71,7 @@ def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
     assert (np.abs(force).max() > 1e3) == (scale > 1.0)
     subtree = 0
     for log, problem, first in zip(logs, annealer.problems, annealer.start[:-1], strict=True):
-        tree = find_subtrees(problem.pair, log.robot_count)
+        tree = find_subtrees(problem.pair, problem.roots, log.robot_count)
         member = np.eye(len(tree.parent))
         for k in range(len(tree.parent) - 1, 0, -1):
             member[tree.parent[k]] += member[k]

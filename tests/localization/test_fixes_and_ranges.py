@@ -101,7 +101,7 @@ def test_chains_unfold_what_ranges_alone_tie(towers):
     """Robots whose positions ranges determine are placed there, though the first guess folds."""
     ranged = observe(towers[1], SensingParams(suite="kilobot"))
 
-    found = localize(ranged, JointParams(chains=2))
+    found = localize(ranged, JointParams(chains=8))
 
     error = np.linalg.norm(found.position - towers[1].position, axis=1)
     assert found.convergence.converged

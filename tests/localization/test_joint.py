@@ -161,14 +161,20 @@ def test_anchors_stay_where_they_are(towers):
         np.testing.assert_allclose(positions[:, 0] - log.anchor_position, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("spawn_noise", [None, 0.2])
-def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
-    """What pulls at a branch pulls at its robots; where places are known, none is shifted."""
+@pytest.mark.parametrize(("spawn_noise", "fixed"), [(None, []), (0.2, []), (None, [9, 17])])
+def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed):
+    """What pulls at a branch pulls at its robots; where robots of it are known, it is not shifted.
+
+    All robots know their heights, and some where they started, or their x.
+    """
     log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
+    at = towers[0].position[fixed]
+    fixes = np.array([[i, 1.0, 0.0, 0.0, x, 0.1] for i, x in zip(fixed, at[:, 0], strict=True)])
+    log = dataclasses.replace(log, fixes=fixes.reshape(-1, 6))
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = pose_problem(log, params)
     annealer = annealing.Annealer([log], [params], [known])
-    tree = find_subtrees(np.column_stack([known.robot, known.other]), log.robot_count)
+    tree = find_subtrees(known.pair, known.roots, log.robot_count)
     count = len(tree.parent)
     pull, speed = annealer.trees.pull, annealer.trees.velocity
     annealer.advance(4)
@@ -201,8 +207,8 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise):
         )
         kept = heavy_before[:, k] / np.sqrt(weight[:, k])
         shift = 0.5 * (kept + pulls[:, k] / weight[:, k] + heavy[:, k])
-        expected[:, robots] += shift[:, None] * known.unplaced
-    assert known.unplaced.tolist() == [spawn_noise is None] * 2 + [False]
+        is_free = np.array([not set(fixed) & set(robots.tolist()), True, False])
+        expected[:, robots] += shift[:, None] * (is_free & (spawn_noise is None))
     np.testing.assert_allclose(
         (annealer.by_robot(annealer.swarm.position) - before)[:, 1:], expected[:, 1:], atol=1e-12
     )

@@ -35,14 +35,12 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         known = pose_problem(log, ALL)
 
         gap = known.residual(history.position, yaw)
-        walked = np.exp(1j * yaw) * (known.walk @ [1.0, 1j])
-        place = known.place - np.column_stack([walked.real, walked.imag, np.zeros(len(yaw))])
         felt = {tuple(row) for row in measure(log, ALL.cues).sensed_contacts.tolist()}
         assert {tuple(row) for row in known.rows.sensed_contacts.tolist()} <= felt
         assert (known.is_final.sum(), len(gap)) > (len(log.contacts) - 1, len(log.contacts))
         assert -1e-9 < gap.min() <= gap.max() < 0.02 + 1e-9  # as near as docks must be to feel
-        assert (known.precision[1:] > 0.0).all()
-        np.testing.assert_allclose(place[1:], history.position[1:], atol=1e-9)
+        assert known.sensed_place()[1][1:].all()
+        np.testing.assert_allclose(_gaps(known, history.position, yaw), 0.0, atol=1e-9)
 
 
 @settings(deadline=None, max_examples=20)
@@ -50,7 +48,7 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
 def test_turning_everything_about_the_vertical_stretches_nothing(towers, angle):
     """Contacts cannot tell a swarm from the same one turned, robots and all."""
     known = pose_problem(observe(towers[0], SensingParams(yaw_bias_deg=5.0)), ALL)
-    yaw = np.linspace(-1.0, 1.0, len(known.place))
+    yaw = np.linspace(-1.0, 1.0, len(known.part))
     position = towers[0].position
     turned = Rotation.from_rotvec([0.0, 0.0, angle]).apply(position)
 
@@ -75,7 +73,8 @@ def test_residuals_are_as_large_as_foretold(towers, noise):
             known = pose_problem(log, TRUSTING)
             gap = known.residual(history.position, np.zeros(log.robot_count))
             contacts.append(gap / np.sqrt(known.variance))
-            places.append((known.place - history.position)[1:] * np.sqrt(known.precision[1:]))
+            away = _gaps(known, history.position, np.zeros(log.robot_count))
+            places.append(away * np.sqrt(known.planes.precision))
 
     # 15 logs of some 100 equations each, many of which share a flip
     assert 0.85 < np.std(np.concatenate(contacts)) < 1.15
@@ -104,9 +103,17 @@ def test_a_cue_that_is_off_says_nothing(towers):
     level = pose_problem(log, JointParams(**none | {"height": True}, odometry=False))
 
     assert len(silent.robot) == 0
-    assert silent.unobserved[1:].all()
+    assert silent.underdetermination == 1.0
+    assert (silent.loose[1:] == np.eye(3)).all()
     assert len(walked.robot) > 0
     assert not walked.is_final.any()
-    assert level.unobserved[1:, :2].all()
-    assert not level.unobserved[:, 2].any()
-    assert (level.precision[1:, 2] > 100.0).all()
+    assert level.underdetermination == pytest.approx(2.0 / 3.0)
+    assert (level.loose[1:] == np.diag([1.0, 1.0, 0.0])).all()
+
+
+def _gaps(known, position, yaw):
+    """How far robots are from the planes on which they were measured to be, shape (P,)."""
+    robot, direction, point, walk, _ = known.planes
+    walked = np.exp(1j * yaw[robot]) * (walk @ [1.0, 1j])
+    away = point - position[robot] - np.column_stack([walked.real, walked.imag, 0.0 * walked.real])
+    return (direction * away).sum(axis=1)

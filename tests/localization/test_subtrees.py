@@ -15,15 +15,19 @@ PAIRS = st.lists(
     ),
     max_size=24,
 )
+ROOTS = st.sets(st.integers(1, ROBOTS - 1), max_size=2).map({0}.union)
 
 
-@given(pairs=PAIRS)
-def test_branches_are_the_parts_of_what_is_so_far_from_the_anchor_or_more(pairs):
-    """Each in one row, own robots first, and each after the one that it grows out of."""
+@given(pairs=PAIRS, roots=ROOTS)
+def test_branches_are_the_parts_of_what_is_so_far_from_the_anchor_or_more(pairs, roots):
+    """Each in one row, own robots first, and each after the one that it grows out of.
+
+    Roots of other parts are tied to the anchor, so that each part is a branch.
+    """
     pair = np.array(pairs, np.int64).reshape(-1, 2)
-    level = _levels(pairs)
+    level = _levels([*pairs, *((root, 0) for root in roots)])
 
-    tree = find_subtrees(pair, ROBOTS)
+    tree = find_subtrees(pair, np.array(sorted(roots)), ROBOTS)
 
     own = np.split(tree.order, tree.first[1:-1])
     members = [set(robots.tolist()) for robots in own]
@@ -50,7 +54,8 @@ def test_branches_do_not_depend_on_how_contacts_are_told(pairs, seed):
     other = rng.permutation(np.concatenate([pair, pair[:3]]))
     other = np.where(rng.random(len(other))[:, None] < 0.5, other, other[:, ::-1])
 
-    told, retold = find_subtrees(pair, ROBOTS), find_subtrees(other, ROBOTS)
+    anchor = np.zeros(1, np.int64)
+    told, retold = (find_subtrees(each, anchor, ROBOTS) for each in (pair, other))
 
     np.testing.assert_array_equal(told.order, retold.order)
     np.testing.assert_array_equal(told.first, retold.first)

@@ -68,15 +68,31 @@ def untied_directions(rows: Measurements) -> Reals:
         Projector onto these directions, 0 for robots of parts that are tied, shape (N, 3, 3).
     """
     part = parts(rows)
-    direction = rows.places.direction
-    span = np.zeros((part.max() + 1, 3, 3))
     of_row = part[rows.robot[len(rows.other) :]]
-    np.add.at(span, of_row, direction[:, :, None] * direction[:, None, :])
+    span = spans(of_row, rows.places.direction, part.max() + 1)
     square, axis = np.linalg.eigh(span)
     is_open = square <= 3.0 * np.finfo(np.float64).eps * square[:, 2:]
     is_open[part[0]] = False
     loose: Reals = (axis * is_open[:, None]) @ axis.swapaxes(1, 2)
     return loose[part]
+
+
+def spans(group: AnyInts, direction: Reals, groups: int, weight: float | Reals = 1.0) -> Reals:
+    """Sum the outer products of directions, by group.
+
+    Args:
+        group: Group of each direction, shape (n,).
+        direction: Vectors, shape (n, 3).
+        groups: G.
+        weight: Weight of each, shape (n,), or of all.
+
+    Returns:
+        Sums of w n n^T, shape (G, 3, 3); their range is the span of the group's directions.
+    """
+    weighted = direction * np.broadcast_to(weight, len(group))[:, None]
+    span = np.zeros((groups, 3, 3))
+    np.add.at(span, group, weighted[:, :, None] * direction[:, None, :])
+    return span
 
 
 def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:

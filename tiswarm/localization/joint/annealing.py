@@ -104,7 +104,7 @@ class Annealer:
         )
         self.target = thermostat(self.sigma)
         # Robots of a subtree stand in a row in memory.
-        trees = [find_subtrees(p.pair, len(p.place)) for p in problems]
+        trees = [find_subtrees(p.pair, p.roots, len(p.part)) for p in problems]
         offsets = self.start[:-1]
         self.order = np.concatenate([a + t.order for t, a in zip(trees, offsets, strict=True)])
         guess = start or [
@@ -132,7 +132,7 @@ class Annealer:
             memory.upload(self.sigma),
             *robot_arrays(memory, problems, params, self.order),
             *contact_arrays(memory, problems, params, self.order),
-            *prior_arrays(memory, problems, self.order),
+            *prior_arrays(memory, problems, params, self.order),
         ]
         self.trees = subtree_arrays(memory, problems, trees, self.chains)
         self.swarm = swarm_arrays(memory, arm, position, inertia_factor)

@@ -40,8 +40,8 @@ class Robots(NamedTuple):
     repel, shape (N, 3)."""
 
     weight: Reals2
-    """One over the squared width of the robust loss, 0 for none [1], and the precision of the
-    sensed yaw, 0 where robots do not turn [rad^-2], shape (N, 2)."""
+    """One over the squared width of the robust loss of links, 0 for none [1], and the precision of
+    the sensed yaw, 0 where robots do not turn [rad^-2], shape (N, 2)."""
 
 
 STRUCTURE, NUMBER, NON_OVERLAP = range(3)
@@ -98,11 +98,11 @@ class Priors(NamedTuple):
     plane: Reals2
     """A point of each plane [R], the unit vector perpendicular to it, the part of the point which
     turns with the robot, x and y to be subtracted [R], the precision of the distance from the plane
-    [R^-2], and 1 where other planes of the robot are perpendicular to it, 3 elsewhere, shape
-    (P, 10)."""
+    [R^-2], 1 where other planes of the robot are perpendicular to it, 3 elsewhere, and one over the
+    squared width of the robust loss, 0 for none [1], shape (P, 11)."""
 
 
-DIRECTION, WALK, PRECISION, CROWD = 3, 6, 8, 9
+DIRECTION, WALK, PRECISION, CROWD, PLANE_ROBUST = 3, 6, 8, 9, 10
 """Columns of `Priors`; the point comes first."""
 
 

@@ -23,6 +23,7 @@ from tiswarm.localization.joint.arrays import (
     LENGTH,
     NON_OVERLAP,
     PARTNER,
+    PLANE_ROBUST,
     PRECISION,
     ROBUST,
     TOUCH,
@@ -323,7 +324,7 @@ def pull_robot(
         gap = normal.dot(off)
         precision = priors.plane[plane, PRECISION]
         known = square * precision
-        torn = precision * gap * gap * robots.weight[i, ROBUST]  # Cauchy's loss, too
+        torn = precision * gap * gap * priors.plane[plane, PLANE_ROBUST]  # Cauchy's loss
         stiff = known / (1.0 + known + torn)
         hold += with_torque(stiff * gap * normal, walked)
         stiffness += stiff * priors.plane[plane, CROWD] / 3.0

@@ -1,16 +1,17 @@
-"""What the annealer works on: measured distances, and measured coordinates of the robots.
+"""What the annealer works on: measured distances, and planes on which robots were measured to be.
 
-Coordinates along x, y and z are measured independently; of several measurements of a coordinate,
-the most precise one counts, but all fixes do. Lengths in R.
+Flips and the ground imply coordinates whose errors are related: of those of a robot in one
+direction, the most precise one counts. All fixes count. Lengths in R.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.localization.joint.planes import Planes, fixed_planes
+from tiswarm.localization.joint.planes import Planes, measured_planes
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
@@ -25,11 +26,8 @@ from tiswarm.measurements.orientations import (
 )
 from tiswarm.records.sensing_log import SensingLog
 
-_PERPENDICULAR = 1e-6
-"""Cosine below which a direction has no part along an axis, or along another one."""
-
-_FLAT = 1e-12
-"""Part of the greatest precision below which nothing is measured along a direction."""
+_MORE_THAN_ANY = 4
+"""Directions that the anchor counts as measured in: more than any other robot."""
 
 _CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
@@ -52,15 +50,8 @@ class Problem:
     variance: Reals
     """Variance of each row of a link; of a distance the mean over all directions [R^2], (P,)."""
 
-    place: Reals
-    """Measured centers [R], with their walks, see `walk`, shape (N, 3)."""
-
-    precision: Reals
-    """Precision of each coordinate, 0 where nothing measures it [R^-2], shape (N, 3)."""
-
-    walk: Reals
-    """Part of `place` which turns with the robot, x and y to be subtracted; 0 where yaw is taken as
-    sensed [R], shape (N, 2)."""
+    planes: Planes
+    """Measured coordinates, and made-up ones of parts that `loose` is about."""
 
     loose: Reals
     """Projector onto directions in which no measurement ties a robot's part to the anchor, (N, 3,
@@ -68,9 +59,6 @@ class Problem:
 
     part: NDArray[np.int32]
     """Connected part of the contact graph that each robot is in, shape (N,)."""
-
-    fixes: Planes
-    """Coordinates that were fixed, in any direction; all of a robot count."""
 
     connections: Connections | None
     """What the orientations were chained by; None where they were sensed."""
@@ -83,12 +71,6 @@ class Problem:
         """Robots of parts that nothing ties to the world, shape (N,)."""
         is_untied: Bools = np.any(self.loose, axis=(1, 2))
         return is_untied
-
-    @property
-    def unobserved(self) -> Bools:
-        """Coordinates that nothing ties to the anchor, shape (N, 3)."""
-        is_loose: Bools = np.diagonal(self.loose, axis1=1, axis2=2) > 1.0 - _PERPENDICULAR
-        return is_loose
 
     @property
     def link(self) -> Ints:
@@ -106,12 +88,6 @@ class Problem:
     def is_touch(self) -> Bools:
         """Which links are touches, shape (C,)."""
         return np.isin(self.link, self.rows.touch)
-
-    @property
-    def touch_arms(self) -> Reals:
-        """Arms of the docks that may be those of each touch, and the others [R], (T, docks, 6)."""
-        (own, _), (its, _) = self.rows.touch_arms
-        return np.concatenate([own, its], axis=2)
 
     @property
     def robot(self) -> Ints:
@@ -171,64 +147,32 @@ class Problem:
         flagged = self.by_link(flag.astype(np.float64)) > 0.0
         return np.repeat(flagged, np.diff(self.link, append=len(flag)))
 
-    def planes(self) -> Planes:
-        """Gather measured coordinates along the axes, and fixes."""
-        robots, axis = np.nonzero(self.precision)
-        direction = np.eye(3)[axis]
-        aligned = Planes(
-            robot=robots,
-            direction=direction,
-            point=direction * self.place[robots],
-            precision=self.precision[robots, axis],
-            walk=self.walk[robots],
-            crowd=np.ones(len(robots)),
-        )
-        every = Planes.joined([aligned, self.fixes])
-        order = np.argsort(every.robot, kind="stable")
-        every = Planes._make(column[order] for column in every)
-        for robot in np.unique(self.fixes.robot):
-            mine = np.flatnonzero(every.robot == robot)
-            is_near = np.abs(every.direction[mine] @ every.direction[mine].T) > _PERPENDICULAR
-            every.crowd[mine] = np.where(is_near.sum(axis=1) > 1, 3.0, 1.0)
-        return every
-
     def sensed_place(self) -> tuple[Reals, Bools]:
-        """Compute measured centers, yaw taken as sensed.
+        """Return centers [R] and which coordinates are measured, both (N, 3); `Planes.centers`."""
+        return self._sensed_place
 
-        Returns:
-            Centers [R], and which coordinates are measured, both of shape (N, 3).
-        """
-        place: Reals = self.place - np.pad(self.walk, ((0, 0), (0, 1)))
-        is_measured = self.precision > 0.0
-        planes = self.planes()
-        for robot in np.unique(self.fixes.robot):
-            mine = planes.robot == robot
-            normal, weight = planes.direction[mine], planes.precision[mine]
-            away = planes.point[mine] - np.pad(planes.walk[mine], ((0, 0), (0, 1)))
-            information = (normal.T * weight) @ normal
-            value = (normal.T * weight) @ (normal * away).sum(axis=1)
-            inverse = np.linalg.pinv(information, rcond=_FLAT, hermitian=True)
-            is_measured[robot] = np.diag(inverse @ information) > 1.0 - _PERPENDICULAR
-            place[robot] = inverse @ value
-        return place, is_measured
+    @cached_property
+    def _sensed_place(self) -> tuple[Reals, Bools]:
+        return self.planes.centers(len(self.part))
 
     @property
-    def unplaced(self) -> Bools:
-        """Axes along which nothing but contacts measures where robots are, shape (3,)."""
-        is_held = (self.precision[1:] > 0.0) & ~self.unobserved[1:]
-        is_fixed = np.abs(self.fixes.direction) > _PERPENDICULAR
-        return np.logical_not(is_held.any(axis=0) | is_fixed.any(axis=0))
+    def roots(self) -> Ints:
+        """The anchor, and the robots of each other part that most directions were measured of."""
+        rank = self.planes.rank(len(self.part))
+        rank[0] = _MORE_THAN_ANY
+        most = np.zeros_like(rank)
+        np.maximum.at(most, self.part, rank)
+        return np.flatnonzero(rank == most[self.part])
 
     @property
     def underdetermination(self) -> float:
         """Share of unknown coordinates that measurements are too few for (Maxwell count)."""
-        count = len(self.rows.other) + np.count_nonzero(self.precision[1:]) + len(self.fixes.robot)
-        return max(0.0, 1.0 - count / max(self.place[1:].size, 1))
+        return max(0.0, 1.0 - len(self.rows) / max(3 * len(self.part) - 3, 1))
 
     @property
     def fewest(self) -> Ints:
         """Final contacts of the robot of each pair that has fewer, at least 1, shape (C,)."""
-        count = np.bincount(self.pair[self.is_final].ravel(), minlength=len(self.place))
+        count = np.bincount(self.pair[self.is_final].ravel(), minlength=len(self.part))
         fewest: Ints = np.maximum(count[self.pair].min(axis=1), 1)
         return fewest
 
@@ -291,91 +235,65 @@ def pose_problem(log: SensingLog, params: JointParams) -> Problem:
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
-    contacts = len(rows.other)
-    robot, direction = rows.robot[contacts:], rows.places.direction
-    axis = np.abs(direction).argmax(axis=1)
-    mine = robot, axis
-    variance = rows.variance()
-    sign = direction[np.arange(len(axis)), axis]
-    place, arm = np.zeros((log.robot_count, 3)), np.zeros((log.robot_count, 3))
-    place[mine] = sign * rows.places.value
-    arm[mine] = rows.arm[contacts:][np.arange(len(axis)), axis]
-    walk = arm[:, :2] if is_solved else np.zeros((log.robot_count, 2))
-    weight = np.zeros((log.robot_count, 3))
-    weight[mine] = 1.0 / variance[contacts:]
     fixed = measure(log, {*params.cues} & {"fixes"}, odometry=odometry)
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
     tables = [rows.distances], every_place, [rows.offsets]
     rows = Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd)
+    variance = rows.variance()
     problem = Problem(
         rows=rows,
         inconsistent=inconsistent,
-        variance=variance[:contacts],
-        place=place - arm + np.pad(walk, ((0, 0), (0, 1))),
-        precision=weight,
+        variance=variance[: len(rows.other)],
+        planes=measured_planes(rows, variance, is_solved=is_solved),
         loose=untied_directions(rows),
-        walk=walk,
         part=parts(rows),
-        fixes=fixed_planes(fixed, is_solved=is_solved),
         connections=None if log.orientation_sd is None else connections_of(log),
         yaw_precision=bias**-2 if is_solved else 0.0,
     )
-    return _separated(problem, log.anchor_position / log.dock_radius, params.height_sd)
+    apart = _separating(problem, log.anchor_position / log.dock_radius, params.height_sd)
+    every = zip(problem.planes, apart, strict=True)
+    return replace(problem, planes=Planes._make(map(np.concatenate, every)))
 
 
 def _most_precise(rows: Measurements) -> Bools:
-    """Choose all distances, and for each coordinate of a robot its most precise measurement.
+    """Choose all links, and of the coordinates of a robot in one direction the most precise one.
 
     Returns:
         Rows that are chosen, shape (E,); none is of the anchor alone.
-
-    Raises:
-        ValueError: a coordinate is measured along no axis.
     """
     contacts = len(rows.other)
-    robot, direction = rows.robot[contacts:], rows.places.direction
-    if np.count_nonzero(direction) > len(direction):
-        message = "joint takes coordinates along x, y or z only"
-        raise ValueError(message)
-    coordinate = 3 * robot + np.abs(direction).argmax(axis=1)
-    order = np.lexsort((rows.variance()[contacts:], coordinate))
-    order = order[robot[order] > 0]
-    _, first = np.unique(coordinate[order], return_index=True)
+    coordinate = np.column_stack([rows.robot[contacts:], rows.places.direction])
+    _, group = np.unique(coordinate, axis=0, return_inverse=True)
+    order = np.lexsort((rows.variance()[contacts:], group))
+    _, first = np.unique(group[order], return_index=True)
     chosen = np.arange(len(rows)) < contacts
     chosen[contacts + order[first]] = True
+    chosen[contacts:] &= rows.robot[contacts:] > 0
     return chosen
 
 
-def _separated(problem: Problem, anchor: Reals, sd: float) -> Problem:
-    """Hold the first robot of each disconnected part at a place where no other part can be.
+def _separating(problem: Problem, anchor: Reals, sd: float) -> Planes:
+    """Make up coordinates that hold disconnected parts where no other part can be.
 
-    Parts that overlap would push each other, though nothing measures where they are. They stand in
-    a row along x.
+    Parts that overlap would push each other, though nothing measures where they are. Their first
+    robots stand in a row along x.
     """
-    first = np.unique(problem.part, return_index=True)[1]
+    part = problem.part
+    first = np.unique(part, return_index=True)[1]
     size = np.zeros(len(first))
-    np.maximum.at(size, problem.part, problem.reach())
+    np.maximum.at(size, part, problem.reach())
     first = np.sort(first[problem.untied[first]])
-    row = np.r_[0, first]
-    width = size[problem.part[row]] + _CLEARANCE
-    place, precision = problem.place.copy(), problem.precision.copy()
-    middle = anchor[0] + np.cumsum(width[1:] + width[:-1])
-    held = [problem.fixes]
-    for i, x in zip(first.tolist(), middle.tolist(), strict=True):
-        free, target = problem.unobserved[i], np.array([x, anchor[1], anchor[2]])
-        place[i, free] = target[free]
-        precision[i, free] = sd**-2
-        square, axis = np.linalg.eigh(problem.loose[i] - np.diag(free * 1.0))
-        oblique = axis.T[np.rint(square) > 0]
-        held.append(
-            Planes(
-                robot=np.full(len(oblique), i),
-                direction=oblique,
-                point=oblique * (oblique @ target)[:, None],
-                precision=np.full(len(oblique), sd**-2),
-                walk=np.zeros((len(oblique), 2)),
-                crowd=np.ones(len(oblique)),
-            )
-        )
-    return replace(problem, place=place, precision=precision, fixes=Planes.joined(held))
+    width = size[part[np.r_[0, first]]] + _CLEARANCE
+    target = np.tile(anchor, (len(first), 1))
+    target[:, 0] += np.cumsum(width[1:] + width[:-1])
+    is_loose, axis = np.linalg.eigh(problem.loose[first])
+    which, column = np.nonzero(np.rint(is_loose))
+    direction = axis[which, :, column]
+    return Planes(
+        robot=first[which],
+        direction=direction,
+        point=direction * (direction * target[which]).sum(axis=1, keepdims=True),
+        walk=np.zeros((len(which), 2)),
+        precision=np.full(len(which), sd**-2),
+    )

@@ -1,6 +1,7 @@
 """Subtrees of the contact graph: robots tied to the anchor only by way of robots nearer to it.
 
-With orientations sensed, a subtree can move as one only by a shift. Moving its robots one by one
+Measured coordinates tie a part without the anchor to it: each such part is a subtree, too. With
+orientations sensed, a subtree can move as one only by a shift. Moving its robots one by one
 would take ever longer the more there are, so the annealer shifts whole subtrees too.
 """
 
@@ -11,7 +12,7 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.localization.joint.arrays import Subtrees
 from tiswarm.localization.joint.motion_kernels import sum_rows
@@ -47,14 +48,18 @@ class Forest:
     """Subtree that each grows out of, 0 of the first, shape (T,)."""
 
 
-def find_subtrees(pair: Ints, robots: int) -> Forest:
+def find_subtrees(pair: Ints, roots: Ints, robots: int) -> Forest:
     """Split a structure into subtrees; robots that nothing ties to the anchor are in the first.
 
     Args:
         pair: Robots that touch each other at any stance, as often as they do, shape (C, 2).
+        roots: Robots that hold their parts. Their measured coordinates tie them to the anchor, so
+            that each part without it is a subtree, too.
         robots: N.
     """
-    pair = np.unique(pair, axis=0)
+    roots = roots[roots > 0]
+    tied = np.column_stack([roots, np.zeros_like(roots)])
+    pair = np.unique(np.concatenate([pair, tied]), axis=0)
     level = _levels(robots, pair)
     owner, parent = _grown(level, pair[level[pair[:, 0]] >= 0])
     number = _from_the_anchor(parent)
@@ -80,8 +85,6 @@ def subtree_arrays(
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
     of_robot = np.add.outer(len(own) * np.arange(chains), np.repeat(np.arange(len(own)), own))
-    # Everyone together does not move.
-    moves = [np.outer(np.arange(n) > 0, e.unplaced) for e, n in zip(problems, count, strict=True)]
     end = np.cumsum(own)
     parent = np.concatenate(
         [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
@@ -90,7 +93,11 @@ def subtree_arrays(
     for subtree in range(len(own) - 1, -1, -1):
         last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
     ordinal = np.concatenate([np.arange(n) for n in count])
-    table = [end - own, end, last, parent, np.concatenate(moves), ordinal]
+    held = [_held(problem)[tree.order] for problem, tree in zip(problems, trees, strict=True)]
+    before = np.pad(np.cumsum(np.concatenate(held), axis=0), ((1, 0), (0, 0)))
+    # Everyone together does not move.
+    moves = (before[last] == before[end - own]) & (ordinal > 0)[:, None]
+    table = [end - own, end, last, parent, moves, ordinal]
     copies = chains * len(own)
     rows = sum_rows(len(of_robot.ravel())) if memory.running.on_card else 1
     return Subtrees(
@@ -103,6 +110,17 @@ def subtree_arrays(
         shift=memory.upload(np.zeros((copies, 6))),
         sums=memory.longs(rows, 4),
     )
+
+
+def _held(problem: Problem) -> Bools:
+    """Find the axes along which coordinates of each robot stop its subtrees, shape (N, 3).
+
+    Many robots that were measured would hold a subtree more stiffly than its mass allows. What
+    holds a root is in the root's own mass: a part moves as one toward where its root was measured.
+    """
+    held = problem.planes.along(len(problem.part))
+    held[problem.roots] = False
+    return held
 
 
 def weights(tree: Forest) -> Reals:
@@ -123,8 +141,7 @@ def weights(tree: Forest) -> Reals:
 
 def _levels(robots: int, pair: Ints) -> Ints:
     """Count the hops from the anchor to each robot, -1 if none lead there, shape (N,)."""
-    anchor = np.zeros(1, np.int64)
-    hops = dijkstra(touching(pair, robots), directed=False, indices=anchor, unweighted=True)[0]
+    hops = dijkstra(touching(pair, robots), directed=False, indices=0, unweighted=True)
     return np.where(np.isfinite(hops), hops, -1).astype(np.int64)
 
 

@@ -16,7 +16,6 @@ from tiswarm.compute.lang import DeviceArray
 from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
 from tiswarm.localization.joint.force_kernels import INERTIA
 from tiswarm.localization.joint.kernels import SKIN, STALE
-from tiswarm.localization.joint.planes import Planes
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams
@@ -29,7 +28,7 @@ def robot_arrays(
     memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
 ) -> Robots:
     """Put the constants of all robots on the device."""
-    size = [len(p.place) for p in problems]
+    size = [len(p.part) for p in problems]
     number = np.concatenate([np.arange(robots) for robots in size])[order]
     non_overlap = np.repeat([int(p.non_overlap) for p in params], size)
     robust = [AnnealSchedule.outlier_sd**-2 * p.robust for p in params]
@@ -63,7 +62,7 @@ def contact_arrays(
     total = np.concatenate([e.by_link(e.variance) for e in problems])
     across = np.where(is_offset, 0.5 * (total - variance), 0.0)
     is_touch = np.concatenate([e.is_touch for e in problems])
-    arms = np.concatenate([e.touch_arms for e in problems])
+    arms = np.concatenate([np.dstack([arm for arm, _ in e.rows.touch_arms]) for e in problems])
     touch = np.full((2, len(robot)), -1)
     touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
     own, its = np.ones_like(robot), np.zeros_like(robot)
@@ -94,18 +93,25 @@ def contact_arrays(
     )
 
 
-def prior_arrays(memory: Allocator, problems: Sequence[Problem], order: Ints) -> Priors:
+def prior_arrays(
+    memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
+) -> Priors:
     """Put the planes of all structures on the device, robot by robot."""
-    planes = [p.planes() for p in problems]
-    robot = _in_memory([own.robot for own in planes], problems, order)
-    every = Planes.joined(planes)
-    table = np.column_stack(
-        [every.point, every.direction, every.walk, every.precision, every.crowd]
-    )
+    robot = _in_memory([e.planes.robot for e in problems], problems, order)
+    table = np.concatenate([_planes_of(*each) for each in zip(problems, params, strict=True)])
     return Priors(
         start=memory.upload(_row_starts(robot, len(order))),
         plane=_upload(memory, table[np.argsort(robot, kind="stable")]),
     )
+
+
+def _planes_of(problem: Problem, params: JointParams) -> Reals:
+    """Gather the columns of `Priors.plane` of one structure, shape (P, 11)."""
+    planes = problem.planes
+    crowd = planes.crowd(len(problem.part))
+    robust = AnnealSchedule.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
+    columns = [planes.point, planes.direction, planes.walk, planes.precision, crowd, robust]
+    return np.column_stack(columns)
 
 
 def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, inertia_factor: float) -> Swarm:
@@ -149,7 +155,7 @@ def block_arrays(memory: Allocator, start: Ints) -> Blocks:
 
 def _in_memory(robot: Sequence[Ints], problems: Sequence[Problem], order: Ints) -> Ints:
     """Number robots, given structure by structure, as they stand in memory."""
-    first = np.cumsum([0, *(len(p.place) for p in problems)])[:-1]
+    first = np.cumsum([0, *(len(p.part) for p in problems)])[:-1]
     number: Ints = np.argsort(order)[
         np.concatenate([own + a for own, a in zip(robot, first, strict=True)])
     ]
