@@ -29,6 +29,9 @@ from tiswarm.records.sensing_log import SensingLog
 _MORE_THAN_ANY = 4
 """Directions that the anchor counts as measured in: more than any other robot."""
 
+_MOSTLY = 0.5
+"""Part of the axis x that must be loose for parts to stand along it [1]."""
+
 _CLEARANCE = 10.0
 """Least distance between parts of the contact graph that no measurement ties to each other [R]:
 more than docks of two robots that could overlap."""
@@ -277,7 +280,7 @@ def _separating(problem: Problem, anchor: Reals, sd: float) -> Planes:
     """Make up coordinates that hold disconnected parts where no other part can be.
 
     Parts that overlap would push each other, though nothing measures where they are. Their first
-    robots stand in a row along x.
+    robots stand in a row along x, or along the direction that nothing measures.
     """
     part = problem.part
     first = np.unique(part, return_index=True)[1]
@@ -285,9 +288,11 @@ def _separating(problem: Problem, anchor: Reals, sd: float) -> Planes:
     np.maximum.at(size, part, problem.reach())
     first = np.sort(first[problem.untied[first]])
     width = size[part[np.r_[0, first]]] + _CLEARANCE
-    target = np.tile(anchor, (len(first), 1))
-    target[:, 0] += np.cumsum(width[1:] + width[:-1])
     is_loose, axis = np.linalg.eigh(problem.loose[first])
+    along_x = problem.loose[first][:, 0]
+    way = np.where(along_x[:, :1] > _MOSTLY, along_x, axis[:, :, 2])
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    target = anchor + np.cumsum(width[1:] + width[:-1])[:, None] * way
     which, column = np.nonzero(np.rint(is_loose))
     direction = axis[which, :, column]
     return Planes(
