@@ -336,19 +336,23 @@ def _joined(
 def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> list[Reals]:
     """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
 
-    None where contacts alone tie robots, or for structures too large to be refined.
+    None where contacts alone tie robots, or for structures too large to be refined. Of two mirror
+    images, one that measurements exclude is left out.
     """
     if not params.refines(log.robot_count):
         return []
-    anchor, none = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
+    anchor, yaw = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
     found = []
-    for start in scaled_distances(problem, anchor):
-        warm = MixtureSettings.unfolding * float(np.median(problem.length[~problem.is_offset]))
-        position, _, cost = _descended(
-            log, params, problem, (start, none), warm, MixtureSettings.warm_rounds
-        )
+    for position in scaled_distances(problem, anchor):
+        far = float(np.median(problem.length[~problem.is_offset]))
+        for sigma in (MixtureSettings.unfolding * far, AnnealSchedule.warmest):
+            position, yaw, cost = _descended(
+                log, params, problem, (position, yaw), sigma, MixtureSettings.warm_rounds
+            )
         found.append((cost, position))
-    return [position for _, position in sorted(found, key=lambda pair: pair[0])]
+    found.sort(key=lambda pair: pair[0])
+    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(problem.rows))
+    return [position for cost, position in found if cost <= found[0][0] + chance]
 
 
 def _aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends, Frame]:
@@ -436,15 +440,13 @@ def minimum(
     used = inlier.copy()
     used[problem.rows.touch] &= _agreed(problem.rows, annealed, members)
     rows = problem.rows.select(used).associated(position, yaw)
-    curved = np.full(len(problem.rows), (0.5 * annealed.sigma) ** 2)
-    curved[: len(problem.rows.other)] += _curved(problem.rows, annealed, weight)
     cost = Cost(
         log,
         rows,
         yaw_precision=problem.yaw_precision,
         links=problem.connections,
         non_overlap=params.non_overlap,
-        further_variance=curved[used],
+        further_variance=(0.5 * annealed.sigma) ** 2,
     )
     prior = RefineSettings.prior_sd * np.sqrt(len(sd)) * sd
     prior = np.maximum(prior, RefineSettings.least_prior)
@@ -454,9 +456,7 @@ def minimum(
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(
-        position=np.where(
-            is_held[:, None], state.position, np.tensordot(weight, annealed.mean, 1)
-        ),
+        position=np.where(is_held[:, None], state.position, np.tensordot(weight, annealed.mean, 1)),
         yaw=np.where(is_held, state.yaw, weight @ annealed.mean_yaw),
         sd=np.where(is_held, left, sd),
         is_held=is_held,
@@ -476,18 +476,3 @@ def _agreed(rows: Measurements, annealed: Annealed, members: Bools) -> Bools:
     pair = rows.association(annealed.mean[members], annealed.mean_yaw[members])
     is_agreed: Bools = (pair == pair[0]).all(axis=0)
     return is_agreed
-
-
-def _curved(rows: Measurements, annealed: Annealed, weight: Reals) -> Reals:
-    """Compute the variance of links about their linear form, since chains move, shape (P,).
-
-    A distance d grows by s^2 / 2d if the one dock is off by s across from the other. Offsets are
-    linear.
-    """
-    length = rows.distances.length
-    i, j = rows.robot[: len(length)], rows.other[: len(length)]
-    apart = annealed.mean[:, i] - annealed.mean[:, j]
-    between = weight @ ((apart - np.tensordot(weight, apart, 1)) ** 2).sum(axis=2)
-    within = weight @ (annealed.within[:, i] + annealed.within[:, j])
-    variance: Reals = ((between + within) / (2.0 * length)) ** 2
-    return np.pad(variance, (0, len(rows.offsets.stance)))
