@@ -10,17 +10,15 @@ orientations were chained, their turns have no prior of their own: connections a
 Lengths in R.
 """
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.compute.math import normal
+from tiswarm.aliases import Bools, Reals
+from tiswarm.localization.linear import Linear, Rows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
@@ -39,21 +37,12 @@ _MARGIN = 1.0
 _UNKNOWN = 1e-6
 """Precision of a turn that connections alone constrain, in its own standard deviations."""
 
-_DRAWS = 64
-"""Draws of all errors from which the variance of the result is computed."""
-
 _LONGEST_STEP = 0.5
 """Longest step of a robot in a round, in R and in the median of measured distances [1]."""
 
 _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
 """Radius within which a step is trusted, relative to one that raised the cost [1], and the least
 radius [R]."""
-
-_FLOPPY = 1e-9
-"""Information, relative to the largest one, below which nothing determines a motion."""
-
-_LEAST_DAMPING = 1e-12
-"""Precision, relative to the largest one, that stops motions that no measurement resists."""
 
 _AXES = np.arange(3)
 
@@ -125,7 +114,7 @@ class Cost:
         self.of_earlier = np.flatnonzero(is_noisy & self.is_earlier[self.stance])
         self.earlier = np.cumsum(self.is_earlier)[self.stance[self.of_earlier]] - 1
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
-        self.docks = np.empty((0, 4), np.int64)
+        self.docks: Ints = np.empty((0, 4), np.int64)
         self._number_unknowns(yaw_precision)
 
     def _number_unknowns(self, yaw_precision: float) -> None:
@@ -137,13 +126,13 @@ class Cost:
             turns[np.repeat(self.links.is_chained, 3)] *= _UNKNOWN
         sources = np.bincount(rows.source[rows.source >= 0], minlength=len(rows.shared_sd)) > 0
         yaws = np.full(robots, yaw_precision)
-        self.precision = np.concatenate([np.zeros(3 * robots), turns, yaws, sources.astype(float)])
+        self.precision = np.concatenate([0.0 * turns, turns, yaws, sources.astype(np.float64)])
         """Precision of the prior of each unknown, shape (U,)."""
         is_free = self.precision > 0.0
         is_free[3 : 3 * robots] = True  # the anchor stays
         self.free = np.flatnonzero(is_free)
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
-        self.turns_any = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
+        self.has_turns = bool(len(self.of_final) or len(self.of_earlier) or yaw_precision)
         every, pairs, with_source = (
             np.arange(len(rows)), np.arange(len(rows.other)), np.flatnonzero(rows.source >= 0)
         )  # fmt: skip
@@ -156,17 +145,13 @@ class Cost:
             (self.row[self.of_yaw], 6 * robots + self.owner[self.of_yaw, None]),
             (with_source, 7 * robots + rows.source[with_source, None]),
         ]
-        self.place = tuple(
-            np.concatenate([part.ravel() for part in parts])
-            for parts in zip(
-                *((np.repeat(row, column.shape[1]), column) for row, column in place), strict=True
-            )
-        )
+        self.row_of = np.concatenate([np.repeat(row, c.shape[1]) for row, c in place])
+        self.unknown_of = np.concatenate([column.ravel() for _, column in place])
         self.of_source = rows.shared_sd[rows.source[with_source]]
 
     def refine(
         self, start: tuple[Reals, Reals], rounds: int, prior: Reals | None = None
-    ) -> tuple[State, "Linear"]:
+    ) -> tuple[State, Linear]:
         """Take Levenberg-Marquardt steps to a minimum of the cost.
 
         Args:
@@ -202,17 +187,17 @@ class Cost:
                 break
         return state, linear
 
-    def linearized(self, state: State, begin: State, precision: Reals) -> "Linear":
+    def linearized(self, state: State, begin: State, precision: Reals) -> Linear:
         """Linearize at a state; priors of that precision (U,) are around the start."""
         size = len(self.rows)
         rows, arm = self._turned(state)
         direction = rows.directions(state.position)
         noise = csc_array((size, 3 * int(self.is_earlier.sum())))
         final, yaw = np.empty((0, 3)), np.empty(0)
-        if self.turns_any:
+        if self.has_turns:
             across = np.cross(direction[self.row], np.where(self.is_own[:, None], arm, -arm))
             final, yaw = (across * self.sd)[self.of_final], -across[self.of_yaw, 2]
-            noise = _by_group(
+            noise = by_group(
                 (across * self.sd)[self.of_earlier],
                 self.row[self.of_earlier],
                 self.earlier,
@@ -223,7 +208,13 @@ class Cost:
         residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
         tables = [
-            _Rows(residual, *self.place, np.concatenate([v.ravel() for v in values]), own_variance),
+            Rows(
+                residual,
+                self.row_of,
+                self.unknown_of,
+                np.concatenate([v.ravel() for v in values]),
+                own_variance,
+            ),
             self._overlaps(state),
             *([] if self.links is None else [self._links_of(state, self.links)]),
         ]
@@ -243,7 +234,7 @@ class Cost:
 
     def _turned(self, state: State) -> tuple[Measurements, Reals]:
         """Turn the arms of all measurements as a state says; also the parts of these arms."""
-        if not self.turns_any:
+        if not self.has_turns:
             return self.rows, self.arm
         yaw = np.array([0.0, 0.0, 1.0]) * state.yaw[self.owner, None]
         arm = Rotation.from_rotvec(yaw).apply(self.arm)
@@ -285,7 +276,7 @@ class Cost:
         arm = self.walks.arm[self.walks.final]
         return turned(arm.reshape(-1, 3), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
 
-    def _overlaps(self, state: State) -> "_Rows":
+    def _overlaps(self, state: State) -> "Rows":
         """Compute the overlaps of docks that do not touch, and their derivatives by shifts."""
         later, own, earlier, its = self.docks.T
         arm = self._docks_at(state.yaw)
@@ -296,7 +287,7 @@ class Cost:
         way = (apart[chosen] / length[chosen, None]).ravel()
         row = np.repeat(np.arange(len(chosen)), 3)
         column = 3 * np.stack([later[chosen], earlier[chosen]])[:, :, None] + _AXES
-        return _Rows(
+        return Rows(
             length[chosen] - SPACING,
             np.tile(row, 2),
             column.ravel(),
@@ -304,7 +295,7 @@ class Cost:
             np.full(len(chosen), OVERLAP_SD**2),
         )
 
-    def _links_of(self, state: State, links: Connections) -> "_Rows":
+    def _links_of(self, state: State, links: Connections) -> "Rows":
         """Compute residuals of connections [rad], and their derivatives by turns."""
         sd = self.walks.turn_sd[self.walks.final][:, [0, 0, 1]]
         turn = state.turn[self.walks.final] * sd
@@ -313,9 +304,9 @@ class Cost:
         column = 3 * (self.rows.robots + ends[:, None]) + _AXES
         sign = np.repeat([-1.0, 1.0], left.size)
         row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, links.sd**2)
-        return _Rows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
+        return Rows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
 
-    def _moved(self, state: State, linear: "Linear", radius: float) -> State:
+    def _moved(self, state: State, linear: Linear, radius: float) -> State:
         """Go from a state to where the sum of squares, linearized there, is least."""
         free, earlier = linear.step(radius)
         step = np.zeros(len(self.precision))
@@ -330,206 +321,3 @@ class Cost:
         far = np.linalg.norm(shift, axis=1, keepdims=True)
         shift *= np.minimum(1.0, longest / np.maximum(far, longest))
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
-
-
-class _Rows(NamedTuple):
-    """Rows of a linear problem, n of them."""
-
-    residual: Reals
-    """Residuals, shape (n,)."""
-
-    row: Ints
-    """Row of each derivative, shape (m,)."""
-
-    unknown: Ints
-    """Unknown of each derivative, shape (m,)."""
-
-    value: Reals
-    """Derivatives, shape (m,); those at the same place add up."""
-
-    variance: Reals
-    """Variance of each row, independent of others, shape (n,)."""
-
-
-@dataclass(kw_only=True)
-class Linear:
-    """Residuals e + J d + B w + n with unknowns d, turns w of earlier stances, and own noise n."""
-
-    tables: list[_Rows]
-    """Measurements, overlaps, and connections."""
-
-    noise: csc_array
-    """B, shape (E, M)."""
-
-    robot: Ints
-    """Robot that sensed each measurement, whose noise its others share, shape (E,)."""
-
-    column: Ints
-    """Column of each unknown, -1 of those that stay, shape (U,)."""
-
-    precision: Reals
-    """One over the variance of the prior of each free unknown, shape (F,)."""
-
-    off: Reals
-    """How far unknowns are from where their priors put them, shape (F,)."""
-
-    excess: Reals
-    """Loss of each measurement beyond its square [1], shape (E,)."""
-
-    shifts: int
-    """Free shifts, which come first."""
-
-    def __post_init__(self) -> None:
-        """Compute the cost and its slope."""
-        self.residual = np.concatenate([table.residual for table in self.tables])
-        self.own_variance = np.concatenate([table.variance for table in self.tables])
-        first = np.cumsum([0, *(len(table.residual) for table in self.tables)])
-        row = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
-        column = self.column[np.concatenate([table.unknown for table in self.tables])]
-        value = np.concatenate([table.value for table in self.tables])
-        moves = column >= 0
-        self.jacobian = csr_array(
-            (value[moves], (row[moves], column[moves])), shape=(first[-1], len(self.precision))
-        )
-        """J of all rows, shape (n, F)."""
-        measured = len(self.robot)
-        self.inverse = _inverse(self.noise, self.own_variance, self.robot)
-        """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
-        pull = self._weighted(self.residual)
-        square = self.residual * pull
-        self.square = square[:measured] + self.excess
-        """Part of the cost that each measurement carries [1], shape (E,)."""
-        prior = self.precision * self.off**2
-        overlap = slice(measured, measured + len(self.tables[1].residual))
-        self.overlap = float(square[overlap].sum())
-        """Cost of overlaps [1]."""
-        of_rows = float(square.sum() + self.excess.sum()) - self.overlap
-        self.chi_square = of_rows + float(prior[self.shifts :].sum())
-        """Cost of measurements and connections, and of what their noise is taken to be [1]."""
-        self.cost = self.chi_square + self.overlap + float(prior[: self.shifts].sum())
-        self.slope = self.jacobian.T @ pull + self.precision * self.off
-
-    def _weighted(self, values: Reals) -> Reals:
-        """Multiply values of all rows by the inverse covariance."""
-        if isinstance(self.inverse, np.ndarray):
-            return np.asarray((self.inverse * values.T).T)
-        return np.asarray(self.inverse @ values)
-
-    @cached_property
-    def information(self) -> csc_array:
-        """J^T C^-1 J of all rows, shape (F, F)."""
-        if isinstance(self.inverse, np.ndarray):
-            scaled = self.jacobian.copy()
-            scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
-            return csc_array(scaled.T @ scaled)
-        return csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
-
-    def _factored(self, further: Reals) -> SuperLU:
-        """Factor the information with further precision of each free unknown, shape (F,)."""
-        return splu(
-            csc_array(self.information + diags_array(further)),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-
-    @cached_property
-    def undamped(self) -> SuperLU:
-        """Factors of the information, priors included."""
-        return self._factored(self.precision + self._largest * _LEAST_DAMPING)
-
-    @property
-    def _largest(self) -> float:
-        return float(self.information.diagonal().max(initial=1.0))
-
-    def step(self, radius: float) -> tuple[Reals, Reals]:
-        """Solve for the steps of free unknowns, (F,), and the turns of earlier stances, (M,).
-
-        Steps of robots much beyond a radius [R] are damped.
-        """
-        factors = self.undamped
-        if np.isfinite(radius):
-            damping = self.precision + self._largest * _LEAST_DAMPING
-            damping[: self.shifts] += radius**-2.0
-            factors = self._factored(damping)
-        step = -factors.solve(self.slope)
-        left = self._weighted(self.residual + self.jacobian @ step)
-        return step, -(self.noise.T @ left[: len(self.robot)])
-
-    @property
-    def log_volume(self) -> float:
-        """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
-        return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
-
-    def freedom(self) -> int:
-        """Count rows and priors beyond the unknowns that they determine; overlaps do not count.
-
-        By Sylvester's law, a shifted matrix has as many negative pivots as eigenvalues below it.
-        """
-        shifted = self.precision - _FLOPPY * self._largest
-        shifted[: self.shifts] -= self.precision[: self.shifts]
-        known = int((self._factored(shifted).U.diagonal() > 0.0).sum())
-        rows = len(self.residual) - len(self.tables[1].residual)
-        return rows + int((self.precision[self.shifts :] > 0.0).sum()) - known
-
-    def variance(self) -> Reals:
-        """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
-        turns = self.noise.shape[1]
-        sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
-        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
-        own, turn, prior = np.split(draw, sizes[:-1])
-        error = np.sqrt(self.own_variance)[:, None] * own
-        error[: len(self.robot)] += self.noise @ turn
-        pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
-        shift = self.undamped.solve(pull)[: self.shifts].reshape(-1, 3, _DRAWS)
-        square: Reals = (shift**2).sum(axis=1).mean(axis=1)
-        return np.concatenate([[0.0], square])
-
-
-def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | Reals:
-    """Invert B B^T + diag(own variance), whose blocks are the rows of a robot.
-
-    Args:
-        noise: B, of the first E rows, shape (E, M).
-        own_variance: Of all rows, shape (n,).
-        robot: Robot of each of the first rows, shape (E,).
-
-    Returns:
-        The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
-    """
-    if not noise.nnz:
-        return 1.0 / own_variance
-    is_shared = np.zeros(len(robot), np.bool_)
-    is_shared[noise.indices] = True
-    rows = np.flatnonzero(is_shared)
-    rows = rows[np.argsort(robot[rows], kind="stable")]
-    _, first, count = np.unique(robot[rows], return_index=True, return_counts=True)
-    shared = noise.tocsr()[rows]
-    covariance = (shared @ shared.T).tocoo()
-    block = np.repeat(np.arange(len(count)), count)
-    place = np.arange(len(rows)) - first[block]
-    most = int(count.max())
-    dense = np.tile(np.eye(most), (len(count), 1, 1))
-    i, j = covariance.coords
-    dense[block[i], place[i], place[j]] = covariance.data
-    dense[block, place, place] = covariance.diagonal() + own_variance[rows]
-    is_row = np.arange(most) < count[:, None]
-    of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
-    alone = np.setdiff1d(np.arange(len(own_variance)), rows)
-    value = np.concatenate([np.linalg.inv(dense)[of, here, there], 1.0 / own_variance[alone]])
-    row = np.concatenate([rows[first[of] + here], alone])
-    column = np.concatenate([rows[first[of] + there], alone])
-    return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
-
-
-def _by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:
-    """Assemble a sparse matrix of three columns a group; values at the same place add up.
-
-    Args:
-        value: Values, shape (n, 3).
-        row: Row of each, shape (n,).
-        group: Group of columns of each, shape (n,).
-        shape: Of the matrix.
-    """
-    column = (3 * group[:, None] + _AXES).ravel()
-    return csc_array((value.ravel(), (np.repeat(row, 3), column)), shape=shape)

@@ -17,7 +17,6 @@ from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
 
-
 _BY_CHAIN = ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
 
 _LEAST_CHAINS = 1.5

@@ -8,8 +8,9 @@ import numpy as np
 from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
+from tiswarm.localization.joint.ends import further_starts
 from tiswarm.localization.joint.initialization import place_disconnected
-from tiswarm.localization.joint.mixture import further_starts, mix
+from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import JointParams

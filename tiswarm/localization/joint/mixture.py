@@ -7,52 +7,26 @@ the curvature of the cost, or by the chains where the cost leaves motions open, 
 solutions by their weights. Lengths in R.
 """
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.chains import Annealed, deviation
-from tiswarm.localization.joint.frames import Frame, align, free_frame
+from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import (
-    AnnealSchedule,
     ConvergenceTest,
     MixtureSettings,
     RefineSettings,
 )
-from tiswarm.localization.joint.starts import images, scaled_distances
+from tiswarm.localization.joint.starts import images
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
-from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Convergence, Solution
 from tiswarm.records.sensing_log import SensingLog
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ends:
-    """Minima that K chains lead to."""
-
-    position: Reals
-    """Centers [R], shape (K, N, 3)."""
-
-    yaw: Reals
-    """Yaw corrections [rad], shape (K, N)."""
-
-    cost: Reals
-    """Least cost of each; infinite for chains that failed, shape (K,)."""
-
-    missed: Reals
-    """Squared residuals in variances, shape (K, E)."""
-
-    weight: Reals
-    """Share in the mixture [1], shape (K,)."""
-
-    solution: Ints
-    """Solution of each, counted by descending weight, shape (K,)."""
 
 
 class Minimum(NamedTuple):
@@ -77,7 +51,7 @@ class Minimum(NamedTuple):
     """The same without overlaps [1]."""
 
     freedom: int
-    """Degrees of freedom of the chi-square: measurements beyond the unknowns that they determine."""
+    """Degrees of freedom of the chi-square."""
 
     square: Reals
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
@@ -129,11 +103,11 @@ def mix(
         annealed: Chains.
         has_failed: Chains that no noise of the measurements explains, shape (K,).
     """
-    ends = rank(log, params, problem, annealed, has_failed)
+    ends = ranked(log, params, problem, annealed, has_failed)
     if params.refines(log.robot_count):
         best = ends.position[int(ends.cost.argmin())]
-        annealed, ends = _joined(log, params, problem, annealed, ends, images(problem, best))
-    annealed, ends, frame = _aligned(problem, annealed, ends)
+        annealed, ends = with_further(log, params, problem, annealed, ends, images(problem, best))
+    annealed, ends, frame = aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
     by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     minima, shares = [], []
@@ -156,10 +130,6 @@ def mix(
     sd = np.where(is_held, np.sqrt(within + between), by_chains)
     verdict = _convergence(problem, ends, outlier, best, has_failed)
     sd = np.sqrt((verdict.sd_factor * sd) ** 2 + square[0])
-    pair = best.square[: len(problem.rows.other)]
-    misfit = np.bincount(problem.rows.robot, best.square, problem.rows.robots)
-    misfit -= 0.5 * np.bincount(problem.rows.robot[: len(pair)], pair, len(misfit))
-    misfit += 0.5 * np.bincount(problem.rows.other, pair, len(misfit))
     gap = problem.residual(at, np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
     solutions = tuple(
@@ -181,7 +151,7 @@ def mix(
         mirrored=between > within,
         free_frame=frame.names,
         outlier=outlier,
-        misfit=misfit,
+        misfit=_by_robot(problem.rows, best.square),
         convergence=verdict,
         solutions=solutions,
     )
@@ -199,6 +169,17 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
     return [minima[n] for n in order], share[order] / share.sum()
+
+
+def _by_robot(rows: Measurements, square: Reals) -> Reals:
+    """Sum parts of the chi-square by robots, half of that of a pair for each, shape (N,)."""
+    mine = square.copy()
+    mine[: len(rows.other)] *= 0.5
+    ends = np.concatenate([rows.robot, rows.other])
+    total: Reals = np.bincount(
+        ends, np.concatenate([mine, mine[: len(rows.other)]]), rows.robots
+    ).astype(np.float64)
+    return total
 
 
 def _outliers(problem: Problem, ends: Ends) -> Bools:
@@ -250,167 +231,6 @@ def _convergence(
         chains=int((ends.weight > 0.0).sum()),
         restarted=0,
     )
-
-
-def rank(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
-) -> Ends:
-    """Move each chain to a minimum of the cost, and weigh it.
-
-    The cost is that at `MixtureSettings.tempered` times the temperature of the chains: they end
-    where it lets measurements be missed.
-    """
-    position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
-    cost = np.full(len(position), np.inf)
-    rounds = MixtureSettings.rounds if params.refines(log.robot_count) else 0
-    for k in np.flatnonzero(has_failed.all() | ~has_failed).tolist():
-        position[k], yaw[k], cost[k] = _descended(
-            log, params, problem, (position[k], yaw[k]), annealed.sigma, rounds
-        )
-    return _ends(problem, position, yaw, cost, annealed.sigma)
-
-
-def _descended(
-    log: SensingLog,
-    params: JointParams,
-    problem: Problem,
-    start: tuple[Reals, Reals],
-    sigma: float,
-    rounds: int,
-) -> tuple[Reals, Reals, float]:
-    """Move a configuration to a minimum of the cost nearby: positions, yaw, and the cost."""
-    cost = Cost(
-        log,
-        problem.rows.associated(*start),
-        yaw_precision=problem.yaw_precision,
-        robust_sd=AnnealSchedule.outlier_sd if params.robust else None,
-        non_overlap=params.non_overlap,
-        are_independent=True,
-        further_variance=(MixtureSettings.tempered * sigma) ** 2,
-    )
-    state, linear = cost.refine(start, rounds)
-    return state.position, state.yaw, linear.cost
-
-
-def _ends(problem: Problem, position: Reals, yaw: Reals, cost: Reals, sigma: float) -> Ends:
-    """Weigh ends, and sort them into solutions."""
-    residual = problem.rows.residual(position, yaw)
-    weight = _weights(cost, len(problem.rows))
-    return Ends(
-        position=position,
-        yaw=yaw,
-        cost=cost,
-        missed=residual**2 / (problem.rows.variance() + sigma**2),
-        weight=weight,
-        solution=_solutions(position, weight),
-    )
-
-
-def _joined(
-    log: SensingLog,
-    params: JointParams,
-    problem: Problem,
-    annealed: Annealed,
-    ends: Ends,
-    further: list[Reals],
-) -> tuple[Annealed, Ends]:
-    """Add the minima that further starts lead to, as chains that do not move."""
-    if not further:
-        return annealed, ends
-    rounds = MixtureSettings.warm_rounds
-    found = [
-        _descended(log, params, problem, (position, ends.yaw[0]), annealed.sigma, rounds)
-        for position in further
-    ]
-    position, yaw = (np.array([each[k] for each in found]) for k in (0, 1))
-    annealed = annealed.joined(annealed.still(position, yaw))
-    return annealed, _ends(
-        problem,
-        np.concatenate([ends.position, position]),
-        np.concatenate([ends.yaw, yaw]),
-        np.concatenate([ends.cost, [cost for _, _, cost in found]]),
-        annealed.sigma,
-    )
-
-
-def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> list[Reals]:
-    """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
-
-    None where contacts alone tie robots, or for structures too large to be refined. Of two mirror
-    images, one that measurements exclude is left out.
-    """
-    if not params.refines(log.robot_count):
-        return []
-    anchor, yaw = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
-    found = []
-    for position in scaled_distances(problem, anchor):
-        far = float(np.median(problem.length[~problem.is_offset]))
-        for sigma in (MixtureSettings.unfolding * far, AnnealSchedule.warmest):
-            position, yaw, cost = _descended(
-                log, params, problem, (position, yaw), sigma, MixtureSettings.warm_rounds
-            )
-        found.append((cost, position))
-    found.sort(key=lambda pair: pair[0])
-    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(problem.rows))
-    return [position for cost, position in found if cost <= found[0][0] + chance]
-
-
-def _aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends, Frame]:
-    """Move all ends by rigid motions that nothing resists to where the best one is."""
-    best = ends.position[int(ends.cost.argmin())]
-    moves = problem.part == problem.part[0]
-    frame = free_frame(problem.rows, best, moves)
-    if not frame.names:
-        return annealed, ends, frame
-    turn = align(ends.position, best, frame, moves)
-
-    def turned(position: Reals) -> Reals:
-        about = position[:, :1]
-        return np.where(moves[:, None], about + (position - about) @ turn, position)
-
-    ends = replace(ends, position=turned(ends.position))
-    ends = replace(ends, solution=_solutions(ends.position, ends.weight))
-    aligned = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
-    return aligned, ends, frame
-
-
-def _weights(cost: Reals, measurements: int) -> Reals:
-    """Weigh ends by their least costs, shape (K,).
-
-    A chain makes mistakes of its own in many parts of a structure, whatever the rest is like. So
-    up to the width of the chi-square, its cost says little about the whole: costs are divided by
-    what leaves `MixtureSettings.fewest` ends in the mixture, where that is in reach.
-    """
-    excess = cost - cost.min()
-    hottest = max(1.0, np.sqrt(2.0 * measurements) / MixtureSettings.chance)
-    for heat in np.geomspace(1.0, hottest, MixtureSettings.heats):
-        weight = np.exp(-0.5 * excess / heat)
-        weight /= weight.sum()
-        if 1.0 / (weight**2).sum() >= MixtureSettings.fewest:
-            break
-    weight[weight < MixtureSettings.least_weight] = 0.0
-    scaled: Reals = weight / weight.sum()
-    return scaled
-
-
-def _solutions(position: Reals, weight: Reals) -> Ints:
-    """Number the solutions of ends, shape (K,): those that agree to a dock's width at all robots.
-
-    Beyond that distance robots could have changed places. An end belongs to the weightiest one that
-    it agrees with.
-    """
-    number = np.full(len(position), -1)
-    firsts: list[int] = []
-    for k in np.argsort(-weight, kind="stable").tolist():
-        for solution, first in enumerate(firsts):
-            if np.linalg.norm(position[k] - position[first], axis=1).max() <= SPACING:
-                number[k] = solution
-                break
-        else:
-            number[k] = len(firsts)
-            firsts.append(k)
-    total = np.bincount(number, weight)
-    return np.argsort(np.argsort(-total, kind="stable"), kind="stable")[number]
 
 
 def minimum(

@@ -5,7 +5,7 @@ from scipy.linalg import eigh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.aliases import Reals
+from tiswarm.aliases import Bools, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.rows import SPACING
 
@@ -31,7 +31,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
         Two mirror images, shape (N, 3) each; none without ranges, or beyond `MOST_ROBOTS`.
     """
     robots, rows = problem.rows.robots, problem.rows
-    if rows.is_contact.all() or not 2 < robots <= MOST_ROBOTS:
+    if rows.is_contact.all() or not _AXES <= robots <= MOST_ROBOTS:
         return []
     length = np.where(
         problem.is_offset,
@@ -47,8 +47,8 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     ends, shortest = np.unique(low * robots + high, return_index=True)
     graph = coo_array((length[order][shortest], np.divmod(ends, robots)), shape=(robots, robots))
     away = dijkstra(graph, directed=False)
-    away = np.where(np.isfinite(away), away, away[np.isfinite(away)].max())
-    square = -0.5 * away**2
+    farthest = away[np.isfinite(away)].max()
+    square: Reals = -0.5 * np.where(np.isfinite(away), away, farthest) ** 2
     square -= square.mean(axis=0)
     square -= square.mean(axis=1)[:, None]
     value, vector = eigh(square, subset_by_index=(robots - _AXES, robots - 1))
@@ -84,8 +84,7 @@ def images(problem: Problem, position: Reals) -> list[Reals]:
     Returns:
         The image, shape (N, 3), if at least three robots are measured in all directions.
     """
-    place, is_measured = problem.sensed_place()
-    known = is_measured.all(axis=1)
+    known: Bools = np.all(problem.sensed_place()[1], axis=1)
     known[0] = True
     if known.sum() < _AXES or known.all():
         return []

@@ -141,7 +141,8 @@ def weights(tree: Forest) -> Reals:
 
 def _levels(robots: int, pair: Ints) -> Ints:
     """Count the hops from the anchor to each robot, -1 if none lead there, shape (N,)."""
-    hops = dijkstra(touching(pair, robots), directed=False, indices=0, unweighted=True)
+    anchor = np.zeros(1, np.int64)
+    hops = dijkstra(touching(pair, robots), directed=False, indices=anchor, unweighted=True)[0]
     return np.where(np.isfinite(hops), hops, -1).astype(np.int64)
 
 

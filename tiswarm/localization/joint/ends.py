@@ -1,0 +1,203 @@
+"""Minima of the cost that chains lead to: ranked, weighed, sorted into solutions. Lengths in R."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.localization.joint.chains import Annealed
+from tiswarm.localization.joint.frames import Frame, align, free_frame
+from tiswarm.localization.joint.problem import Problem
+from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
+from tiswarm.localization.joint.starts import scaled_distances
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.refinement import Cost
+from tiswarm.measurements.rows import SPACING
+from tiswarm.records.sensing_log import SensingLog
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """Minima that K chains lead to."""
+
+    position: Reals
+    """Centers [R], shape (K, N, 3)."""
+
+    yaw: Reals
+    """Yaw corrections [rad], shape (K, N)."""
+
+    cost: Reals
+    """Least cost of each; infinite for chains that failed, shape (K,)."""
+
+    missed: Reals
+    """Squared residuals in variances, shape (K, E)."""
+
+    weight: Reals
+    """Share in the mixture [1], shape (K,)."""
+
+    solution: Ints
+    """Solution of each, counted by descending weight, shape (K,)."""
+
+
+def ranked(
+    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
+) -> Ends:
+    """Move each chain to a minimum of the cost, and weigh it.
+
+    The cost is that at `MixtureSettings.tempered` times the temperature of the chains: they end
+    where it lets measurements be missed.
+    """
+    position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
+    cost = np.full(len(position), np.inf)
+    rounds = MixtureSettings.rounds if params.refines(log.robot_count) else 0
+    for k in np.flatnonzero(has_failed.all() | ~has_failed).tolist():
+        position[k], yaw[k], cost[k] = _descended(
+            log, params, problem, (position[k], yaw[k]), annealed.sigma, rounds
+        )
+    return _ends(problem, position, yaw, cost, annealed.sigma)
+
+
+def _descended(
+    log: SensingLog,
+    params: JointParams,
+    problem: Problem,
+    start: tuple[Reals, Reals],
+    sigma: float,
+    rounds: int,
+) -> tuple[Reals, Reals, float]:
+    """Move a configuration to a minimum of the cost nearby: positions, yaw, and the cost."""
+    cost = Cost(
+        log,
+        problem.rows.associated(*start),
+        yaw_precision=problem.yaw_precision,
+        robust_sd=AnnealSchedule.outlier_sd if params.robust else None,
+        non_overlap=params.non_overlap,
+        are_independent=True,
+        further_variance=(MixtureSettings.tempered * sigma) ** 2,
+    )
+    state, linear = cost.refine(start, rounds)
+    return state.position, state.yaw, linear.cost
+
+
+def _ends(problem: Problem, position: Reals, yaw: Reals, cost: Reals, sigma: float) -> Ends:
+    """Weigh ends, and sort them into solutions."""
+    residual = problem.rows.residual(position, yaw)
+    weight = _weights(cost, len(problem.rows))
+    return Ends(
+        position=position,
+        yaw=yaw,
+        cost=cost,
+        missed=residual**2 / (problem.rows.variance() + sigma**2),
+        weight=weight,
+        solution=_solutions(position, weight),
+    )
+
+
+def with_further(
+    log: SensingLog,
+    params: JointParams,
+    problem: Problem,
+    annealed: Annealed,
+    ends: Ends,
+    further: list[Reals],
+) -> tuple[Annealed, Ends]:
+    """Add the minima that further starts lead to, as chains that do not move."""
+    if not further:
+        return annealed, ends
+    rounds = MixtureSettings.warm_rounds
+    found = [
+        _descended(log, params, problem, (position, ends.yaw[0]), annealed.sigma, rounds)
+        for position in further
+    ]
+    position, yaw = (np.array([each[k] for each in found]) for k in (0, 1))
+    annealed = annealed.joined(annealed.still(position, yaw))
+    return annealed, _ends(
+        problem,
+        np.concatenate([ends.position, position]),
+        np.concatenate([ends.yaw, yaw]),
+        np.concatenate([ends.cost, [cost for _, _, cost in found]]),
+        annealed.sigma,
+    )
+
+
+def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> list[Reals]:
+    """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
+
+    None where contacts alone tie robots, or for structures too large to be refined. Of two mirror
+    images, one that measurements exclude is left out.
+    """
+    if not params.refines(log.robot_count):
+        return []
+    anchor, yaw = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
+    far, rounds = float(np.median(problem.length)), MixtureSettings.warm_rounds
+    found = []
+    for start in scaled_distances(problem, anchor):
+        warm = MixtureSettings.unfolding * far
+        there = _descended(log, params, problem, (start, yaw), warm, rounds)
+        position, _, cost = _descended(
+            log, params, problem, there[:2], AnnealSchedule.warmest, rounds
+        )
+        found.append((cost, position))
+    found.sort(key=lambda pair: pair[0])
+    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(problem.rows))
+    return [position for cost, position in found if cost <= found[0][0] + chance]
+
+
+def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends, Frame]:
+    """Move all ends by rigid motions that nothing resists to where the best one is."""
+    best = ends.position[int(ends.cost.argmin())]
+    moves = problem.part == problem.part[0]
+    frame = free_frame(problem.rows, best, moves)
+    if not frame.names:
+        return annealed, ends, frame
+    turn = align(ends.position, best, frame, moves)
+
+    def turned(position: Reals) -> Reals:
+        about = position[:, :1]
+        return np.where(moves[:, None], about + (position - about) @ turn, position)
+
+    ends = replace(ends, position=turned(ends.position))
+    ends = replace(ends, solution=_solutions(ends.position, ends.weight))
+    aligned = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
+    return aligned, ends, frame
+
+
+def _weights(cost: Reals, measurements: int) -> Reals:
+    """Weigh ends by their least costs, shape (K,).
+
+    A chain makes mistakes of its own in many parts of a structure, whatever the rest is like. So
+    up to the width of the chi-square, its cost says little about the whole: costs are divided by
+    what leaves `MixtureSettings.fewest` ends in the mixture, where that is in reach.
+    """
+    excess = cost - cost.min()
+    hottest = max(1.0, np.sqrt(2.0 * measurements) / MixtureSettings.chance)
+    for heat in np.geomspace(1.0, hottest, MixtureSettings.heats):
+        weight = np.exp(-0.5 * excess / heat)
+        weight /= weight.sum()
+        if 1.0 / (weight**2).sum() >= MixtureSettings.fewest:
+            break
+    weight[weight < MixtureSettings.least_weight] = 0.0
+    scaled: Reals = weight / weight.sum()
+    return scaled
+
+
+def _solutions(position: Reals, weight: Reals) -> Ints:
+    """Number the solutions of ends, shape (K,): those that agree to a dock's width at all robots.
+
+    Beyond that distance robots could have changed places. An end belongs to the weightiest one that
+    it agrees with.
+    """
+    number = np.full(len(position), -1)
+    firsts: list[int] = []
+    for k in np.argsort(-weight, kind="stable").tolist():
+        for solution, first in enumerate(firsts):
+            if np.linalg.norm(position[k] - position[first], axis=1).max() <= SPACING:
+                number[k] = solution
+                break
+        else:
+            number[k] = len(firsts)
+            firsts.append(k)
+    total = np.bincount(number, weight)
+    rank: Ints = np.argsort(np.argsort(-total, kind="stable"), kind="stable")
+    of_end: Ints = rank[number]
+    return of_end

@@ -1,0 +1,226 @@
+"""One linear problem: residuals with their covariance, priors, steps and uncertainty."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from tiswarm.aliases import Ints, Reals
+from tiswarm.compute.math import normal
+
+_DRAWS = 64
+"""Draws of all errors from which the variance of the result is computed."""
+
+_FLOPPY = 1e-9
+"""Information, relative to the largest one, below which nothing determines a motion."""
+
+_LEAST_DAMPING = 1e-12
+"""Precision, relative to the largest one, that stops motions that no measurement resists."""
+
+_AXES = np.arange(3)
+
+
+class Rows(NamedTuple):
+    """Rows of a linear problem, n of them."""
+
+    residual: Reals
+    """Residuals, shape (n,)."""
+
+    row: Ints
+    """Row of each derivative, shape (m,)."""
+
+    unknown: Ints
+    """Unknown of each derivative, shape (m,)."""
+
+    value: Reals
+    """Derivatives, shape (m,); those at the same place add up."""
+
+    variance: Reals
+    """Variance of each row, independent of others, shape (n,)."""
+
+
+@dataclass(kw_only=True)
+class Linear:
+    """Residuals e + J d + B w + n with unknowns d, turns w of earlier stances, and own noise n."""
+
+    tables: list[Rows]
+    """Measurements, overlaps, and connections."""
+
+    noise: csc_array
+    """B, shape (E, M)."""
+
+    robot: Ints
+    """Robot that sensed each measurement, whose noise its others share, shape (E,)."""
+
+    column: Ints
+    """Column of each unknown, -1 of those that stay, shape (U,)."""
+
+    precision: Reals
+    """One over the variance of the prior of each free unknown, shape (F,)."""
+
+    off: Reals
+    """How far unknowns are from where their priors put them, shape (F,)."""
+
+    excess: Reals
+    """Loss of each measurement beyond its square [1], shape (E,)."""
+
+    shifts: int
+    """Free shifts, which come first."""
+
+    def __post_init__(self) -> None:
+        """Compute the cost and its slope."""
+        self.residual = np.concatenate([table.residual for table in self.tables])
+        self.own_variance = np.concatenate([table.variance for table in self.tables])
+        first = np.cumsum([0, *(len(table.residual) for table in self.tables)])
+        row = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
+        column = self.column[np.concatenate([table.unknown for table in self.tables])]
+        value = np.concatenate([table.value for table in self.tables])
+        moves = column >= 0
+        self.jacobian = csr_array(
+            (value[moves], (row[moves], column[moves])), shape=(first[-1], len(self.precision))
+        )
+        """J of all rows, shape (n, F)."""
+        measured = len(self.robot)
+        self.inverse = _inverse(self.noise, self.own_variance, self.robot)
+        """Inverse covariance of all rows, or the inverse variance of each if that is diagonal."""
+        pull = self._weighted(self.residual)
+        square = self.residual * pull
+        self.square = square[:measured] + self.excess
+        """Part of the cost that each measurement carries [1], shape (E,)."""
+        prior = self.precision * self.off**2
+        overlap = slice(measured, measured + len(self.tables[1].residual))
+        self.overlap = float(square[overlap].sum())
+        """Cost of overlaps [1]."""
+        of_rows = float(square.sum() + self.excess.sum()) - self.overlap
+        self.chi_square = of_rows + float(prior[self.shifts :].sum())
+        """Cost of measurements and connections, and of what their noise is taken to be [1]."""
+        self.cost = self.chi_square + self.overlap + float(prior[: self.shifts].sum())
+        self.slope = self.jacobian.T @ pull + self.precision * self.off
+
+    def _weighted(self, values: Reals) -> Reals:
+        """Multiply values of all rows by the inverse covariance."""
+        if isinstance(self.inverse, np.ndarray):
+            return np.asarray((self.inverse * values.T).T)
+        return np.asarray(self.inverse @ values)
+
+    @cached_property
+    def information(self) -> csc_array:
+        """J^T C^-1 J of all rows, shape (F, F)."""
+        if isinstance(self.inverse, np.ndarray):
+            scaled = self.jacobian.copy()
+            scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
+            return csc_array(scaled.T @ scaled)
+        return csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
+
+    def _factored(self, further: Reals) -> SuperLU:
+        """Factor the information with further precision of each free unknown, shape (F,)."""
+        return splu(
+            csc_array(self.information + diags_array(further)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    @cached_property
+    def undamped(self) -> SuperLU:
+        """Factors of the information, priors included."""
+        return self._factored(self.precision + self._largest * _LEAST_DAMPING)
+
+    @property
+    def _largest(self) -> float:
+        return float(self.information.diagonal().max(initial=1.0))
+
+    def step(self, radius: float) -> tuple[Reals, Reals]:
+        """Solve for the steps of free unknowns, (F,), and the turns of earlier stances, (M,).
+
+        Steps of robots much beyond a radius [R] are damped.
+        """
+        factors = self.undamped
+        if np.isfinite(radius):
+            damping = self.precision + self._largest * _LEAST_DAMPING
+            damping[: self.shifts] += radius**-2.0
+            factors = self._factored(damping)
+        step = -factors.solve(self.slope)
+        left = self._weighted(self.residual + self.jacobian @ step)
+        return step, -(self.noise.T @ left[: len(self.robot)])
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the width of the minimum, up to a sum that is the same for all of a cost."""
+        return -0.5 * float(np.log(np.abs(self.undamped.U.diagonal())).sum())
+
+    def freedom(self) -> int:
+        """Count rows and priors beyond the unknowns that they determine; overlaps do not count.
+
+        By Sylvester's law, a shifted matrix has as many negative pivots as eigenvalues below it.
+        """
+        shifted = self.precision - _FLOPPY * self._largest
+        shifted[: self.shifts] -= self.precision[: self.shifts]
+        known = int((self._factored(shifted).U.diagonal() > 0.0).sum())
+        rows = len(self.residual) - len(self.tables[1].residual)
+        return rows + int((self.precision[self.shifts :] > 0.0).sum()) - known
+
+    def variance(self) -> Reals:
+        """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
+        turns = self.noise.shape[1]
+        sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
+        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
+        own, turn, prior = np.split(draw, sizes[:-1])
+        error = np.sqrt(self.own_variance)[:, None] * own
+        error[: len(self.robot)] += self.noise @ turn
+        pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
+        shift = self.undamped.solve(pull)[: self.shifts].reshape(-1, 3, _DRAWS)
+        square: Reals = (shift**2).sum(axis=1).mean(axis=1)
+        return np.concatenate([[0.0], square])
+
+
+def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | Reals:
+    """Invert B B^T + diag(own variance), whose blocks are the rows of a robot.
+
+    Args:
+        noise: B, of the first E rows, shape (E, M).
+        own_variance: Of all rows, shape (n,).
+        robot: Robot of each of the first rows, shape (E,).
+
+    Returns:
+        The inverse, shape (n, n); its diagonal, shape (n,), if there is no B.
+    """
+    if not noise.nnz:
+        return 1.0 / own_variance
+    is_shared = np.zeros(len(robot), np.bool_)
+    is_shared[noise.indices] = True
+    rows = np.flatnonzero(is_shared)
+    rows = rows[np.argsort(robot[rows], kind="stable")].astype(np.int64)
+    _, first, count = np.unique(robot[rows], return_index=True, return_counts=True)
+    shared = csr_array(noise)[rows, :]
+    covariance = (shared @ shared.T).tocoo()
+    block = np.repeat(np.arange(len(count)), count)
+    place = np.arange(len(rows)) - first[block]
+    most = int(count.max())
+    dense = np.tile(np.eye(most), (len(count), 1, 1))
+    i, j = covariance.coords
+    dense[block[i], place[i], place[j]] = covariance.data
+    dense[block, place, place] = covariance.diagonal() + own_variance[rows]
+    is_row = np.arange(most) < count[:, None]
+    of, here, there = np.nonzero(is_row[:, :, None] & is_row[:, None, :])
+    alone = np.setdiff1d(np.arange(len(own_variance)), rows)
+    value = np.concatenate([np.linalg.inv(dense)[of, here, there], 1.0 / own_variance[alone]])
+    row = np.concatenate([rows[first[of] + here], alone])
+    column = np.concatenate([rows[first[of] + there], alone])
+    return csr_array((value, (row, column)), shape=(len(own_variance),) * 2)
+
+
+def by_group(value: Reals, row: Ints, group: Ints, shape: tuple[int, int]) -> csc_array:
+    """Assemble a sparse matrix of three columns a group; values at the same place add up.
+
+    Args:
+        value: Values, shape (n, 3).
+        row: Row of each, shape (n,).
+        group: Group of columns of each, shape (n,).
+        shape: Of the matrix.
+    """
+    column = (3 * group[:, None] + _AXES).ravel()
+    return csc_array((value.ravel(), (np.repeat(row, 3), column)), shape=shape)
