@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.linear import Linear, Rows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
