@@ -43,19 +43,25 @@ MAX_FILE_BYTES = 2**30
 MAX_LOG_BYTES = 2**33
 """Largest file of a run that is read piece by piece [byte]."""
 
+MAX_TABLE_BYTES = 2**28
+"""Largest content of a compressed table [byte], whose rows are all in memory."""
 
-def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+
+def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int, str]]:
     """Yield each line with its number, counted from 1; only one line is in memory at a time.
 
     Raises:
-        InputError: the file cannot be read or decompressed, is not UTF-8, or has a line of more
-            than 64 MiB.
+        InputError: the file cannot be read or decompressed, is not UTF-8, has a line of more than
+            64 MiB, or is compressed and has more than `most` [byte].
     """
-    number = 0
+    number, is_packed = 0, path.suffix == ".zst"
     try:
-        with zstd.ZstdFile(path) if path.suffix == ".zst" else path.open("rb") as file:
+        with zstd.ZstdFile(path) if is_packed else path.open("rb") as file:
             while raw := file.readline(MAX_LINE_BYTES + 1):
                 number += 1
+                if is_packed and file.tell() > most:
+                    problem = f"has more than {most // 2**20} MiB; decompress it if that is right"
+                    raise InputError(problem, path=path, line=number)
                 if number == 1:
                     raw = raw.removeprefix(BOM_UTF8)
                 if len(raw) > MAX_LINE_BYTES:
@@ -71,6 +77,21 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
         reason = str(error).rpartition(": ")[2]
         problem = f"not a whole Zstandard file ({reason}); compress or copy it again"
         raise InputError(problem, path=path, line=number + 1) from error
+
+
+def unpacked(data: bytes, size: int) -> bytes:
+    """Decompress a Zstandard frame up to a stated size; a frame of more stays unpacked beyond.
+
+    Raises:
+        ValueError: the frame is damaged or has another size.
+    """
+    try:
+        content = zstd.ZstdDecompressor().decompress(data, size + 1)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from error
+    if len(content) != size:
+        raise ValueError("another size than stated")
+    return content
 
 
 def decode(raw: bytes, path: Path, first_line: int = 1) -> str:
@@ -134,7 +155,7 @@ class Table:
     def __init__(self, path: Path) -> None:
         """Read the header."""
         self.path = path
-        self._lines = numbered_lines(path)
+        self._lines = numbered_lines(path, MAX_TABLE_BYTES)
         self.columns = [name.strip() for name in self._split(*next(self._lines, (1, "")))]
 
     @cached_property
