@@ -1,6 +1,7 @@
 """Tables of a run as data frames: written whole, read with errors by file, line and column."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -34,23 +35,25 @@ def read_frame(
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
+            Those before it have words, unless they are listed.
         empty: Whether the table may have no rows; it then needs no columns of numbers.
 
     Raises:
         InputError: the table is missing or malformed; names file, line and column.
     """
     run_file(path)
+    # Only empty cells are unknown: a condition may be called `NA` or `null`.
+    read = partial(pd.read_csv, path, keep_default_na=False, na_values=[""], low_memory=False)
     try:
-        # Only empty cells are unknown: a condition may be called `NA` or `null`.
-        table = pd.read_csv(
-            path, keep_default_na=False, na_values=[""], dtype=dict.fromkeys(words, str),
-            low_memory=False,
-        )  # fmt: skip
+        found = list(read(nrows=0).columns)
+        before = found[: found.index(numbers_after)] if numbers_after in found else []
+        named = {*before} - {*numbers, *gaps, "robots"} | {*words}
+        table = read(dtype=dict.fromkeys(named, str))
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
         raise damaged(path, "rows have more cells than the header")
-    found, columns = list(table.columns), [*numbers, *gaps]
+    columns = [*numbers, *gaps]
     if table.empty and empty:
         table = table.reindex(columns=list(dict.fromkeys([*found, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):
