@@ -1,8 +1,8 @@
 """Tables of a run as data frames: written whole, read with errors by file, line and column."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -43,12 +43,12 @@ def read_frame(
     """
     run_file(path)
     # Only empty cells are unknown: a condition may be called `NA` or `null`.
-    read = partial(pd.read_csv, path, keep_default_na=False, na_values=[""], low_memory=False)
+    read: dict[str, Any] = {"keep_default_na": False, "na_values": [""], "low_memory": False}
     try:
-        found = list(read(nrows=0).columns)
+        found = list(pd.read_csv(path, nrows=0, **read).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
         named = {*before} - {*numbers, *gaps, "robots"} | {*words}
-        table = read(dtype=dict.fromkeys(named, str))
+        table = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
