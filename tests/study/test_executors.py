@@ -182,7 +182,7 @@ def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""
         import tiswarm.version
-        tiswarm.version.code_digest = lambda: "0123456789ab"
+        tiswarm.version.code_digest = lambda *_, **__: "0123456789ab"
     """)
     one = ("seeds=1", "conditions={a: {}}")
 

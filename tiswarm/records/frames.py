@@ -48,7 +48,7 @@ def read_frame(
         found = list(pd.read_csv(path, nrows=0, **read).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
         named = {*before} - {*numbers, *gaps, "robots"} | {*words}
-        table = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
+        table: pd.DataFrame = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):

@@ -274,7 +274,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a whole JSON file at once."""
-    write_text(path, json.dumps(content, indent=1) + "\n")
+    write_bytes(path, as_json(content))
+
+
+def as_json(content: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a JSON file."""
+    return f"{json.dumps(content, indent=1)}\n".encode()
 
 
 def read_json(path: Path, kind: TypeAdapter[_Content]) -> _Content | None:
