@@ -1,11 +1,14 @@
 """Scenarios load with defaults, or are refused with file, line, key and a way out."""
 
 import shlex
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.cli import main
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario import validation
@@ -17,7 +20,7 @@ SMALL = "name: tower\nstructure: {kind: tower}\n"
 FULL = """\
 name: tower
 description: towers, without noise
-robots: 20
+precision: f64
 seeds: [3, 1]
 structure:
   kind: tower
@@ -604,3 +607,59 @@ def test_a_damaged_file_is_loaded_or_refused(scratch, edits):
     assert all(str(mistake).startswith(f"{scratch}:") for mistake in mistakes)
     if not mistakes:
         assert load_scenario(scratch).seed_list
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key"),
+    [
+        (f"{SMALL}robots: 50\nsweep: {{robots: [10, 20]}}", 3, "robots"),
+        (f"{SMALL}precision: f32\nsweep:\n  precision, robots: [[f64, 5]]", 3, "precision"),
+        (
+            "name: x\nsweep: {structure.rest: [5]}\nstructure: {kind: tower, rest: 30}".replace(
+                "rest", "goal_height"
+            ),
+            3,
+            "structure.goal_height",
+        ),
+    ],
+)
+def test_a_value_that_the_sweep_replaces_is_refused(scenario, text, line, key):
+    """Whoever wrote it expects it to matter; the same option is refused, too."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path)
+
+    assert str(refusal.value) == (
+        f"{path}:{line}: {key}: has no effect, as the sweep sets {key}; leave it out"
+    )
+    assert load_scenario(path, ["sweep={}"]).sweep == {}
+
+
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_what_has_the_name_of_a_shipped_scenario_never_hides_it(tmp_path, monkeypatch, kind):
+    """A folder is no scenario; of two files nobody can say which one is meant."""
+    monkeypatch.chdir(tmp_path)
+    if kind == "folder":
+        Path("tower").mkdir()
+
+        assert load_scenario(Path("tower")).name == "tower"
+    else:
+        Path("tower").write_text("name: mine\nstructure: {kind: tower}\n")
+
+        with pytest.raises(InputError, match="both a file here and a scenario of tiswarm's; name "):
+            load_scenario(Path("tower"))
+        assert load_scenario(tmp_path / "tower").name == "mine"
+
+
+def test_a_long_name_makes_a_short_error(tmp_path, monkeypatch, capsys):
+    """The line names the trouble, whoever found it: a library, the system or tiswarm."""
+    for name in ("x" * 5000, "x" * 5000 + ".yaml", "--" + "y" * 5000):
+        monkeypatch.setattr(sys, "argv", ["tiswarm", "run", name])
+
+        with pytest.raises(SystemExit):
+            main()
+
+        line, empty = capsys.readouterr().err.split("\n")
+        assert len(line) <= 1000 + len("tiswarm: error: ")
+        assert not empty
