@@ -111,7 +111,8 @@ def unreadable(path: Path, error: OSError) -> InputError:
     if isinstance(error, IsADirectoryError):
         return InputError("this is a folder; name a file", path=path)
     reason = error.strerror or str(error)
-    return InputError(f"cannot be read: {reason}; check its permissions", path=path)
+    check = "its permissions" if isinstance(error, PermissionError) else "the file and its disk"
+    return InputError(f"cannot be read: {reason}; check {check}", path=path)
 
 
 def run_file(path: Path, most: int = MAX_FILE_BYTES) -> Path:
@@ -150,13 +151,20 @@ def at_line(path: Path, line: int) -> Iterator[None]:
 
 
 class Table:
-    """A CSV file whose cells stay text until a column is read; a bad line raises InputError."""
+    """A CSV file whose cells stay text until a column is read; a bad line raises InputError.
+
+    Cells are separated by commas, or as in the header by semicolons or tabs. Lines that start with
+    # are comments.
+    """
 
     def __init__(self, path: Path) -> None:
         """Read the header."""
         self.path = path
-        self._lines = numbered_lines(path, MAX_TABLE_BYTES)
-        self.columns = [name.strip() for name in self._split(*next(self._lines, (1, "")))]
+        lines = numbered_lines(path, MAX_TABLE_BYTES)
+        self._lines = ((line, text) for line, text in lines if not text.startswith("#"))
+        first, header = next(self._lines, (1, ""))
+        self._separator = max(",;\t", key=header.count)
+        self.columns = [name.strip() for name in self._split(first, header)]
 
     @cached_property
     def rows(self) -> dict[int, list[str]]:
@@ -204,7 +212,7 @@ class Table:
 
     def _split(self, line: int, text: str) -> list[str]:
         try:
-            return next(csv.reader([text], strict=True), [])
+            return next(csv.reader([text], strict=True, delimiter=self._separator), [])
         except csv.Error as error:
             problem = f"not a row of a table: {error}; write numbers with commas between them"
             raise InputError(problem, path=self.path, line=line) from error
