@@ -20,7 +20,6 @@ def copy(tmp_path, monkeypatch) -> Path:
     package = Path(shutil.copytree(PACKAGE, tmp_path / "tiswarm"))
 
     def of_copy(modules, apart=None):
-        version._imports.cache_clear()
         return version.code_digest(modules, apart, package)
 
     monkeypatch.setattr(provenance, "code_digest", of_copy)

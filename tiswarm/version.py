@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Collection, Iterable, Mapping
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -45,7 +44,6 @@ def code_digest(
     return total.hexdigest()[:12]
 
 
-@cache
 def _imports(file: Path, package: Path) -> frozenset[str]:
     """List the modules of the package that a file imports, within functions too."""
     names = set[str]()

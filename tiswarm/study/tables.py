@@ -37,7 +37,8 @@ _ACCURACY = (
     "procrustes_disparity",
 )  # fmt: skip
 _AVERAGED = (
-    "joined", "disconnected", "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
+    "joined", "disconnected",
+    "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "steps_per_robot",
     "located", "rmse_located_R",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
