@@ -66,7 +66,7 @@ def read_frame(
     swept = [name for name in found if name == "robots"]
     for column in [*columns, *after, *swept]:
         _check_numbers(table[column], path, gaps=column not in numbers)
-    return table
+    return table.copy()  # pandas 3 reads columns into pieces, and warns of more of them
 
 
 def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:
