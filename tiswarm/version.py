@@ -21,12 +21,12 @@ def code_digest(
     """Return twelve hex digits of the source of modules and of all that they import.
 
     Results of code with another digest may differ. The way line ends are written does not count,
-    and neither do packages of which an import names a module alone.
+    and neither does a package if an import only names a module in it.
 
     Args:
         modules: Names of modules.
-        apart: Imports that do not count, by importing module: those of a registry, of which a
-            result needs one.
+        apart: Imports that do not count, by importing module: a registry imports all methods, and
+            a result needs one.
         package: Folder of the package.
     """
     found: dict[str, Path] = {}

@@ -44,7 +44,7 @@ def test_a_reader_never_sees_a_part(tmp_path):
 
 
 def test_a_wide_table_takes_further_columns(tmp_path, monkeypatch):
-    """pandas 3 reads each column apart, and each run warned of a fragmented frame."""
+    """Each run warned of fragmented frames: pandas 3 reads each column apart."""
     path = tmp_path / "table.csv"
     columns = [f"c{n}" for n in range(150)]
     path.write_text(f"{','.join(columns)}\n{','.join(['0.5'] * 150)}\n")

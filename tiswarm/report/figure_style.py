@@ -131,7 +131,7 @@ def fit_axis(
     Args:
         axes: Panel.
         which: "x" or "y".
-        values: Values that have to be told apart.
+        values: Values whose differences have to be seen.
         others: Further values that have to be within the axis.
         nonpositive: Whether a logarithmic axis leaves out what is not positive ("mask"), or has it
             at its end ("clip").
