@@ -404,7 +404,7 @@ def test_the_last_option_wins(scenario):
         ("robts=20", "unknown key; did you mean robots?"),
         ("structure.goal_heigth=30", "unknown key; did you mean goal_height?"),
         ("structure.kind=towr", "\"towr\" should be one of 'tower'"),
-        ("robots.x=3", "robots is a single value, not a section; correct the key"),
+        ("precision.x=3", "precision is a single value, not a section; correct the key"),
         ("seeds=[1, x]", '"x" should be a valid integer'),
         ("sweep.robots=[1]", "1 should be greater than or equal to 2"),
         ("conditions.no-z.localization.iterations=0", "0 should be greater than or equal to 1"),
@@ -634,22 +634,6 @@ def test_a_value_that_the_sweep_replaces_is_refused(scenario, text, line, key):
         f"{path}:{line}: {key}: has no effect, as the sweep sets {key}; leave it out"
     )
     assert load_scenario(path, ["sweep={}"]).sweep == {}
-
-
-@pytest.mark.parametrize("kind", ["folder", "file"])
-def test_what_has_the_name_of_a_shipped_scenario_never_hides_it(tmp_path, monkeypatch, kind):
-    """A folder is no scenario; of two files nobody can say which one is meant."""
-    monkeypatch.chdir(tmp_path)
-    if kind == "folder":
-        Path("tower").mkdir()
-
-        assert load_scenario(Path("tower")).name == "tower"
-    else:
-        Path("tower").write_text("name: mine\nstructure: {kind: tower}\n")
-
-        with pytest.raises(InputError, match="both a file here and a scenario of tiswarm's; name "):
-            load_scenario(Path("tower"))
-        assert load_scenario(tmp_path / "tower").name == "mine"
 
 
 def test_a_long_name_makes_a_short_error(tmp_path, monkeypatch, capsys):
