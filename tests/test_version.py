@@ -1,42 +1,94 @@
-"""Digest of the computing code: it changes with that code and with nothing else."""
+"""Digests of the computing code: they change with the code of a case and with nothing else."""
 
 import shutil
 from pathlib import Path
 
 import pytest
 
-from tiswarm.version import code_digest
+from tiswarm import version
+from tiswarm.localization import registry
+from tiswarm.study import provenance
+from tiswarm.study.provenance import all_code, case_code, structure_code
 
 PACKAGE = Path(__file__).parents[1] / "tiswarm"
+METHODS = tuple(registry.METHODS)
 
 
 @pytest.fixture
-def copy(tmp_path) -> Path:
-    """Copy of the package."""
-    return Path(shutil.copytree(PACKAGE, tmp_path / "tiswarm"))
+def copy(tmp_path, monkeypatch) -> Path:
+    """Copy of the package, whose digests `case_code` and the like return."""
+    package = Path(shutil.copytree(PACKAGE, tmp_path / "tiswarm"))
+
+    def of_copy(modules, apart=None):
+        return version.code_digest(modules, apart, package)
+
+    monkeypatch.setattr(provenance, "code_digest", of_copy)
+    return package
 
 
-@pytest.mark.parametrize("name", ["world/growth.py", "robot.py", "evaluation/metrics.py"])
-def test_any_byte_of_computing_code_moves_the_digest(copy, name):
-    """A changed letter, a renamed file and a removed file change the digest."""
-    digests = {code_digest(copy)}
-    path = copy / name
+def digests():
+    """Digest of the cases of each method, of structures and of all code, by name."""
+    found = {name: case_code.__wrapped__(name) for name in METHODS}
+    return found | {"structures": structure_code.__wrapped__(), "all": all_code.__wrapped__()}
+
+
+def _edit(path):
     path.write_bytes(path.read_bytes().replace(b"e", b"a", 1))
-    digests.add(code_digest(copy))
-    path.rename(path.with_stem("renamed"))
-    digests.add(code_digest(copy))
-    path.with_stem("renamed").unlink()
-    digests.add(code_digest(copy))
 
-    assert len(digests) == (4 if "/" in name else 3)
+
+@pytest.mark.parametrize(
+    ("name", "changed"),
+    [
+        ("world/growth.py", {*METHODS, "structures", "all"}),
+        ("robot.py", {*METHODS, "structures", "all"}),
+        ("evaluation/metrics.py", {*METHODS, "all"}),
+        ("sensing/observation.py", {*METHODS, "all"}),
+        ("study/runner.py", {*METHODS, "all"}),
+        ("scenario/validation.py", {*METHODS, "all"}),
+        ("localization/registry.py", {*METHODS, "all"}),
+        ("localization/joint/chains.py", {"joint", "all"}),
+        ("localization/trilateration.py", {"hop-by-hop", "all"}),
+        ("localization/least_squares.py", {"least-squares", "all"}),
+        ("report/page.py", set()),
+        ("study/executors.py", set()),
+        ("cli/run.py", set()),
+    ],
+)
+def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, name, changed):
+    """Cases of another method stay current: nobody computes them again for nothing."""
+    before = digests()
+
+    _edit(copy / name)
+
+    after = digests()
+    assert {key for key in before if before[key] != after[key]} == changed
+
+
+def test_any_byte_of_computing_code_moves_the_digest(copy):
+    """A changed letter, a renamed file and a removed file change the digest."""
+    found = {case_code.__wrapped__("joint")}
+    path = copy / "evaluation" / "metrics.py"
+    _edit(path)
+    found.add(case_code.__wrapped__("joint"))
+    path.rename(path.with_stem("renamed"))
+    found.add(case_code.__wrapped__("joint"))
+
+    assert len(found) == 3
 
 
 def test_code_that_computes_nothing_leaves_the_digest(copy):
-    """Changes of the report, of line ends, of caches and of the folder leave the digest."""
-    (copy / "report" / "page.py").write_text("")
+    """Line ends, caches and the folder leave the digest."""
     path = copy / "world" / "growth.py"
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
     (copy / "world" / "__pycache__").mkdir(exist_ok=True)
     (copy / "world" / "__pycache__" / "growth.pyc").write_text("cache")
 
-    assert code_digest(copy) == code_digest(PACKAGE)
+    assert digests() == {name: case_code(name) for name in METHODS} | {
+        "structures": structure_code(),
+        "all": all_code(),
+    }
+
+
+def test_an_unknown_method_has_no_digest():
+    """A record may state any word; none of them makes its case current."""
+    assert case_code("no such method") == ""

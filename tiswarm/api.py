@@ -30,7 +30,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.results import Figure, File, Run, choose, open_run
+from tiswarm.results import Figures, File, Run, as_path, choose, open_run
 from tiswarm.scenario.validation import localization_params
 from tiswarm.verdicts import distrust
 
@@ -66,7 +66,7 @@ def read_log(path: File) -> SensingLog:
     Raises:
         InputError: the file cannot be read or a line is malformed, with file, line and key.
     """
-    return read_sensing_log(Path(path))
+    return read_sensing_log(as_path(path, "path"))
 
 
 def localize(
@@ -143,10 +143,18 @@ def run(
     from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
     texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
-    plan, progress = load_scenario(Path(scenario), texts), ConsoleProgress(quiet=quiet)
+    plan, progress = (
+        load_scenario(as_path(scenario, "scenario"), texts),
+        ConsoleProgress(quiet=quiet),
+    )
     execution = study.Execution(workers=workers)
     result = study.run(
-        plan, Path(out), progress=progress, arch=arch, threads=threads, execution=execution
+        plan,
+        as_path(out, "out"),
+        progress=progress,
+        arch=arch,
+        threads=threads,
+        execution=execution,
     )
     draw_all(result, progress, pictures=pictures)
     if result.failed:
@@ -160,7 +168,7 @@ def check(path: File) -> Inspection:
     Returns:
         Its mistakes, as errors, and if there are none a summary.
     """
-    return inspect(Path(path))
+    return inspect(as_path(path, "path"))
 
 
 def import_poses(
@@ -186,10 +194,10 @@ def import_poses(
 
     for name in assumed:
         choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
-    found = imports.import_poses(Path(poses), imports.Assumptions(**assumed))
+    found = imports.import_poses(as_path(poses, "poses"), imports.Assumptions(**assumed))
     if out is not None:
         for run, imported in found.items():
-            imports.write_import(imported, Path(out) / run)
+            imports.write_import(imported, as_path(out, "out") / run)
     return found
 
 
@@ -204,8 +212,8 @@ def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
     """
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
-    found = estimate if isinstance(estimate, Estimate) else Path(estimate)
-    return score_files(Path(truth), found)[1]
+    found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
+    return score_files(as_path(truth, "truth"), found)[1]
 
 
 def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "pd.DataFrame":
@@ -220,7 +228,7 @@ def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "
     import pandas as pd  # noqa: PLC0415 - slow to import
 
     sensed, found = _estimated(log, estimate)
-    path = Path("log") if isinstance(log, SensingLog) else Path(log)
+    path = Path("log") if isinstance(log, SensingLog) else as_path(log, "log")
     rows = pd.DataFrame(explain_estimate(sensed, path, found).advice)
     for name in rows.columns.drop(["further measurement", "robots determined"], errors="ignore"):
         rows[name] = pd.to_numeric(rows[name])
@@ -252,10 +260,10 @@ def view(
 
     sensed, found = _estimated(log, estimate)
     true = _true_positions(sensed, truth)
-    path = Path("sensing log" if isinstance(log, SensingLog) else log)
+    path = Path("sensing log" if isinstance(log, SensingLog) else as_path(log, "log"))
     findings = explain_estimate(sensed, path, found)
-    draw_log(Path(out), sensed, found, name=path.name, true=true, **findings._asdict())
-    return Path(out)
+    draw_log(as_path(out, "out"), sensed, found, name=path.name, true=true, **findings._asdict())
+    return as_path(out, "out")
 
 
 def _estimated(
@@ -265,7 +273,9 @@ def _estimated(
     sensed = log if isinstance(log, SensingLog) else read_log(log)
     if isinstance(estimate, Estimate):
         return sensed, estimate
-    return sensed, localize(sensed) if estimate is None else read_estimate(sensed, Path(estimate))
+    if estimate is None:
+        return sensed, localize(sensed)
+    return sensed, read_estimate(sensed, as_path(estimate, "estimate"))
 
 
 def render(
@@ -278,7 +288,7 @@ def render(
     movie: Literal["gif", "mp4"] | None = None,
     out: File | None = None,
     quiet: bool = False,
-) -> dict[str, Figure]:
+) -> Figures:
     """Draw 3D pictures of a run, which its report.html shows too, or of a log and its estimate.
 
     Args:
@@ -304,9 +314,9 @@ def render(
         draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
         return run.figures
     _refuse("a log is no run", case=case, movie=movie)
-    folder = Path(out or "renders")
-    render_log(_view_of(source, estimate, truth), folder, progress, renderer=renderer)
-    return {path.stem: Figure(path) for path in sorted(folder.glob("*.png"))}
+    view, folder = _view_of(source, estimate, truth), as_path(out or "renders", "out")
+    written = render_log(view, folder, progress, renderer=renderer)
+    return Figures.of(written)
 
 
 def export(
@@ -343,7 +353,7 @@ def export(
     else:
         _refuse("a log is no run", case=case)
         shown = _view_of(source, estimate, truth)
-    folder = Path(out or (run.folder / "export" if run else "export"))
+    folder = as_path(out or (run.folder / "export" if run else "export"), "out")
     export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
     return folder
 
@@ -352,7 +362,7 @@ def _as_run(source: Run | SensingLog | File) -> Run | None:
     """Open a run; None if the source is a log."""
     if isinstance(source, Run | SensingLog):
         return source if isinstance(source, Run) else None
-    return open_run(source) if Path(source).is_dir() else None
+    return open_run(source) if as_path(source, "source").is_dir() else None
 
 
 def _refuse(reason: str, **given: object) -> None:
@@ -375,4 +385,4 @@ def _view_of(
 
 
 def _true_positions(log: SensingLog, truth: File | None) -> "Reals | None":
-    return None if truth is None else read_positions_of(log, Path(truth))
+    return None if truth is None else read_positions_of(log, as_path(truth, "truth"))

@@ -137,8 +137,7 @@ def _summary(name: str, total: int, begun: float) -> str:
 
 def fail(error: TiswarmError | str) -> None:
     """Print the one line of an error and, on a terminal, the mistake in its file."""
-    if isinstance(error, TiswarmError):
-        error = error.as_option()
+    error = error.as_option() if isinstance(error, TiswarmError) else TiswarmError(error)
     sys.stderr.write(f"tiswarm: error: {error}\n")
     if isinstance(error, InputError) and sys.stderr.isatty():
         sys.stderr.write(_excerpt(error))

@@ -144,20 +144,28 @@ def draw_log(
 
 def render_log(
     view: SwarmView, out: Path, progress: Progress, *, renderer: str | None = None
-) -> None:
+) -> list[Path]:
     """Write 3D pictures of a log and its estimate into a folder.
+
+    Returns:
+        The files written.
 
     Raises:
         InputError: the renderer is unknown.
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
-    origin = view.best_pose[0] * [1, 1, 1, 0, 0, 0, 0]  # far from it, 32-bit coordinates are coarse
-    near = replace(view, pose=view.pose - origin, estimated_pose=view.estimated_pose - origin)
+    near = replace(
+        view, pose=view.from_origin(view.pose), estimated_pose=view.from_origin(view.estimated_pose)
+    )
     if view.terrain is not None:
-        terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(origin[2]))
+        terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(view.origin[2]))
         near = replace(near, terrain=terrain)
     pictures, _, _ = render_view(near, progress, renderer)
     make_folder(out)
+    written = []
     for name, data in pictures.items():
-        write_bytes(out / f"{name}.png", data)
-        progress.info(str(out / f"{name}.png"))
+        path = out / f"{name}.png"
+        write_bytes(path, data)
+        progress.info(str(path))
+        written.append(path)
+    return written

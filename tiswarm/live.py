@@ -139,13 +139,18 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with the page, the list of cases if it has changed, or a case."""
+        try:
+            host, path = urlsplit(f"//{self.headers['Host']}").hostname, urlsplit(self.path).path
+        except ValueError:  # a bracket of an address that does not end
+            self.send_error(400)
+            return
         # A page elsewhere whose name leads to this machine may not read the run.
-        if urlsplit(f"//{self.headers['Host']}").hostname not in {_HOST, "localhost"}:
+        if host not in {_HOST, "localhost"}:
             self.send_error(403)
             return
         try:
             with self._live.lock:
-                content = self._content(urlsplit(self.path).path)
+                content = self._content(path)
         except TiswarmError as error:
             self.send_error(500, explain=str(error))
             return

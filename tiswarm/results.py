@@ -1,7 +1,7 @@
 """Results of a run as a caller has them: tables as data frames, figures that notebooks show."""
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from tiswarm.errors import InputError
+from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,6 +29,20 @@ class Figure:
 
     def _repr_png_(self) -> bytes:
         return self.path.read_bytes()
+
+
+class Figures(dict[str, Figure]):
+    """Pictures by name."""
+
+    @classmethod
+    def of(cls, paths: Iterable[Path]) -> "Figures":
+        """Name pictures after their files."""
+        return cls((path.stem, Figure(path)) for path in sorted(paths))
+
+    def __missing__(self, name: str) -> Figure:
+        """Refuse a name that is not among these."""
+        choose(name, [*self], "name")
+        raise KeyError(name)
 
 
 @dataclass(frozen=True)
@@ -62,10 +77,9 @@ class Run:
         return read_frame(folder / f"{name}.csv", empty=True)
 
     @property
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> Figures:
         """Figures and renders by name; none after a run without pictures."""
-        drawn = [*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")]
-        return {path.stem: Figure(path) for path in sorted(drawn)}
+        return Figures.of([*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")])
 
     def _repr_html_(self) -> str:
         page, table = self.folder / "report.html", self.table
@@ -81,14 +95,28 @@ def open_run(folder: File) -> Run:
     Raises:
         InputError: it is not the folder of a run.
     """
-    run = Run(Path(folder))
+    run = Run(as_path(folder, "folder"))
     if not (run.folder / "table.csv").is_file():
         raise InputError("is no run folder with results; name one", path=run.folder)
     return run
+
+
+def as_path(file: File, argument: str) -> Path:
+    """Return the path of a file or folder, or refuse an argument that names none.
+
+    Raises:
+        InputError: the argument is of another type.
+    """
+    try:
+        return Path(file)
+    except TypeError as error:
+        problem = f"a value of type {type(file).__name__} is no file; give the path of one"
+        raise InputError(problem, argument=argument) from error
 
 
 def choose(name: str, names: Sequence[str], argument: str) -> None:
     """Refuse a name that is not among some."""
     if name not in names:
         some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
-        raise InputError(f"there is no {name!r}; choose one of {some}", argument=argument)
+        problem = f"there is no {name!r}; choose one of {some}" if some else f"there is no {name!r}"
+        raise InputError(f"{problem}{did_you_mean(name, names)}", argument=argument)

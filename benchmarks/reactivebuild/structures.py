@@ -131,6 +131,7 @@ def read_structures(folder: Path) -> Structures:
     try:
         summary = pd.read_csv(folder / "summary.csv", float_precision="round_trip")
         summary = summary.set_index("case")
+        summary["robots"] = summary["joined"]  # the laws are about robots that joined
     except OSError as error:
         msg = "this is not a run folder: it has no summary.csv; name a folder of `tiswarm run`"
         raise InputError(msg, path=folder) from error

@@ -50,6 +50,17 @@ def test_figures_show_themselves(run):
     """A notebook asks for the bytes of a picture."""
     assert {"convergence", "accuracy"} <= set(run.figures)
     assert run.figures["convergence"]._repr_png_().startswith(b"\x89PNG")
+    with pytest.raises(
+        InputError, match=r"^name: there is no 'convergance'; choose .* did you mea"
+    ):
+        run.figures["convergance"]
+
+
+@pytest.mark.parametrize("name", ["run", "read_log", "check", "open_run", "localize", "view"])
+def test_what_is_no_path_is_refused(name):
+    """A dictionary in place of a file is a mistake of the caller, not of `pathlib`."""
+    with pytest.raises(InputError, match="a value of type dict is no file; give the path of one"):
+        getattr(library, name)({"name": "tower"})
 
 
 def test_the_command_writes_the_same(run, tiswarm, tmp_path):
@@ -180,6 +191,8 @@ def test_pictures_and_exports_of_a_log_need_no_run(run, tmp_path):
     """As the commands do: of the log's file or object, with its estimate."""
     case = run.folder / "cases" / "0-baseline"
     log, estimate = library.read_log(case / "sensing.jsonl"), case / "estimate.csv"
+    (tmp_path / "renders").mkdir()
+    (tmp_path / "renders" / "older.png").touch()
 
     exported = library.export(log, "ply", estimate, case / "truth.csv", out=tmp_path, quiet=True)
     drawn = library.render(
@@ -187,7 +200,7 @@ def test_pictures_and_exports_of_a_log_need_no_run(run, tmp_path):
     )
 
     assert {"structure.ply", "estimate.ply"} <= {path.name for path in exported.iterdir()}
-    assert {"estimate", "contact-graph"} <= {*drawn}
+    assert {*drawn} == {"estimate", "contact-graph"}  # of the folder, what this call wrote
     assert drawn["estimate"]._repr_png_().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="case: a log is no run; leave it out"):
         library.export(log, "ply", estimate, case="0-baseline")

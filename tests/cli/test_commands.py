@@ -58,16 +58,19 @@ def test_version_is_printed(tiswarm):
             ("run", "scenarios/tower.yaml", "--scheduler", "tcp://here:1", "--workers", "2"),
             "choose only one of --workers, --scheduler",
         ),
+        (("run", "scenarios/tower.yaml", "--plan", "--shard", "0/0"), "invalid shard 0/0: use"),
+        (("run", "scenarios/tower.yaml", "--movie", "mp4"), "--movie: there is no animation to"),
+        (("render", "scenarios", "--movie", "gif"), "--movie: there is no animation to write as g"),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
         (("localize", "log.jsonl", "--set", "solve_yav=no"), "did you mean solve_yaw"),
         (
             ("localize", "log.jsonl", "--method", "virtual-force", "--seed", "3"),
-            "--set seed=3: unknown key",
+            "--seed: unknown key of virtual-force; leave it out, or choose method joint",
         ),
         (
             ("localize", "log.jsonl", "--method", "virtual-force", "--cues", "contacts"),
-            "--cues: unknown key; the keys here are",
+            "--cues: virtual-force has no choice of cues but its settings z_correction, ground, ",
         ),
         (
             ("localize", "log.jsonl", "--method", "joint", "--cues", "contacts, height"),

@@ -35,6 +35,12 @@ def robots(small_run):
     return pd.read_csv(small_run / "cases" / "0-baseline" / "robots.csv")
 
 
+@pytest.fixture(scope="module")
+def anchor(small_run):
+    """Place of the anchor of that case, from which solids have their coordinates, shape (3,)."""
+    return read_sensing_log(small_run / "cases" / "0-baseline" / "sensing.jsonl").anchor_position
+
+
 def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     """Units, dock size and order differ from ours; results are in the unit of the file."""
     imported = tiswarm("import", EXAMPLE, "--dock-radius", 0.5, "--out", tmp_path)
@@ -124,7 +130,7 @@ def _docks_and_hubs(robots, columns):
     ("name", "columns"),
     [("structure", ["x_R", "y_R", "z_R"]), ("estimate", ["x_est_R", "y_est_R", "z_est_R"])],
 )
-def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
+def test_meshes_are_where_the_robots_are(exported, robots, anchor, name, columns):
     """Both formats contain the same closed solid, at the positions of the robots."""
     ply = trimesh.load(exported / f"{name}.ply")
     scene = trimesh.load(exported / "case.glb")
@@ -132,14 +138,15 @@ def test_meshes_are_where_the_robots_are(exported, robots, name, columns):
     solid = scene.geometry[name]
 
     low, high = _docks_and_hubs(robots, columns)
-    assert (ply.bounds[0] >= low).all()
-    assert (ply.bounds[1] <= high).all()
+    assert (ply.bounds[0] + anchor >= low).all()
+    assert (ply.bounds[1] + anchor <= high).all()
     assert ply.is_watertight
     # Spheres of ten sides hold nearly nine tenths of their volume; arms and hubs add to it.
     assert ply.volume == pytest.approx(len(robots) * 3 * 4.19, rel=0.25)
     np.testing.assert_allclose(solid.bounds, ply.bounds, atol=1e-5)
     up = turn[:3, :3] @ [0.0, 0.0, 1.0]
     np.testing.assert_allclose(up, [0.0, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(turn[:3, 3], anchor[[0, 2, 1]] * [1.0, 1.0, -1.0], atol=1e-12)
     assert len(np.unique(ply.visual.vertex_colors, axis=0)) > 5
 
 
@@ -158,7 +165,7 @@ def test_colors_read_back(exported, robots):
 
 
 @pytest.mark.parametrize("file", ["case.glb", "contacts.ply"])
-def test_contacts_are_lines_between_centers(exported, robots, file):
+def test_contacts_are_lines_between_centers(exported, robots, anchor, file):
     """Each line runs from the true center of a robot to that of the other."""
     contacts = pd.read_csv(exported / "contacts.csv")
     center = robots.set_index("robot")[["x_R", "y_R", "z_R"]]
@@ -166,7 +173,7 @@ def test_contacts_are_lines_between_centers(exported, robots, file):
     ends = _lines(exported / file).reshape(-1, 6)
 
     pairs = contacts[["other_robot", "robot"]].to_numpy()
-    expected = center.to_numpy()[pairs].reshape(-1, 6)
+    expected = (center.to_numpy()[pairs] - anchor).reshape(-1, 6)
     np.testing.assert_allclose(ends, expected, atol=1e-5)
 
 

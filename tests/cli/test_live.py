@@ -105,6 +105,18 @@ def test_only_this_machine_can_read_the_run(served):
     assert served.get("scenario.yaml")[0] == 404
 
 
+@pytest.mark.parametrize(("line", "host"), [("/", "["), ("http://[::1/", "localhost")])
+def test_a_malformed_address_is_a_bad_request(served, line, host):
+    """The answer is 400, and the terminal stays silent, as the end of the command shows."""
+    port = int(served.url.rstrip("/").rpartition(":")[2])
+
+    with socket.create_connection(("127.0.0.1", port), timeout=60) as browser:
+        browser.sendall(f"GET {line} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+        answer = browser.makefile("rb").readline()
+
+    assert answer.split()[1] == b"400"
+
+
 def test_the_page_shows_the_newest_case(served):
     """A browser lists the cases and loads the newest one."""
     served.finish_case()

@@ -29,12 +29,21 @@ def test_a_name_means_the_shipped_scenario():
     assert load_scenario(Path("tower")) == load_scenario(REPOSITORY / "scenarios" / "tower.yaml")
 
 
-def test_a_file_of_that_name_goes_first(tmp_path):
-    """Nobody's file is passed over."""
+def test_a_folder_of_that_name_hides_nothing(tmp_path):
+    """It is no scenario, and may be the folder of a run."""
+    (tmp_path / "tower").mkdir()
+
+    assert load_scenario(Path("tower")).name == "tower"
+
+
+def test_of_two_files_of_a_name_neither_is_taken(tmp_path):
+    """Nobody's file is passed over, and none hides the shipped one: the path decides."""
     mine = tmp_path / "tower"
     mine.write_text("name: mine\nstructure: {kind: tower}\n")
 
-    assert load_scenario(Path("tower")).name == "mine"
+    with pytest.raises(InputError, match="both a file here and a scenario of tiswarm's; name "):
+        load_scenario(Path("tower"))
+    assert load_scenario(mine).name == "mine"
 
 
 @pytest.mark.parametrize("path", ["tower.yaml", "./x/tower", "../tower", "x" * 5000])

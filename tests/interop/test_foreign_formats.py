@@ -4,16 +4,19 @@ import json
 import re
 import sys
 from dataclasses import fields, replace
+from typing import get_args
 
 import gsd.hoomd
 import numpy as np
 import pytest
+import trimesh
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.interop.exports import export_view
+from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.mcap_file import encode_messages
@@ -58,7 +61,8 @@ def test_gsd_shows_the_growth(view, exported):
     assert [frame.configuration.step for frame in frames] == list(range(1, 31))
     for count, frame in enumerate(frames, start=1):
         assert len(frame.particles.position) == count
-        np.testing.assert_allclose(frame.particles.position, view.pose[:count, :3], atol=1e-5)
+        place = frame.particles.position + frame.log["origin"]
+        np.testing.assert_allclose(place, view.pose[:count, :3], atol=1e-5)
         np.testing.assert_allclose(frame.particles.orientation, view.pose[:count, 3:], atol=1e-6)
         contacts = view.log.contacts[view.log.contacts[:, 2] < count]
         assert {*map(tuple, frame.bonds.group.tolist())} == {
@@ -100,9 +104,13 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     pose[7] = np.nan
     some = replace(view, pose=np.full_like(pose, np.nan), estimated_pose=pose)
 
-    for form in ("gsd", "mcap", "pyfg", "tum"):
+    for form in ("gltf", "gsd", "mcap", "ply", "pyfg", "tum"):
         export_view(some, form, tmp_path, Progress())
 
+    lines = trimesh.load(tmp_path / "case.glb").geometry["contacts"]
+    assert len(lines.vertices) == 2 * (view.log.contacts[:, [0, 2]] != 7).all(axis=1).sum()
+    for points in (lines.vertices, trimesh.load(tmp_path / "estimate.ply").vertices):
+        assert np.isfinite(points).all()
     with gsd.hoomd.open(tmp_path / "estimate.gsd") as file:
         last = file[-1]
     assert last.particles.N == 29
@@ -117,6 +125,18 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     assert [each["robot"] for _, each in _messages(tmp_path / "case.mcap", "estimate")] == [
         robot for robot in range(30) if robot != 7
     ]
+
+
+@pytest.mark.parametrize("form", get_args(AnyFormat))
+def test_a_structure_without_contacts_is_exported(view, tmp_path, form):
+    """Robots that only heights, fixes or ranges locate are a structure, too."""
+    log = replace(view.log, contacts=view.log.contacts[:0])
+    some = replace(view, read_log=lambda: log)
+
+    export_view(some, form, tmp_path, Progress())
+
+    assert all(path.stat().st_size for path in tmp_path.iterdir())
+    assert any("estimate" in path.name or "case" in path.name for path in tmp_path.iterdir())
 
 
 def test_mcap_has_the_log_and_the_poses(view, exported):

@@ -102,6 +102,21 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
         ({"chainz": 3}, "chainz: unknown key; did you mean chains"),
         ({"method": "least-squares", "cues": ["smell"]}, "cues: smell is not a cue"),
         ({"chains": -1}, "chains: -1 should be greater"),
+        ({"method": "jint"}, "method: .*; did you mean joint"),
+        ({"method": "virtual-force", "seed": 1}, "seed: unknown key of virtual-force; leave it"),
+        (
+            {"method": "virtual-force", "cues": ["contacts"]},
+            "cues: virtual-force has no choice of cues but its settings z_correction, ",
+        ),
+        (
+            {"method": "hop-by-hop", "cues": ["contacts", "touches"]},
+            "cues: hop-by-hop cannot use touches; choose method joint",
+        ),
+        (
+            {"method": "hop-by-hop", "touches": True},
+            "touches: true should be false with hop-by-hop; leave it out, or choose method joint",
+        ),
+        ({"method": "least-squares", "loss": "hubber"}, "loss: .*; did you mean huber"),
     ):
         with pytest.raises(InputError, match=message):
             tiswarm.localize(log, **call)

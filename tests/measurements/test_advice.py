@@ -345,3 +345,22 @@ def test_one_factorization_serves_all_candidates(monkeypatch, robots):
 
     assert len(advise(log, CUES, center)) > 3
     assert len(factored) == 1
+
+
+@pytest.mark.parametrize("far", [1e7, 1e9, 1e22])
+def test_advice_survives_a_robot_that_is_far_away(far):
+    """A slip of a decimal point must not end the page that would show it.
+
+    Two robots in contact with each other alone are within an extent whose inverse square rounding
+    hides beside their contact.
+    """
+    log, truth = structure(Rule(kind="loops"), robots=8, seed=1)
+    tied = log.contacts[(log.contacts[:, [0, 2]] < 6).all(axis=1)]
+    apart = replace(log, contacts=np.concatenate([tied, np.array([[6, 0, 7, 1]], np.int32)]))
+    position = truth.copy()
+    position[3, 0] += far
+
+    found = advise(apart, CUES, position)
+
+    assert found
+    assert all(np.isfinite([each.rmse_before, each.rmse_after]).all() for each in found)

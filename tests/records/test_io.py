@@ -1,7 +1,11 @@
-"""Files appear whole or not at all."""
+"""Files appear whole or not at all, and tables are read whole."""
 
+import warnings
+
+import pandas as pd
 import pytest
 
+from tiswarm.records.frames import read_frame
 from tiswarm.records.io import replacing, write_bytes, write_text
 
 
@@ -37,3 +41,28 @@ def test_a_reader_never_sees_a_part(tmp_path):
 
     assert during == b"old"
     assert path.read_bytes() == b"new"
+
+
+def test_a_wide_table_takes_further_columns(tmp_path, monkeypatch):
+    """Each run warned of fragmented frames: pandas 3 reads each column apart."""
+    path = tmp_path / "table.csv"
+    columns = [f"c{n}" for n in range(150)]
+    path.write_text(f"{','.join(columns)}\n{','.join(['0.5'] * 150)}\n")
+    real = pd.read_csv
+
+    def in_pieces(*arguments, **options):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            whole = real(*arguments, **options)
+            apart = pd.DataFrame(index=whole.index)
+            for name in whole:
+                apart[name] = whole[name]
+        return apart
+
+    monkeypatch.setattr(pd, "read_csv", in_pieces)
+    table = read_frame(path, numbers=columns)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        table["further"] = 1.0
+    assert table.shape == (1, 151)

@@ -182,3 +182,31 @@ def test_an_estimate_of_another_log_is_refused(log, tmp_path, cells, problem):
 
     with pytest.raises(InputError, match=problem):
         read_estimate(log, path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "robot;x_R;y_R;z_R\n7;1;2;3\n",
+        "robot\tx_R\ty_R\tz_R\n7\t1\t2\t3\n",
+        "# of our camera\nrobot,x_R,y_R,z_R\n# first\n7,1,2,3\n",
+    ],
+)
+def test_separators_and_comments_of_spreadsheets_are_read(tmp_path, text):
+    """Spreadsheets of half of Europe write semicolons, many programs tabs and comments."""
+    path = tmp_path / "truth.csv"
+    path.write_text(text)
+
+    robots, position = read_positions(path)
+
+    assert robots.tolist() == [7]
+    assert position.tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_a_mistake_below_comments_has_its_line(tmp_path):
+    """Lines are counted in the file; a decimal comma is named as the fault that it is."""
+    path = tmp_path / "truth.csv"
+    path.write_text("# made by hand\nrobot;x_R;y_R;z_R\n\n7;1,5;2;3\n".replace("\n\n", "\n"))
+
+    with pytest.raises(InputError, match=r":3: x_R: '1,5' is not a finite number up to "):
+        read_positions(path)

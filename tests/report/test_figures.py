@@ -18,7 +18,7 @@ from tiswarm.report.curve_figures import (
     profile_painters,
 )
 from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_convergence, draw_error_against_height, draw_figures
+from tiswarm.report.figures import draw_convergence, draw_errors, draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import draw_accuracy
 
@@ -127,7 +127,7 @@ def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeyp
     found = iter(tables.values())
     monkeypatch.setattr(figures, "_errors_at", lambda _cases, _column: next(found))
 
-    axes = draw_error_against_height(load_run(run_folder)).axes
+    axes = draw_errors(load_run(run_folder)).axes
 
     heights = [panel.collections[0].get_offsets()[:, 1] for panel in axes[:2]]
     assert axes[0].get_yscale() == "log"
@@ -217,7 +217,7 @@ def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
     rows = [[name, "done", name[2:], name[-2:], name[2:10]] for name in names]
     write_summary(tmp_path, "case,status,series,condition,point", rows)
 
-    figure = draw_error_against_height(load_run(tmp_path))
+    figure = draw_errors(load_run(tmp_path))
 
     titles = [axes.get_title() for axes in figure.axes[:4]]
     assert titles == ["method=a,c0", "method=b,c0", "method=a,c1", "method=b,c1"]

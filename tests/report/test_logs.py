@@ -332,7 +332,8 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
     np.testing.assert_allclose(table[["x_mm", "y_mm", "z_mm"]], estimate.position)
     np.testing.assert_allclose(table["sd_mm"], estimate.sd)
     solid = trimesh.load(tmp_path / "ply" / "structure.ply")
-    assert (np.abs(solid.bounds - [true.min(axis=0), true.max(axis=0)]) < 2.506 * MM).all()
+    extent = solid.bounds + log.anchor_position  # solids have their origin at the anchor
+    assert (np.abs(extent - [true.min(axis=0), true.max(axis=0)]) < 2.506 * MM).all()
 
 
 @pytest.mark.parametrize(

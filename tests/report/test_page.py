@@ -15,7 +15,7 @@ from tiswarm.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
-from tiswarm.report.headline import conclusion
+from tiswarm.report.headline import conclusion, result_of
 from tiswarm.report.page import show_pictures, write_page
 from tiswarm.report.page_tables import (
     case_table,
@@ -23,7 +23,6 @@ from tiswarm.report.page_tables import (
     notes_of,
     result_tables,
     warnings_of,
-    with_ranges,
 )
 from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.run_data import load_run
@@ -226,11 +225,9 @@ def test_intervals_need_some_structures():
     """A mean of fewer than four has a range; conditions are sorted by error."""
     table = pd.DataFrame({"condition": ["a", "b", "c"], "cases": [4, 3, 1]})
     table = table.assign(rmse_R_mean=[2.0, 0.5, 0.012345], rmse_R_ci95=[0.25, 1.0, np.nan])
-    rmse = [1.0, 2.0, 2.0, 3.0, 0.25, 0.5, 0.75, 0.012345, 9.0]
-    summary = pd.DataFrame({"condition": [*"aaaabbbcc"], "rmse_R": rmse})
-    summary["status"] = ["done"] * 8 + ["failed"]
+    table = table.assign(rmse_R_least=[1.0, 0.25, 0.012345], rmse_R_most=[3.0, 0.75, 0.012345])
 
-    shown = headline_table(with_ranges(table, summary))
+    shown = headline_table(table)
 
     assert shown.frame["condition"].tolist() == ["c", "b", "a"]
     assert shown.frame["RMSE [R]"].tolist() == [
@@ -238,6 +235,23 @@ def test_intervals_need_some_structures():
     ]  # fmt: skip
     assert shown.note.count("95 % CI") == 1
     assert "fewer than 4 structures" in shown.note
+
+
+def test_disconnected_robots_are_stated_beside_the_error():
+    """An unfinished bridge must not look like a bad method."""
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [18.3, 17.0]})
+    lost = table.assign(disconnected_mean=[15.0, 0.0], joined_mean=30.0)
+    measures = dict.fromkeys(["rmse_R_ci95", "rmse_R_least", "rmse_R_most"], np.nan)
+    full = lost.assign(procrustes_disparity_mean=0.1, **measures)
+
+    shown = headline_table(lost)
+
+    assert shown.frame["robots disconnected"].tolist() == ["0", "15"]
+    assert "No method can place" in shown.note
+    assert "robots disconnected" not in headline_table(table).frame
+    one = result_of(full.head(1))
+    assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
+    assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(full)
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():

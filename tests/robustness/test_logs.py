@@ -1,19 +1,34 @@
-"""Mutations of a sensing log are refused in one line, or checked and localized to the end."""
+"""Mutations of a sensing log are refused in one line, or checked, localized and exported."""
 
 import json
 import re
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from tests.robustness.mutations import as_json_lines, damaged, mutated, other_number
-from tests.structures import Rule, structure, with_heights
+from tests.structures import (
+    Rule,
+    structure,
+    with_connections,
+    with_directions,
+    with_fixes,
+    with_heights,
+    with_ranges,
+)
 from tiswarm.drawing import draw_log
 from tiswarm.errors import InputError
 from tiswarm.inspection import explain_estimate, inspect
+from tiswarm.interop.exports import export_view
 from tiswarm.localization.registry import localize
+from tiswarm.params import AnyFormat
+from tiswarm.progress import Progress
+from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
+from tiswarm.report.swarm_view import view_log
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
@@ -45,12 +60,18 @@ METHODS = {
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Lines of a log with every key, and of one with four docks and contacts alone."""
+    """Lines of a log with every key of each version, and of one with four docks and heights."""
     [history] = grow(TowerParams(), robots=8, seeds=[0], robot=RobotGeometry())
+    first = observe(history, NOISE)
     foreign = with_heights(*structure(Rule(kind="loops", docks=4), robots=8, seed=1))
+    second = with_ranges(
+        with_fixes(first, history, [2, 5], each=2, sd=0.1), history, reach=6.0, sd=0.1
+    )
+    second = with_connections(with_directions(second, history, sd_deg=1.0), history, sd_deg=1.0)
+    unknown = observe(history, replace(NOISE, contact_docks="own"))
     path = tmp_path_factory.mktemp("logs") / "sensing.jsonl"
     found = []
-    for log in (observe(history, NOISE), foreign):
+    for log in (first, foreign, second, unknown):
         write_sensing_log(log, path)
         found.append([json.loads(line) for line in path.read_text().splitlines()])
     return found
@@ -62,11 +83,18 @@ def _write_mutant(random, logs, path):
     edit = random.choice([mutated, other_number, None])
     for _ in range(random.randint(1, 3) if edit else 0):
         lines = edit(random, lines)
-    raw = as_json_lines(lines)
+    raw = as_json_lines(lines) if path.suffix == ".jsonl" else _as_messages(lines)
     path.write_bytes(raw if edit else damaged(random, raw))
 
 
-def _assert_localized(path, log, method):
+def _as_messages(lines):
+    """Write plain data as MCAP; what JSON cannot express is text there."""
+    content = json.loads(json.dumps(lines), parse_constant=str)
+    return encode_messages({SENSING: ((0, entry) for entry in content)})
+
+
+def _localized(path, log, method):
+    """Localize a log by a method; the estimate reads back and becomes a page."""
     estimate = localize(log, localization_params(method, METHODS[method]))
     written = path.with_name("estimate.csv")
     write_estimate(written, estimate)
@@ -77,12 +105,23 @@ def _assert_localized(path, log, method):
     for found in (estimate, back):
         draw_log(page, log, found, name="log", **explain_estimate(log, path, found)._asdict())
     assert "NaN" not in page.read_text().partition('id="data">')[2].partition("</script>")[0]
+    return estimate
 
 
-def test_malformed_logs_are_refused_or_localized(trial, logs, tmp_path):
-    """Nothing but InputError is raised; an estimate is finite, reads back and becomes a page."""
-    path = tmp_path / "sensing.jsonl"
-    for number in trial.numbers(2000):
+def _assert_exported(folder, log, estimate):
+    """Every format takes what a method made of the log."""
+    true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
+    for shown in (view_log(log, estimate), view_log(log, estimate, true)):
+        for form in get_args(AnyFormat):
+            export_view(shown, form, folder, Progress())
+    assert all(file.stat().st_size for file in folder.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".jsonl", ".mcap"])
+def test_malformed_logs_are_refused_or_localized(trial, logs, tmp_path, suffix):
+    """Nothing but InputError is raised; an estimate is finite, reads back and is exported."""
+    path = tmp_path / f"sensing{suffix}"
+    for number in trial.numbers(1000):
         _write_mutant(trial.random(number), logs, path)
         outcome = "read and localized by each method"
         with trial.attempt(number, path):
@@ -96,8 +135,8 @@ def test_malformed_logs_are_refused_or_localized(trial, logs, tmp_path):
                 outcome = "refused"
             else:
                 assert not inspect(path).mistakes
-                for method in METHODS:
-                    _assert_localized(path, log, method)
+                estimates = [_localized(path, log, method) for method in METHODS]
+                _assert_exported(tmp_path / "export", log, trial.random(number).choice(estimates))
             trial.outcomes[outcome] += 1
 
     assert trial.failures == []

@@ -1,11 +1,13 @@
 """Scenarios load with defaults, or are refused with file, line, key and a way out."""
 
 import shlex
+import sys
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.cli import main
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario import validation
@@ -17,7 +19,7 @@ SMALL = "name: tower\nstructure: {kind: tower}\n"
 FULL = """\
 name: tower
 description: towers, without noise
-robots: 20
+precision: f64
 seeds: [3, 1]
 structure:
   kind: tower
@@ -401,7 +403,7 @@ def test_the_last_option_wins(scenario):
         ("robts=20", "unknown key; did you mean robots?"),
         ("structure.goal_heigth=30", "unknown key; did you mean goal_height?"),
         ("structure.kind=towr", "\"towr\" should be one of 'tower'"),
-        ("robots.x=3", "robots is a single value, not a section; correct the key"),
+        ("precision.x=3", "precision is a single value, not a section; correct the key"),
         ("seeds=[1, x]", '"x" should be a valid integer'),
         ("sweep.robots=[1]", "1 should be greater than or equal to 2"),
         ("conditions.no-z.localization.iterations=0", "0 should be greater than or equal to 1"),
@@ -604,3 +606,43 @@ def test_a_damaged_file_is_loaded_or_refused(scratch, edits):
     assert all(str(mistake).startswith(f"{scratch}:") for mistake in mistakes)
     if not mistakes:
         assert load_scenario(scratch).seed_list
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key"),
+    [
+        (f"{SMALL}robots: 50\nsweep: {{robots: [10, 20]}}", 3, "robots"),
+        (f"{SMALL}precision: f32\nsweep:\n  precision, robots: [[f64, 5]]", 3, "precision"),
+        (
+            "name: x\nsweep: {structure.rest: [5]}\nstructure: {kind: tower, rest: 30}".replace(
+                "rest", "goal_height"
+            ),
+            3,
+            "structure.goal_height",
+        ),
+    ],
+)
+def test_a_value_that_the_sweep_replaces_is_refused(scenario, text, line, key):
+    """Whoever wrote it expects it to matter; the same option is refused, too."""
+    path = scenario(text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path)
+
+    assert str(refusal.value) == (
+        f"{path}:{line}: {key}: has no effect, as the sweep sets {key}; leave it out"
+    )
+    assert load_scenario(path, ["sweep={}"]).sweep == {}
+
+
+def test_a_long_name_makes_a_short_error(tmp_path, monkeypatch, capsys):
+    """The line names the trouble, whoever found it: a library, the system or tiswarm."""
+    for name in ("x" * 5000, "x" * 5000 + ".yaml", "--" + "y" * 5000):
+        monkeypatch.setattr(sys, "argv", ["tiswarm", "run", name])
+
+        with pytest.raises(SystemExit):
+            main()
+
+        line, empty = capsys.readouterr().err.split("\n")
+        assert len(line) <= 1000 + len("tiswarm: error: ")
+        assert not empty

@@ -1,6 +1,7 @@
 """A scenario survives its file; its hash stands for what it says, not how."""
 
 import re
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -39,6 +40,9 @@ sweeps = st.fixed_dictionaries(
         "structure": st.just(({"kind": "tower"}, {"kind": "tower", "climb": {"patience": 1}})),
     },
 )
+DEFAULTS = {"robots": 100, "precision": "auto"}
+"""Values that a sweep may replace: others would have no effect, and are refused."""
+
 robots = st.builds(RobotGeometry, rho=st.floats(1.2, 10.0))
 robots |= st.builds(RobotGeometry, shape=st.sampled_from([*SHAPES]), rho=st.floats(1.8, 10.0))
 robots |= st.builds(
@@ -63,7 +67,7 @@ scenarios = st.builds(
     localization=st.builds(VirtualForceParams, initial_offset=positive, z_correction=st.booleans()),
     conditions=st.dictionaries(slugs.map(str.lower), conditions, min_size=1, max_size=3),
     sweep=sweeps,
-)
+).map(lambda made: replace(made, **{key: DEFAULTS[key] for key in DEFAULTS if key in made.sweep}))
 
 
 @pytest.fixture(scope="module")

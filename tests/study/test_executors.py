@@ -3,6 +3,7 @@
 import fcntl
 import os
 import signal
+import socket
 import textwrap
 from pathlib import Path
 
@@ -182,7 +183,7 @@ def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""
         import tiswarm.version
-        tiswarm.version.code_digest = lambda: "0123456789ab"
+        tiswarm.version.code_digest = lambda *_, **__: "0123456789ab"
     """)
     one = ("seeds=1", "conditions={a: {}}")
 
@@ -280,3 +281,34 @@ def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
     single = (alone / "0-a" / "estimate.csv").read_bytes()
     assert (swept / "0-precision=f32,a" / "estimate.csv").read_bytes() == single
     assert (swept / "0-precision=f64,a" / "estimate.csv").read_bytes() != single
+
+
+@pytest.mark.parametrize("address", ["garbage", "", "tcp://", "inproc://x", "tcp://127.0.0.1:1"])
+def test_a_wrong_address_is_found_before_a_client_is_made(tmp_path, monkeypatch, capfd, address):
+    """A client of Dask tried for a minute, then complained as the process ended."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
+
+    with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers at"):
+        _run(tmp_path, scheduler=address)
+
+    assert capfd.readouterr().err == ""
+
+
+def test_a_server_that_is_no_scheduler_is_an_error(tmp_path, monkeypatch):
+    """It accepts a connection, and then says nothing."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
+    monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.2)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers at"):
+            _run(tmp_path, scheduler=address)
+
+
+def test_a_limit_longer_than_the_system_counts_is_a_limit(tmp_path):
+    """1e400 s is no limit; it failed every case."""
+    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", case_limit_s=float("inf"))
+
+    assert (result.computed, result.failed) == (1, ())

@@ -15,10 +15,9 @@ from tiswarm import study
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import provenance, store
+from tiswarm.study import provenance, runner, store
 from tiswarm.study.cases import plan
 from tiswarm.study.store import RunFolder
-from tiswarm.version import code_digest
 from tiswarm.world.growth import grow
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
@@ -42,8 +41,8 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and reports what it replaces."""
     small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
-    for module in (provenance, store):
-        monkeypatch.setattr(module, "CODE", "0123456789ab")
+    for module in (runner, store):
+        monkeypatch.setattr(module, "case_code", lambda _: "0123456789ab")
     old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     monkeypatch.undo()
@@ -54,8 +53,8 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     assert "6 cases were computed by other code; computing them again" in progress.lines
     assert record["code"] == "0123456789ab"
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
-    assert record["code"] == code_digest()
-    assert json.loads((new.folder / "manifest.json").read_text())["code"] == code_digest()
+    assert record["code"] == provenance.case_code("virtual-force")
+    assert json.loads((new.folder / "manifest.json").read_text())["code"] == provenance.all_code()
     assert study.run(small, tmp_path, progress=progress).found == 6
 
 
@@ -100,7 +99,7 @@ def damaged(tiny_run, tmp_path):
 
 
 def test_no_damage_of_a_record_goes_unseen(damaged):
-    """After a flipped bit or another byte, a record is the same or is not read."""
+    """After a flipped bit or another byte, white space too, a record is not read."""
     folder, path = RunFolder(damaged), damaged / "cases" / "1-a" / "case.json"
     record, whole = folder.read_case("1-a"), path.read_bytes()
     random = np.random.default_rng(0)
@@ -113,8 +112,7 @@ def test_no_damage_of_a_record_goes_unseen(damaged):
         believed.append(folder.read_case("1-a"))
 
     assert record.is_current
-    assert believed.count(None) > 380
-    assert [read for read in believed if read and read != record] == []
+    assert [read for read in believed if read] == []
 
 
 @pytest.mark.parametrize(
@@ -138,7 +136,7 @@ def test_a_record_has_its_types_and_the_name_of_its_folder(damaged, change, beli
     path = damaged / "cases" / "1-a" / "case.json"
     content = json.loads(path.read_text()) | change | {"digest": ""}
     content["digest"] = sha256(json.dumps(content).encode()).hexdigest()
-    path.write_text(json.dumps(content))
+    path.write_text(f"{json.dumps(content, indent=1)}\n")
 
     assert (RunFolder(damaged).read_case("1-a") is not None) == believed
 
@@ -258,7 +256,7 @@ def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
     )
     np.testing.assert_array_equal(read.sensed, history.sensed)
     with monkeypatch.context() as patched:
-        patched.setattr(store, "CODE", "0123456789ab")
+        patched.setattr(store, "structure_code", lambda: "0123456789ab")
         assert folder.read_structure(case) is None
     [kept] = (folder.path / "structures").glob("*.npz")
     data = bytearray(kept.read_bytes())

@@ -1,5 +1,7 @@
 """Tables of a run beside published numbers."""
 
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,9 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
+from tiswarm.records.frames import write_frame
 from tiswarm.report.headline import headline
+from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import compare, tables
 from tiswarm.study.runner import failure
@@ -101,3 +105,63 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
 
     assert line == f"{name}: RMSE 2 R, disparity 0.5, 1 structure"
     assert f"a,{name},1," in (tmp_path / "both" / "comparison.csv").read_text()
+
+
+def _records(scenario, scores):
+    """List the cases of a scenario as finished with scores by number of robots, and settings."""
+    cases = study.plan(scenario)
+    done = [
+        replace(failure(case, ""), status="done", scores=scores[case.settings.robots, case.seed])
+        for case in cases
+    ]
+    return done, [case.settings for case in cases]
+
+
+def test_a_structure_that_ended_early_stays_at_its_point_of_the_sweep():
+    """Its number of robots is a score beside the number that the sweep asked for."""
+    path = REPOSITORY / "scenarios" / "bridge.yaml"
+    changes = ["sweep={robots: [40, 60]}", "seeds=2", "conditions={baseline: {}}"]
+    scores = {
+        (robots, seed): {"joined": min(robots, 50 + seed), "rmse_R": float(seed), "converged": True}
+        for robots in (40, 60)
+        for seed in (0, 1)
+    }
+    records, settings = _records(load_scenario(path, changes), scores)
+
+    summary, table = tables.summary(records, settings), tables.table(records, settings)
+
+    assert summary["robots"].tolist() == [40, 40, 60, 60]
+    assert summary["joined"].tolist() == [40, 40, 50, 51]
+    assert table["robots"].tolist() == ["40", "60"]
+    assert table["joined_least"].tolist() == [40.0, 50.0]
+    assert table["joined_most"].tolist() == [40.0, 51.0]
+    assert table[["rmse_R_least", "rmse_R_most"]].to_numpy().tolist() == [[0.0, 1.0]] * 2
+    assert table["located_least"].isna().all()  # a score that no case has
+
+
+def test_swept_values_are_written_as_in_a_scenario(tmp_path):
+    """Labels and names of files come from tables; Python's dict, True and None are no words."""
+    path = REPOSITORY / "scenarios" / "tower.yaml"
+    swept = {
+        "structure": [{"kind": "tower"}, {"kind": "chain"}],
+        "sensing.heights": [True, False],
+        "sensing.spawn_noise": [None, 0.5],
+    }
+    scores = {"rmse_R": 1.0, "procrustes_disparity": 0.1}
+    changes = ["robots=6", "seeds=1", f"sweep={json.dumps(swept)}"]
+    records, settings = _records(load_scenario(path, changes), {(6, 0): scores})
+    table = tables.table(records, settings)
+    write_frame(table, tmp_path / "table.csv")
+    write_frame(tables.summary(records, settings), tmp_path / "summary.csv")
+
+    run = load_run(tmp_path)
+    words = run.table("table.csv", ["condition"], ["cases"], after="cases")
+    lines = headline(tmp_path)
+
+    assert words["structure"].unique().tolist() == ["kind: tower", "kind: chain"]
+    assert words["sensing.heights"].unique().tolist() == ["true", "false"]
+    assert words["sensing.spawn_noise"].unique().tolist() == ["null", "0.5"]
+    assert {case.point for case in run.cases} >= {
+        "structure={kind: tower}, sensing.heights=true, sensing.spawn_noise=null"
+    }
+    assert not re.search("True|nan|None|'", lines)

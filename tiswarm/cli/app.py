@@ -47,7 +47,9 @@ RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
 Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]
-Movie = Annotated[Literal["gif", "mp4"], Option(help="File format of --animate.")]
+Movie = Annotated[
+    Literal["gif", "mp4"] | None, Option(help="File format of --animate (default: gif).")
+]
 
 
 @app.callback(invoke_without_command=True)
@@ -84,6 +86,17 @@ def show_page(page: Path | str, *, opened: bool) -> None:
         typer.echo(f"open {page}")
     elif not webbrowser.open(page if isinstance(page, str) else page.absolute().as_uri()):
         raise EnvironmentTroubleError(f"no browser to open {page}; copy it to a machine with one")
+
+
+def chosen_movie(movie: Literal["gif", "mp4"] | None, *, animate: bool) -> Any:  # noqa: ANN401
+    """Return the file format of an animation; None without one.
+
+    Raises:
+        InputError: a format was chosen for no animation.
+    """
+    if movie and not animate:
+        raise InputError(f"there is no animation to write as {movie}; add --animate", key="--movie")
+    return movie or "gif" if animate else None
 
 
 def refuse(given: Mapping[str, object], reason: str) -> None:

@@ -6,7 +6,18 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from tiswarm.cli.app import Animate, Movie, Open, Pdf, Quiet, RunFolderPath, app, refuse, show_page
+from tiswarm.cli.app import (
+    Animate,
+    Movie,
+    Open,
+    Pdf,
+    Quiet,
+    RunFolderPath,
+    app,
+    chosen_movie,
+    refuse,
+    show_page,
+)
 from tiswarm.cli.log import EstimateTable, Truth, read_estimated
 from tiswarm.console import ConsoleProgress
 from tiswarm.params import AnyFormat
@@ -48,7 +59,7 @@ def render(
     ] = None,
     *,
     animate: Animate = False,
-    movie: Movie = "gif",
+    movie: Movie = None,
     quiet: Quiet = False,
 ) -> None:
     """Draw 3D pictures of a run, or of a log and its estimate."""
@@ -56,7 +67,7 @@ def render(
     from tiswarm.report.run_data import load_run
     from tiswarm.report.swarm_view import view_log
 
-    progress = ConsoleProgress(quiet=quiet)
+    progress, animated = ConsoleProgress(quiet=quiet), chosen_movie(movie, animate=animate)
     if not source.is_dir():
         refuse({"--animate": animate, "--case": case}, "a log is no run")
         view = view_log(*read_estimated(source, estimate, progress, truth))
@@ -65,7 +76,7 @@ def render(
     refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "a run has its own")
     draw(
         load_run(source), progress,
-        renders=True, movie=movie if animate else None, renderer=renderer, case=case,
+        renders=True, movie=animated, renderer=renderer, case=case,
     )  # fmt: skip
 
 

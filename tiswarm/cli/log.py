@@ -78,9 +78,9 @@ def localize(
 
     if opened and report is None:
         raise InputError("needs a page; add --report PAGE", key="--open")
-    seeds = [] if seed is None else [f"seed={seed}"]
+    values = {} if seed is None else {"seed": seed}
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
-    params = localization_params(method, [*seeds, *overrides], cues=names)
+    params = localization_params(method, overrides, cues=names, values=values)
     sensed, progress = read_sensing_log(log), ConsoleProgress(quiet=quiet)
     running = registry.start_device([params.method], arch, threads=threads, precision=precision)
     if arch != "cpu":

@@ -17,6 +17,7 @@ from tiswarm.cli.app import (
     Quiet,
     Threads,
     app,
+    chosen_movie,
     show_page,
 )
 from tiswarm.console import ConsoleProgress
@@ -53,7 +54,7 @@ def run(
     pictures: Annotated[bool, Option(help="Draw figures, renders and report.html.")] = True,
     pdf: Pdf = False,
     animate: Animate = False,
-    movie: Movie = "gif",
+    movie: Movie = None,
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
@@ -65,14 +66,15 @@ def run(
     from tiswarm.scenario.expansion import load_scenario
 
     progress = ConsoleProgress(quiet=quiet)
+    animated, part = chosen_movie(movie, animate=animate), _shard(shard)
+    if workers is not None and scheduler is not None:
+        raise InputError("choose only one of --workers, --scheduler")
     plan = load_scenario(scenario, overrides)
     if only_plan:
         typer.echo(study.forecast(plan))
         return
-    if workers is not None and scheduler is not None:
-        raise InputError("choose only one of --workers, --scheduler")
     execution = study.Execution(
-        workers=workers, scheduler=scheduler, shard=_shard(shard), case_limit_s=case_limit,
+        workers=workers, scheduler=scheduler, shard=part, case_limit_s=case_limit,
         fail_fast=fail_fast,
     )  # fmt: skip
     result = study.run(
@@ -85,7 +87,7 @@ def run(
         from tiswarm.drawing import PAGE, draw_all
         from tiswarm.report.headline import headline
 
-        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie if animate else None)
+        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=animated)
         if not quiet:
             typer.echo(headline(result.folder))
         page = result.folder / PAGE

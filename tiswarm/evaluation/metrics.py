@@ -141,6 +141,14 @@ def mean_std_ci95(values: Reals) -> dict[str, float]:
     return {"mean": mean, "std": std, "ci95": width}
 
 
+def least_and_most(values: Reals) -> dict[str, float]:
+    """Return the least and the greatest of the values that are finite, shape (n,); NaN of none."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return {"least": math.nan, "most": math.nan}
+    return {"least": float(known.min()), "most": float(known.max())}
+
+
 def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
     """Compare two conditions on the same structures, pair by pair.
 

@@ -40,7 +40,7 @@ def score(
     place, free = true / log.dock_radius, estimate.yaw is not None
     modes = floppy_modes(weld(measure(log, cues), place, yaw_unknown=free))
     return {
-        "robots": log.robot_count,
+        "joined": log.robot_count,
         "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[1:]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,

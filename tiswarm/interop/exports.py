@@ -1,4 +1,8 @@
-"""Exports structures and estimates: as tables, solids in space, particles or a factor graph."""
+"""Exports structures and estimates: as tables, solids in space, particles or a factor graph.
+
+Solids and particles have float32 numbers, relative to the place of the anchor: files state it as
+the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
+"""
 
 import io
 from pathlib import Path
@@ -16,6 +20,7 @@ from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import TRUE_SIZE, Robots, build_scene, capsule_normals
@@ -37,11 +42,9 @@ def export_view(view: SwarmView, form: AnyFormat, out: Path, progress: Progress)
     """
     files: dict[str, bytes] = {}
     if form == "gltf":
-        files["case.glb"] = _gltf(_shapes(view, gamma=2.2), view.log.length_unit)
+        files["case.glb"] = _gltf(_shapes(view, gamma=2.2), view.log)
     elif form == "ply":
-        for name, shape in _shapes(view).items():
-            normals = {"vertex_normal": True} if name != "contacts" else {}
-            files[f"{name}.ply"] = shape.export(file_type="ply", **normals)
+        files = {f"{name}.ply": _ply(s, view.log) for name, s in _shapes(view).items()}
     elif form == "gsd":
         files = encode_gsd(view)
     elif form == "mcap":
@@ -59,23 +62,28 @@ def export_view(view: SwarmView, form: AnyFormat, out: Path, progress: Progress)
 
 
 def _shapes(view: SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
-    """Build trimesh solids of structure and estimate, and a path of the contacts.
+    """Build trimesh solids of structure and estimate, and a path of the contacts if there are any.
 
     Robots of the structure are colored by join, those of the estimate by error or, where the truth
     is unknown, by standard deviation. Contacts connect the centers of robots. The exponent `gamma`
-    = 2.2 turns sRGB into linear colors for glTF. Lengths are in the unit of the log.
+    = 2.2 turns sRGB into linear colors for glTF. Lengths are in the unit of the log, from the
+    anchor.
     """
     from trimesh.path import Path3D, entities  # noqa: PLC0415 - slow to import
 
     doubt, _ = colors_from_zero(view.error if view.has_truth else view.sd, ERROR_COLORS)
-    shapes = {"estimate": _solid(view.robots(view.estimated_pose, doubt, TRUE_SIZE), gamma)}
+    estimated = view.robots(view.from_origin(view.estimated_pose), doubt, TRUE_SIZE)
+    shapes = {"estimate": _solid(estimated, gamma)}
     if view.has_truth:
-        structure = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+        structure = view.robots(view.from_origin(view.pose), view.color_by_join, TRUE_SIZE)
         shapes = {"structure": _solid(structure, gamma), **shapes}
+    center, pairs = view.from_origin(view.best_pose)[:, :3], view.log.contacts[:, [0, 2]]
     line: Any = entities.Line
-    lines = [line(pair) for pair in view.log.contacts[:, [0, 2]]]
+    lines = [line(pair) for pair in pairs[np.isfinite(center[pairs]).all(axis=(1, 2))]]
     gray = np.tile(np.array(_EDGE_GRAY, np.uint8), (len(lines), 1))
-    shapes["contacts"] = Path3D(lines, view.best_pose[:, :3], colors=gray, process=False)
+    if lines:
+        place = np.nan_to_num(center)  # no line ends where the place is unknown
+        shapes["contacts"] = Path3D(lines, place, colors=gray, process=False)
     for shape in shapes.values():
         shape.apply_scale(view.log.dock_radius)
     return shapes
@@ -96,13 +104,24 @@ def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, impo
     )
 
 
-def _gltf(shapes: dict[str, Any], length_unit: str) -> bytes:
-    """Encode shapes as the nodes of one binary glTF file, y up."""
+def _ply(shape: Any, log: SensingLog) -> bytes:  # noqa: ANN401 - of trimesh, imported late
+    """Encode a shape as PLY, whose comments state the unit and where the log has its origin."""
+    normals = {"vertex_normal": True} if hasattr(shape, "vertex_normals") else {}
+    kind, encoding, rest = shape.export(file_type="ply", **normals).split(b"\n", 2)
+    origin = " ".join(map(repr, log.anchor_position.tolist()))
+    comments = f"comment length_unit {log.length_unit}\ncomment origin {origin}"
+    return b"\n".join([kind, encoding, comments.encode(), rest])
+
+
+def _gltf(shapes: dict[str, Any], log: SensingLog) -> bytes:
+    """Encode shapes as the nodes of one binary glTF file, y up, moved to the anchor."""
     from trimesh import Scene  # noqa: PLC0415 - slow to import
 
-    scene = Scene(metadata={"length_unit": length_unit})
+    scene = Scene(metadata={"length_unit": log.length_unit})
+    place = _Y_UP.astype(np.float64)
+    place[:3, 3] = place[:3, :3] @ log.anchor_position
     for name, shape in shapes.items():
-        scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+        scene.add_geometry(shape, node_name=name, geom_name=name, transform=place)
 
     def add_matte(tree: dict[str, Any]) -> None:
         tree["materials"] = [_MATTE]  # the default of glTF is metal

@@ -2,7 +2,8 @@
 
 OVITO shows such files, freud analyzes them. The schema is `hoomd`, with shapes as in
 https://gsd.readthedocs.io/en/stable/shapes.html. A frame for each join shows the growth; `step`
-counts the robots that have joined. GSD has float32 numbers.
+counts the robots that have joined. GSD has float32 numbers: positions are relative to the anchor,
+whose place is the logged quantity `origin`.
 """
 
 from pathlib import Path
@@ -50,7 +51,7 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
 
     unit = view.log.dock_radius
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    place = unit * pose[known, :3]
+    place = unit * view.from_origin(pose)[known, :3]
     logged = {"robot": view.robot} | {
         name: unit * values
         for name, values in [("error", view.error), ("sd", view.sd)]
@@ -80,6 +81,7 @@ def _append_frames(file: Any, view: SwarmView, pose: Reals) -> None:  # noqa: AN
         frame.bonds.types = ["contact"]
         frame.bonds.group = made
         frame.log = {f"particles/{name}": values[known[:count]] for name, values in logged.items()}
+        frame.log["origin"] = view.log.anchor_position
         file.append(frame)
 
 

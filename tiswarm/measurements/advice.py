@@ -281,8 +281,11 @@ class _Posterior:
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
         weight[2 * len(i) :] *= -1.0
         extent = (center - center.mean(axis=0)).var(axis=0).sum()
+        # Of robots that are very far apart, rounding would leave nothing but a singular matrix.
+        resolved = self.free.stop * np.finfo(float).eps * measured.diagonal().max(initial=0.0)
+        within = max(1.0 / max(extent, SPACING**2), resolved)
         bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
-        loose = bonds + eye_array(self.robots) / max(extent, SPACING**2)
+        loose = bonds + within * eye_array(self.robots)
         yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
         precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
         self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -34,23 +35,25 @@ def read_frame(
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
+            Those before it have words, unless they are listed.
         empty: Whether the table may have no rows; it then needs no columns of numbers.
 
     Raises:
         InputError: the table is missing or malformed; names file, line and column.
     """
     run_file(path)
+    # Only empty cells are unknown: a condition may be called `NA` or `null`.
+    read: dict[str, Any] = {"keep_default_na": False, "na_values": [""], "low_memory": False}
     try:
-        # Only empty cells are unknown: a condition may be called `NA` or `null`.
-        table = pd.read_csv(
-            path, keep_default_na=False, na_values=[""], dtype=dict.fromkeys(words, str),
-            low_memory=False,
-        )  # fmt: skip
+        found = list(pd.read_csv(path, nrows=0, **read).columns)
+        before = found[: found.index(numbers_after)] if numbers_after in found else []
+        named = {*before} - {*numbers, *gaps, "robots"} | {*words}
+        table: pd.DataFrame = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
     if not isinstance(table.index, pd.RangeIndex):
         raise damaged(path, "rows have more cells than the header")
-    found, columns = list(table.columns), [*numbers, *gaps]
+    columns = [*numbers, *gaps]
     if table.empty and empty:
         table = table.reindex(columns=list(dict.fromkeys([*found, *columns])))
     for column in filter(None, [*words, *columns, numbers_after]):
@@ -63,7 +66,7 @@ def read_frame(
     swept = [name for name in found if name == "robots"]
     for column in [*columns, *after, *swept]:
         _check_numbers(table[column], path, gaps=column not in numbers)
-    return table
+    return table.copy()  # pandas 3 reads columns into pieces, and warns of more of them
 
 
 def _check_numbers(cells: pd.Series, path: Path, *, gaps: bool) -> None:

@@ -43,19 +43,25 @@ MAX_FILE_BYTES = 2**30
 MAX_LOG_BYTES = 2**33
 """Largest file of a run that is read piece by piece [byte]."""
 
+MAX_TABLE_BYTES = 2**28
+"""Largest content of a compressed table [byte], whose rows are all in memory."""
 
-def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+
+def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int, str]]:
     """Yield each line with its number, counted from 1; only one line is in memory at a time.
 
     Raises:
-        InputError: the file cannot be read or decompressed, is not UTF-8, or has a line of more
-            than 64 MiB.
+        InputError: the file cannot be read or decompressed, is not UTF-8, has a line of more than
+            64 MiB, or is compressed and has more than `most` [byte].
     """
-    number = 0
+    number, is_packed = 0, path.suffix == ".zst"
     try:
-        with zstd.ZstdFile(path) if path.suffix == ".zst" else path.open("rb") as file:
+        with zstd.ZstdFile(path) if is_packed else path.open("rb") as file:
             while raw := file.readline(MAX_LINE_BYTES + 1):
                 number += 1
+                if is_packed and file.tell() > most:
+                    problem = f"has more than {most // 2**20} MiB; decompress it if that is right"
+                    raise InputError(problem, path=path, line=number)
                 if number == 1:
                     raw = raw.removeprefix(BOM_UTF8)
                 if len(raw) > MAX_LINE_BYTES:
@@ -71,6 +77,21 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
         reason = str(error).rpartition(": ")[2]
         problem = f"not a whole Zstandard file ({reason}); compress or copy it again"
         raise InputError(problem, path=path, line=number + 1) from error
+
+
+def unpacked(data: bytes, size: int) -> bytes:
+    """Decompress a Zstandard frame up to a stated size; a frame of more stays unpacked beyond.
+
+    Raises:
+        ValueError: the frame is damaged or has another size.
+    """
+    try:
+        content = zstd.ZstdDecompressor().decompress(data, size + 1)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from error
+    if len(content) != size:
+        raise ValueError("another size than stated")
+    return content
 
 
 def decode(raw: bytes, path: Path, first_line: int = 1) -> str:
@@ -90,7 +111,8 @@ def unreadable(path: Path, error: OSError) -> InputError:
     if isinstance(error, IsADirectoryError):
         return InputError("this is a folder; name a file", path=path)
     reason = error.strerror or str(error)
-    return InputError(f"cannot be read: {reason}; check its permissions", path=path)
+    check = "its permissions" if isinstance(error, PermissionError) else "the file and its disk"
+    return InputError(f"cannot be read: {reason}; check {check}", path=path)
 
 
 def run_file(path: Path, most: int = MAX_FILE_BYTES) -> Path:
@@ -129,13 +151,20 @@ def at_line(path: Path, line: int) -> Iterator[None]:
 
 
 class Table:
-    """A CSV file whose cells stay text until a column is read; a bad line raises InputError."""
+    """A CSV file whose cells stay text until a column is read; a bad line raises InputError.
+
+    Cells are separated by commas, or as in the header by semicolons or tabs. Lines that start with
+    # are comments.
+    """
 
     def __init__(self, path: Path) -> None:
         """Read the header."""
         self.path = path
-        self._lines = numbered_lines(path)
-        self.columns = [name.strip() for name in self._split(*next(self._lines, (1, "")))]
+        lines = numbered_lines(path, MAX_TABLE_BYTES)
+        self._lines = ((line, text) for line, text in lines if not text.startswith("#"))
+        first, header = next(self._lines, (1, ""))
+        self._separator = max(",;\t", key=header.count)
+        self.columns = [name.strip() for name in self._split(first, header)]
 
     @cached_property
     def rows(self) -> dict[int, list[str]]:
@@ -183,7 +212,7 @@ class Table:
 
     def _split(self, line: int, text: str) -> list[str]:
         try:
-            return next(csv.reader([text], strict=True), [])
+            return next(csv.reader([text], strict=True, delimiter=self._separator), [])
         except csv.Error as error:
             problem = f"not a row of a table: {error}; write numbers with commas between them"
             raise InputError(problem, path=self.path, line=line) from error
@@ -253,7 +282,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a whole JSON file at once."""
-    write_text(path, json.dumps(content, indent=1) + "\n")
+    write_bytes(path, as_json(content))
+
+
+def as_json(content: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a JSON file."""
+    return f"{json.dumps(content, indent=1)}\n".encode()
 
 
 def read_json(path: Path, kind: TypeAdapter[_Content]) -> _Content | None:

@@ -8,15 +8,21 @@ import io
 import json
 import struct
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.io import MAX_LINE_BYTES, decode, unreadable
+from tiswarm.records.io import MAX_LINE_BYTES, decode, unpacked, unreadable
 
 SENSING = "sensing"
 """Topic of a sensing log."""
 _NANOSECONDS = 10**9
+_MAX_RECORD_BYTES = 2**28
+"""Largest record or content of a chunk that is read [byte]; recorders write some MiB."""
+
+_DAMAGE = (struct.error, ValueError, ArithmeticError, RuntimeError, LookupError)
+"""What reading damaged bytes raises, besides the errors of the library."""
 
 
 def encode_messages(topics: Mapping[str, Iterable[tuple[int, Mapping[str, Any]]]]) -> bytes:
@@ -50,28 +56,95 @@ def sensing_lines(path: Path) -> Iterator[tuple[int, str]]:
     """
     try:
         from mcap.exceptions import McapError  # noqa: PLC0415 - an extra
-        from mcap.reader import make_reader  # noqa: PLC0415
-        from zstandard import ZstdError  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise _missing_library() from error
     number = 0
     try:
         with path.open("rb") as file:
-            reader = make_reader(file, validate_crcs=True)
-            for _, _, message in reader.iter_messages(topics=[SENSING], log_time_order=False):
+            for data in _messages(file):
                 number += 1
-                if len(message.data) > MAX_LINE_BYTES:
+                if len(data) > MAX_LINE_BYTES:
                     problem = "the message is longer than 64 MiB; write one robot a message"
                     raise InputError(problem, path=path, line=number)
-                yield number, decode(message.data, path, number)
+                yield number, decode(data, path, number)
+    except _TooLargeError as error:
+        problem = "a record or chunk has more than 256 MiB; write smaller ones, or copy it again"
+        raise InputError(problem, path=path, line=number + 1) from error
     except OSError as error:
         raise unreadable(path, error) from error
-    except (McapError, ZstdError, struct.error, ValueError, RuntimeError, LookupError) as error:
+    except (McapError, *_DAMAGE) as error:
         problem = "not a whole MCAP file; record or copy it again"
         raise InputError(problem, path=path, line=number + 1) from error
     if number == 0:
         problem = f"there are no messages of the topic {SENSING}; see tiswarm export --format mcap"
         raise InputError(problem, path=path, line=1)
+
+
+def _messages(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the data of each message of the topic `sensing`; one chunk is in memory at a time."""
+    from mcap.opcode import Opcode  # noqa: PLC0415 - an extra
+    from mcap.records import Channel, Chunk, Message  # noqa: PLC0415
+    from mcap.stream_reader import StreamReader, get_chunk_data_stream  # noqa: PLC0415
+
+    def records() -> Iterator[object]:
+        bounded: Any = _Bounded(file)
+        for record in StreamReader(bounded, emit_chunks=True, validate_crcs=True).records:
+            if not isinstance(record, Chunk):
+                yield record
+                continue
+            content = replace(record, compression="", data=_unpacked_chunk(record))
+            stream, length = get_chunk_data_stream(content, validate_crc=True)
+            while stream.count < length:
+                opcode, size = stream.read1(), stream.read8()
+                if opcode == Opcode.MESSAGE:
+                    yield Message.read(stream, size)
+                elif opcode == Opcode.CHANNEL:
+                    yield Channel.read(stream)
+                else:
+                    stream.read(size)
+
+    topics: dict[int, str] = {}
+    for record in records():
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Message) and topics[record.channel_id] == SENSING:
+            yield record.data
+
+
+def _unpacked_chunk(chunk: Any) -> bytes:  # noqa: ANN401 - of an extra
+    """Decompress a chunk, never beyond the size that it states."""
+    size: int = chunk.uncompressed_size
+    if size > _MAX_RECORD_BYTES:
+        raise _TooLargeError
+    if chunk.compression == "zstd":
+        return unpacked(chunk.data, size)
+    content: bytes = chunk.data
+    if chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - comes with mcap
+
+        content = LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+    elif chunk.compression:
+        raise ValueError("an unknown compression")
+    if len(content) != size:
+        raise ValueError("another size than stated")
+    return content
+
+
+class _TooLargeError(Exception):
+    """A record, or the content of a chunk, is too large."""
+
+
+class _Bounded:
+    """A file that is never read in pieces of more than a record may have."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+
+    def read(self, size: int) -> bytes:
+        """Read at most `size` bytes."""
+        if size > _MAX_RECORD_BYTES:
+            raise _TooLargeError
+        return self._file.read(size)
 
 
 def _missing_library() -> EnvironmentTroubleError:

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import re
 from collections.abc import Collection, Sequence
 
 from pydantic_core import ErrorDetails
@@ -26,14 +27,25 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
     if kind == "value_error":
         return str(context["error"])
     if kind == "union_tag_invalid":
-        return f"{shown(context['tag'])} should be one of {context['expected_tags']}"
+        meant = did_you_mean(context["tag"], re.findall("'(.+?)'", context["expected_tags"]))
+        return f"{shown(context['tag'])} should be one of {context['expected_tags']}{meant}"
     if kind in _SECTION:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=2)[1:]
         meant = f"; did you mean {near[0]}?" if near else ""
         return f"{shown(error['input'])} should be keys with values{meant}"
     if message.startswith("Input should"):
         message = shown(error["input"]) + message.removeprefix("Input")
+    if kind == "literal_error":
+        choices = re.findall("'(.+?)'", context["expected"])
+        message = re.sub(r"\b(True|False)\b", lambda found: found[0].lower(), message)
+        message += did_you_mean(error["input"], choices)
     return message.replace(" after validation", "")
+
+
+def did_you_mean(name: object, names: Collection[str]) -> str:
+    """Return the name that is nearest to a wrong one as the end of a message, or nothing."""
+    near = difflib.get_close_matches(str(name), names, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def shown(value: object) -> str:

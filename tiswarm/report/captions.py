@@ -15,8 +15,8 @@ CAPTIONS = {
     "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
     "Dots on the lower edge of a logarithmic axis have this error or less.",
     "error-along-growth": "Error of each robot against its place along the structure, a panel for "
-    "each kind of structure. A dot is a robot; its color is its join index, the order in which "
-    "robots joined.",
+    "each kind of structure or condition. A dot is a robot; its color is its join index, the order "
+    "in which robots joined. Dots on the lower edge of a logarithmic axis have this error or less.",
     "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
     "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
     "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "

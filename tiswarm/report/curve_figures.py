@@ -173,7 +173,8 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
             if place == 0:
                 _count(axes, rows["at"], rows["count"])
         axes.set(xlabel=label, ylabel="RMSE [R]")
-        fit_axis(axes, "y", part.loc[part["many"], "rmse_R"].to_numpy(float))
+        rmse = part["rmse_R"].to_numpy(float)
+        fit_axis(axes, "y", rmse[part["many"]], others=rmse)
     axes.set(xscale="log", ylabel="Relative RMSE [R]")
     ticks = sorted(set(part["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

@@ -116,10 +116,25 @@ def marker_style(place: int) -> dict[str, Any]:
     return {"color": PALETTE[color], "marker": "osD^vPX"[(color + turn) % 7]}
 
 
-def fit_axis(axes: "Axes", which: str, values: Reals, *, nonpositive: str = "mask") -> None:
+def fit_axis(
+    axes: "Axes",
+    which: str,
+    values: Reals,
+    *,
+    others: Reals | None = None,
+    nonpositive: str = "mask",
+) -> None:
     """Start the axis x or y at zero, or make it logarithmic where that would crush values onto 0.
 
-    On a logarithmic axis, what is not positive is left out ("mask") or at its end ("clip").
+    All points have to be drawn before, so that the axis ends beyond them.
+
+    Args:
+        axes: Panel.
+        which: "x" or "y".
+        values: Values whose differences have to be seen.
+        others: Further values that have to be within the axis.
+        nonpositive: Whether a logarithmic axis leaves out what is not positive ("mask"), or has it
+            at its end ("clip").
     """
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -131,7 +146,8 @@ def fit_axis(axes: "Axes", which: str, values: Reals, *, nonpositive: str = "mas
         bounds(0.0, None)
         return
     getattr(axes, f"set_{which}scale")("log", nonpositive=nonpositive)
-    bounds(0.6 * positive.min(), None)
+    every = positive if others is None else np.concatenate([positive, others[others > 0.0]])
+    bounds(0.6 * every.min(), None)
     if span < _MOST_LABELS:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))

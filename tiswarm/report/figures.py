@@ -44,11 +44,12 @@ _MAX_KINDS = 4
 _LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
 _LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
 
+_HEIGHT = ("z_R", "True height [R]")
 _GROWS = {
-    "tower": ("z_R", "True height [R]"),
+    "tower": _HEIGHT,
     "cantilever": ("x_R", "True distance out from the edge [R]"),
     "bridge": ("x_R", "True distance along the gap [R]"),
-    "chain": ("z_R", "True height [R]"),
+    "chain": _HEIGHT,
 }
 """By kind of structure, the column of `robots.csv` along which it grows, and the axis label."""
 
@@ -90,7 +91,9 @@ def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     if _first_by_kind(run.series):
         painters["error-along-growth"] = _draw_error_along_growth
     else:
-        painters["error-against-height"] = draw_error_against_height
+        upward = all(_way(cases) == _HEIGHT for cases in run.series.values())
+        name = "error-against-height" if upward else "error-along-growth"
+        painters[name] = draw_errors
     if run.sweeps_robots:
         painters["scaling"] = draw_scaling
     if (run.folder / "table.csv").is_file():
@@ -128,7 +131,7 @@ def draw_convergence(run: RunData) -> "Figure":
     lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
     panels[0].set_ylim(top=1.05 * top or 1.0)
-    fit_axis(panels[0], "y", ends)
+    fit_axis(panels[0], "y", ends, others=np.concatenate([np.empty(0), *lines]))
     figure.supylabel("RMSE [R]", fontsize=8.0)
     figure.legend(
         legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
@@ -182,8 +185,8 @@ def _traces(cases: list[Case]) -> tuple[Reals, Reals]:
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
 
 
-def draw_error_against_height(run: RunData) -> "Figure":
-    """Draw each robot's error against its true height, colored by its join index.
+def draw_errors(run: RunData) -> "Figure":
+    """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
     """
@@ -199,15 +202,21 @@ def draw_error_against_height(run: RunData) -> "Figure":
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
     height = 0.5 + (2.0 + _LEGEND_LINE * lines) * rows
-    figure, panels = new_panels(width, height, len(shown), columns, share="xy")
-    tables = [_errors_at(cases, "z_R") for _, cases in shown]
+    ways = [_way(cases) for _, cases in shown]
+    alike = len(set(ways)) == 1
+    figure, panels = new_panels(width, height, len(shown), columns, share="xy" if alike else "y")
+    tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
     _scatter(panels, tables)
     notes = [run.note]
     for axes, (name, _), table in zip(panels, shown, tables, strict=True):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
         axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
-    figure.supxlabel("True height [R]", fontsize=8.0)
+    if alike:
+        figure.supxlabel(ways[0][1], fontsize=8.0)
+    else:
+        for axes, (_, label) in zip(panels, ways, strict=True):
+            axes.set_xlabel(label)
     figure.supylabel("Error [R]", fontsize=8.0)
     if len(shown) < len(run.series):
         notes.append(f"{len(run.series) - len(shown)} more series not shown")
@@ -222,9 +231,9 @@ def _draw_error_along_growth(run: RunData) -> "Figure":
     """
     kinds = _first_by_kind(run.series)
     figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y")
-    _scatter(panels, [_errors_at(cases, _GROWS[kind][0]) for kind, cases in kinds.items()])
+    _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
     for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
-        axes.set_xlabel(_GROWS[kind][1])
+        axes.set_xlabel(_way(cases)[1])
         many = counted(len(cases), "structure")
         axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
     panels[0].set_ylabel("Error [R]")
@@ -240,6 +249,11 @@ def _first_by_kind(series: Series) -> Series:
     points = {cases[0].point for cases in series.values()}
     few = 1 < len(kinds) == len(points) <= _MAX_KINDS
     return kinds if few and kinds.keys() <= _GROWS.keys() else {}
+
+
+def _way(cases: list[Case]) -> tuple[str, str]:
+    """Return the column along which structures of a series grow, and the axis label."""
+    return _GROWS.get(cases[0].kind, _HEIGHT)
 
 
 def _errors_at(cases: list[Case], column: str) -> Reals:
@@ -262,9 +276,10 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
     colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
     errors = [table[:, 1] for table in tables if len(table)]
-    typical = [np.quantile(error, _LOW_AND_MIDDLE) for error in errors]
-    fit_axis(panels[0], "y", np.concatenate([[0.0], *typical]))
+    typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
+    fit_axis(panels[0], "y", typical)
     low = panels[0].get_ylim()[0]
+    top = 0.0
     for axes, table in zip(panels, tables, strict=True):
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
@@ -272,7 +287,8 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
             x, np.maximum(y, low), c=join, s=area, cmap=colors, vmin=0.0, vmax=last,
             linewidths=0.0, clip_on=False,
         )  # fmt: skip
-    panels[0].set_ylim(bottom=low)
+        top = max(top, float(y.max(initial=0.0)))
+    panels[0].set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
     figure = panels[0].figure
     aspect = 25 * -(-len(panels) // 3)
     bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)

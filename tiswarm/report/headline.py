@@ -11,6 +11,7 @@ import pandas as pd
 from tiswarm.errors import InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
+from tiswarm.report.run_data import swept_columns, swept_words
 
 FEWEST_FOR_CI = 4
 """Structures below which a range says more than a confidence interval."""
@@ -19,6 +20,7 @@ _MEASURES = [
     "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
 ]  # fmt: skip
 _METHOD = "localization.method"
+_DISCONNECTED = "disconnected_mean"
 _Row = dict[Hashable, Any]
 
 
@@ -28,6 +30,8 @@ def headline(folder: Path) -> str:
     if not path.exists():
         raise InputError("has no table.csv; give a folder that `tiswarm run` made", path=folder)
     table = read_frame(path, ["condition"], ["cases"], gaps=_MEASURES, numbers_after="cases")
+    swept = swept_columns(table)
+    table[swept] = swept_words(table)[swept]
     best = conclusion(table)
     return "\n".join([*map(_in_words, table.to_dict("records")), *([best] if best else [])])
 
@@ -70,7 +74,16 @@ def result_of(table: pd.DataFrame) -> str:
     if not text:
         least, most = rows["rmse_R_mean"].min(), rows["rmse_R_mean"].max()
         text = f"mean RMSE from {least:.3g} R to {most:.3g} R at {len(rows)} sweep points"
-    return f"{text}."
+    return f"{text}{_disconnected_somewhere(rows)}."
+
+
+def _disconnected_somewhere(rows: pd.DataFrame) -> str:
+    """State in how many rows structures have disconnected robots; empty if in none or in one."""
+    many = int((rows[_DISCONNECTED] > 0.0).sum()) if _DISCONNECTED in rows else 0
+    if not many or len(rows) == 1:
+        return ""
+    least = f"; robots are disconnected from the anchor in {many} of {len(rows)} rows of the table"
+    return f"{least}, where no method can place them"
 
 
 def _in_words(row: _Row) -> str:
@@ -87,7 +100,16 @@ def _in_words(row: _Row) -> str:
         share = row.get(f"{word}_mean", math.nan)
         if lost := 0 if math.isnan(share) else round(row["cases"] * (1.0 - share)):
             doubtful.append(f"{lost} of them not {word}")
-    return ", ".join([text, *doubtful])
+    return ", ".join([text, *doubtful]) + _disconnected(row)
+
+
+def _disconnected(row: _Row) -> str:
+    """State how many robots no measurement ties to the anchor; empty if there are none."""
+    lost = row.get(_DISCONNECTED, math.nan)
+    if math.isnan(lost) or not lost:
+        return ""
+    mean = " on average" if row["cases"] > 1 else ""
+    return f", {lost:.3g} of {row['joined_mean']:.3g} robots disconnected{mean}"
 
 
 def _swept(row: _Row) -> list[Hashable]:

@@ -28,7 +28,6 @@ from tiswarm.report.page_tables import (
     notes_of,
     result_tables,
     warnings_of,
-    with_ranges,
 )
 from tiswarm.report.run_data import RunData
 from tiswarm.report.space import View, build_view
@@ -130,7 +129,6 @@ def _gather(run: RunData) -> Page:
     manifest = read_manifest(run.folder)
     numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
-    table = with_ranges(table, run.summary)
     words = ["condition", "against", "measure"]
     numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
     paired = run.table("paired.csv", words, numbers, after="measure", optional=True)

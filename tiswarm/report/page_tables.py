@@ -62,6 +62,8 @@ _PUBLISHED = [
 ]
 _CASE = [
     ("robots", "robots"),
+    ("joined", "joined"),
+    ("disconnected", "disconnected"),
     *_ACCURACY[:1],
     ("yaw aligned [R]", "rmse_yaw_aligned_R"),
     ("rigidly aligned [R]", "rmse_rigid_aligned_R"),
@@ -87,21 +89,6 @@ class Table:
     note: str = ""
 
 
-def with_ranges(table: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Add to each row of means the least and the greatest value of its cases."""
-    keys = swept_columns(table)
-    done = summary[summary["status"] == "done"]
-    names = [name for name in map(str, done) if f"{name}_mean" in table]
-    if done.empty:
-        return table
-    by_row = done[names].astype(float).groupby(done[keys].astype(str).agg(" ".join, axis=1))
-    rows = table[keys].astype(str).agg(" ".join, axis=1)
-    ends = {"least": by_row.min(), "most": by_row.max()}
-    parts = [part.reindex(rows).add_suffix(f"_{end}") for end, part in ends.items()]
-    ranges = pd.concat(parts, axis=1).set_axis(table.index)
-    return pd.concat([table.drop(columns=[*ranges], errors="ignore"), ranges], axis=1)
-
-
 def headline_table(table: pd.DataFrame) -> Table:
     """Format the accuracy of each condition, the best one of each sweep point first."""
     swept = swept_columns(table)[1:]
@@ -109,6 +96,8 @@ def headline_table(table: pd.DataFrame) -> Table:
     order = ["point", *({"rmse_R_mean"} & set(table))]
     rows = table.assign(point=point).sort_values(order, kind="stable")
     columns = _means(rows, _ACCURACY)
+    if "disconnected_mean" in rows and (rows["disconnected_mean"] > 0.0).any():
+        columns["robots disconnected"] = _mean(rows, "disconnected")
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -122,6 +111,8 @@ def headline_table(table: pd.DataFrame) -> Table:
             f"In parentheses: least and greatest, of fewer than {FEWEST_FOR_CI} structures."
         )
     notes.append("R is the radius of a dock; disparity 0 means the right shape.")
+    if "robots disconnected" in columns:
+        notes.append("No method can place robots that are disconnected from the anchor.")
     return _labeled(swept_words(rows), columns, "Accuracy", " ".join(notes))
 
 

@@ -99,9 +99,12 @@ class RunData:
 
     @property
     def note(self) -> str:
-        """How many cases failed; empty if none did."""
-        failed = sum(not case.done for case in self.cases)
-        return f"{failed} of {len(self.cases)} cases failed and are left out" if failed else ""
+        """How many cases failed or have disconnected robots; empty if none did and none has."""
+        failed, count = sum(not case.done for case in self.cases), len(self.cases)
+        lost = int((self.summary.get("disconnected", pd.Series(dtype=float)) > 0).sum())
+        notes = [f"{failed} of {count} cases failed and are left out"] * (failed > 0)
+        notes += [f"{lost} of {count} cases have disconnected robots"] * (lost > 0)
+        return "; ".join(notes)
 
     def choose(self, name: str | None) -> Case:
         """Find a case that is done by its name; the first of those with most robots if None.
@@ -131,12 +134,16 @@ class RunData:
     ) -> pd.DataFrame:
         """Read a table of the run as `read_frame` does, with numbers after one of its columns.
 
-        An optional table may be missing or have no rows.
+        An optional table may be missing or have no rows. Swept values are words, as labels have
+        them.
         """
         path = self.folder / name
         if optional and not path.exists():
             return pd.DataFrame()
-        return read_frame(path, words, gaps=gaps, numbers_after=after, empty=optional)
+        table = read_frame(path, words, gaps=gaps, numbers_after=after, empty=optional)
+        swept = [key for key in swept_columns(table, before=after) if key not in words]
+        table[swept] = swept_words(table, before=after)[swept]
+        return table
 
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.

@@ -59,6 +59,16 @@ class SwarmView:
         return self.pose if self.has_truth else self.estimated_pose
 
     @property
+    def origin(self) -> Reals:
+        """Place of the anchor [R], near which float32 resolves lengths well, shape (3,)."""
+        origin: Reals = self.log.anchor_position / self.log.dock_radius
+        return origin
+
+    def from_origin(self, pose: Reals) -> Reals:
+        """Return poses (N, 7) with centers relative to the origin."""
+        return pose - np.pad(self.origin, (0, 4))
+
+    @property
     def color_by_join(self) -> Reals:
         """Color of each robot by its join index, shape (N, 3)."""
         return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)

@@ -105,6 +105,7 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, lis
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
         raise InputError(problem, path=path, line=source.place_of(()).line)
     settings = [parse_setting(text) for text in overrides]
+    swept = any(setting.path[0] == "sweep" for setting in settings)
     for setting in settings:
         if problem := set_key(data, setting.path, setting.value):
             raise setting.error(problem)
@@ -115,7 +116,8 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, lis
         if problem := _overridden(data, setting) or _missing_keys(data, setting, settings, source):
             raise setting.error(problem)
     outcome = from_plain(data)
-    errors = [_placed(mistake, path, source, settings) for mistake in _mistakes(data)]
+    mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
+    errors = [_placed(mistake, path, source, settings) for mistake in mistakes]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
@@ -143,6 +145,41 @@ def _overridden(data: Plain, setting: Setting) -> str:
                 f"has no effect: every condition sets {covering[0]}; set it there, as in {option}"
             )
     return ""
+
+
+def _swept_over(data: Plain) -> list[Mistake]:
+    """List the values of a valid scenario that its sweep replaces at every point.
+
+    A value at its default has no effect either, but files of runs have all defaults.
+    """
+    mistakes = []
+    for key in itertools.chain.from_iterable(map(swept_keys, data.get("sweep", {}))):
+        section, *rest = key.split(".")
+        selects = rest == [DISCRIMINATORS.get(section)]
+        value, default = _value_at(data, key), _value_at(_default_of(data), key)
+        if not selects and value is not None and not isinstance(value, dict) and value != default:
+            problem = f"has no effect, as the sweep sets {key}; leave it out"
+            mistakes.append(Mistake((section, *rest), problem, about_key=True))
+    return mistakes
+
+
+def _default_of(data: Plain) -> Plain:
+    """Return a scenario of defaults whose sections have the settings that one selects."""
+    chosen = {
+        section: {key: data[section][key]}
+        for section, key in DISCRIMINATORS.items()
+        if isinstance(data.get(section), dict) and key in data[section]
+    }
+    outcome = from_plain({**_MINIMAL, **chosen})
+    return to_plain(outcome) if isinstance(outcome, Scenario) else {}
+
+
+def _value_at(data: Plain, key: str) -> object:
+    """Return the value of a dotted key; None if it is not set."""
+    value: Any = data
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
 
 
 def _missing_keys(

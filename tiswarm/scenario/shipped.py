@@ -19,13 +19,20 @@ def find_scenario(path: Path) -> Path:
     """Return the path of a file or, if there is none, that of the shipped scenario of this name.
 
     Raises:
-        InputError: a name without folder and suffix is neither a file nor a shipped scenario.
+        InputError: a name without folder and suffix is neither a file nor a shipped scenario, or
+            both.
     """
-    # Unlike Path.exists, os.path.exists does not raise for names that are too long.
-    if str(path) != path.stem or os.path.exists(path):  # noqa: PTH110
+    if str(path) != path.stem:
         return path
-    if found := shipped_scenarios().get(str(path)):
+    # Unlike those of Path, functions of os.path do not raise for names that are too long.
+    found, is_file = shipped_scenarios().get(str(path)), os.path.isfile(path)  # noqa: PTH113
+    if found and is_file:
+        problem = f"both a file here and a scenario of tiswarm's; name {path.absolute()} or {found}"
+        raise InputError(problem, path=path)
+    if found:
         return found
+    if os.path.exists(path):  # noqa: PTH110
+        return path
     problem = "neither a file nor a scenario of tiswarm's; tiswarm scenarios lists these"
     raise InputError(problem, path=path)
 

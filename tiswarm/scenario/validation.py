@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 from tiswarm.errors import InputError
 from tiswarm.localization.params import CUES, LocalizationParams
 from tiswarm.params import STRICT
-from tiswarm.records.messages import UNKNOWN_KEY, Part, dotted, explain
+from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
 Plain = dict[str, Any]
@@ -199,10 +199,7 @@ def localization_params(
     Raises:
         InputError: for an unknown method or cue, or for the first bad setting.
     """
-    for cue in cues or ():
-        if cue not in CUES:
-            raise InputError(f"{cue} is not a cue; use {', '.join(CUES)}", argument="cues")
-    switches = {} if cues is None else {cue: cue in cues for cue in CUES}
+    switches = {} if cues is None else _switches(method, cues)
     settings = [parse_setting(text, "localization") for text in overrides]
     section = {"method": method, **switches, **(values or {})}
     data: Plain = {"localization": renamed(section, ("localization",))}
@@ -215,9 +212,34 @@ def localization_params(
     first = outcome[0]
     if culprit := find_culprit(first, settings):
         raise culprit.error(first.problem)
-    key = dotted(first.path[1:])
-    argument = "method" if key == "method" else "cues" if key in switches else ""
-    raise InputError(first.problem, argument=argument, key="" if argument else key)
+    raise InputError(first.problem, argument=dotted(first.path[1:]))
+
+
+def _switches(method: str, cues: Sequence[str]) -> dict[str, bool]:
+    """Switch cues of a method on and all others off, or raise InputError."""
+    for cue in cues:
+        if cue not in CUES:
+            meant = did_you_mean(cue, CUES) or f"; use {', '.join(CUES)}"
+            raise InputError(f"{cue} is not a cue{meant}", argument="cues")
+    settings = _alternatives("localization", _LOCALIZATION)
+    able = {
+        name: {cue for cue in CUES if keys.get(cue, {}).get("type") == "boolean"}
+        - {cue for cue in CUES if "const" in keys.get(cue, {})}
+        for name, keys in settings.items()
+    }
+    mine = able.get(method, {*CUES})
+    lacking = [cue for cue in cues if cue not in mine]
+    others = [name for name, theirs in able.items() if {*cues} <= theirs]
+    choose = f"choose method {' or '.join(others)}" if others else "leave them out"
+    if "contacts" not in mine:
+        keys = settings[method].items()
+        own = ", ".join(key for key, schema in keys if schema.get("type") == "boolean")
+        problem = f"{method} has no choice of cues but its settings {own}; set these, or {choose}"
+        raise InputError(problem, argument="cues")
+    if lacking:
+        problem = f"{method} cannot use {', '.join(lacking)}; {choose}"
+        raise InputError(problem, argument="cues")
+    return {cue: cue in cues for cue in CUES if cue in mine}
 
 
 def _nested(key: str, value: object) -> Iterator[tuple[str, object]]:
@@ -247,7 +269,41 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
     if path in _REMOVED:
         problem = f"this key no longer exists; remove it and run python -m {_REMOVED[path][1]}"
         return Mistake(path, problem, about_key=True)
-    return Mistake(path, explain(error, _allowed(error["loc"], adapter)), about_key)
+    problem = explain(error, _allowed(error["loc"], adapter))
+    return Mistake(path, _by_choice(error, adapter) or problem, about_key)
+
+
+def _by_choice(error: ErrorDetails, adapter: TypeAdapter[Any]) -> str:
+    """Explain a key that other methods or kinds have and the chosen one lacks; else empty."""
+    path, is_unknown = error["loc"], error["type"] in UNKNOWN_KEY
+    section = str(path[0]) if path else ""
+    settings = _alternatives(section, adapter)
+    if len(path) != 3 or path[1] not in settings:  # noqa: PLR2004 - section, choice and key
+        return ""
+    key, chosen = str(path[2]), str(path[1])
+    owners = [
+        name
+        for name, keys in settings.items()
+        if name != chosen and key in keys and "const" not in keys[key]
+    ]
+    if not owners or not (is_unknown or "const" in settings[chosen].get(key, {})):
+        return ""
+    choose = f"leave it out, or choose {DISCRIMINATORS[section]} {' or '.join(owners)}"
+    if is_unknown:
+        return f"unknown key of {chosen}; {choose}"
+    allowed = json.dumps(settings[chosen][key]["const"])
+    return f"{shown(error['input'])} should be {allowed} with {chosen}; {choose}"
+
+
+def _alternatives(section: str, adapter: TypeAdapter[Any]) -> dict[str, Plain]:
+    """Return the properties of the settings that a section may have, by the name that selects."""
+    schema = _schema(adapter)
+    of_section = schema.get("properties", {}).get(section, {})
+    names = of_section.get("discriminator", {}).get("mapping", {})
+    return {
+        name: schema["$defs"][place.rpartition("/")[2]].get("properties", {})
+        for name, place in names.items()
+    }
 
 
 def _without_old_defaults(data: Plain) -> Plain:

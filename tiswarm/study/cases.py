@@ -37,10 +37,14 @@ def plan(scenario: Scenario) -> list[Case]:
     return [Case(seed=seed, variant=point) for point in points for seed in scenario.seed_list]
 
 
+def point_cells(point: Mapping[str, Any]) -> dict[str, str]:
+    """Write the values of a point of a sweep as YAML does, as `{kind: tower}` or `true`, by key."""
+    return {key: json.dumps(value).replace('"', "") for key, value in point.items()}
+
+
 def point_text(point: Mapping[str, Any]) -> str:
     """Write a point of a sweep in one line, as `robots=300, structure={kind: tower}`."""
-    values = [json.dumps(value).replace('"', "") for value in point.values()]
-    return ", ".join(f"{key}={value}" for key, value in zip(point, values, strict=True))
+    return ", ".join(f"{key}={value}" for key, value in point_cells(point).items())
 
 
 def series_text(point: Mapping[str, Any], condition: str) -> str:

@@ -6,6 +6,7 @@ need a guard in the scripts of users.
 """
 
 import logging
+import math
 import os
 import signal
 import subprocess
@@ -28,9 +29,10 @@ from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.progress import Progress
 from tiswarm.study.runner import Job, Outcome, run_job
 
-CONNECT_S = 30  # time that a scheduler has to answer
+CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
 END_S = 10.0  # time that an idle process has to store its kernels and end
+_LONGEST_POLL_S = 1e6  # the system counts milliseconds in 32 bits
 _READY = "ready"
 _CRASHES = {"SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV"}
 
@@ -104,6 +106,7 @@ def _connected(address: str) -> Iterator[Any]:
         msg = "--scheduler needs Dask; pip install 'tiswarm[cluster]'"
         raise EnvironmentTroubleError(msg) from error
     try:
+        _greet(address)
         client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         msg = f"no Dask scheduler answers at {address}; start one, or correct --scheduler"
@@ -117,6 +120,30 @@ def _connected(address: str) -> Iterator[Any]:
             raise EnvironmentTroubleError(msg) from error
         finally:
             _end_all()  # processes of a cluster within this process
+
+
+def _greet(address: str) -> None:
+    """Exchange a message with the scheduler at an address of Dask.
+
+    A `Client` of another address tries for long, and complains when this process ends.
+
+    Raises:
+        OSError: nothing answers as a scheduler does.
+        ValueError: this is no address.
+    """
+    import asyncio  # noqa: PLC0415 - with an extra
+
+    from distributed.core import rpc  # noqa: PLC0415 - an extra
+
+    async def ask() -> None:
+        untyped: Any = rpc
+        async with untyped(address, timeout=CONNECT_S) as scheduler:
+            await scheduler.identity()
+
+    try:
+        asyncio.run(asyncio.wait_for(ask(), CONNECT_S))
+    except Exception as error:
+        raise OSError(str(error)) from error
 
 
 def _run_here(job: Job, progress: Progress) -> "Future[Outcome]":
@@ -216,9 +243,11 @@ class _Process:
             self.output.close()
 
     def _receive(self, limit_s: float | None, problem: str) -> object:
+        end_s = math.inf if limit_s is None else time.monotonic() + limit_s
         try:
-            if not self.connection.poll(limit_s):
-                raise _JobError(problem.format(limit_s))
+            while not self.connection.poll(min(_LONGEST_POLL_S, left := end_s - time.monotonic())):
+                if left <= _LONGEST_POLL_S:
+                    raise _JobError(problem.format(limit_s))
             return self.connection.recv()
         except (EOFError, OSError) as error:
             raise self._cause_of_death() from error

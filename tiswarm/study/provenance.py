@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -18,6 +19,7 @@ from pydantic import Field
 
 from tiswarm.compute.backend import Backend
 from tiswarm.compute.machine import machine
+from tiswarm.localization import registry
 from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, Spent
@@ -25,9 +27,38 @@ from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, structure_kind
 from tiswarm.version import __version__, code_digest
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
 
-CODE = code_digest()
-"""Digest of the code that computes in this process."""
+_METHODS = {name: module.__name__ for name, module in registry.METHODS.items()}
+_COMPOSES = "tiswarm.study.runner"
+"""Module that composes a case of all that computes it."""
+
+
+@cache
+def case_code(method: str) -> str:
+    """Return the digest of the code that computes cases of a localization method in this process.
+
+    Other methods do not count, so that an edit of one leaves the cases of the others current. The
+    digest of an unknown method is empty.
+    """
+    if method not in _METHODS:
+        return ""
+    others = {*_METHODS.values()} - {_METHODS[method]}
+    return code_digest([_COMPOSES, _METHODS[method]], {registry.__name__: others})
+
+
+@cache
+def structure_code() -> str:
+    """Return the digest of the code that grows and keeps structures in this process."""
+    return code_digest([grow.__module__, History.__module__])
+
+
+@cache
+def all_code() -> str:
+    """Return the digest of the code that computes cases of any method in this process."""
+    return code_digest([_COMPOSES])
+
 
 _LIBRARIES = (
     "matplotlib", "numpy", "open3d", "open3d-cpu", "pandas", "pydantic", "quadrants", "scipy",
@@ -107,7 +138,7 @@ def manifest(used: Collection[Used], costs: Sequence[Mapping[str, Cost]]) -> Man
     installed = {dist.name.lower(): dist.version for dist in importlib.metadata.distributions()}
     return Manifest(
         tiswarm=__version__,
-        code=CODE,
+        code=all_code(),
         backend={
             key: getattr(main, key) for key in ("arch", "card", "threads", "precision", "library")
         },

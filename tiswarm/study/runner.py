@@ -23,7 +23,7 @@ from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
 from tiswarm.study.cases import Case
-from tiswarm.study.provenance import Costs, Used
+from tiswarm.study.provenance import Costs, Used, case_code
 from tiswarm.study.store import CaseRecord, RunFolder
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -270,9 +270,12 @@ def _record(
     reason: str,
     scored: Mapping[str, float | int] = MappingProxyType({}),
 ) -> CaseRecord:
+    method = case.settings.localization.method
     return CaseRecord(
         case=case.name,
         seed=case.seed,
+        method=method,
+        code=case_code(method),
         condition=case.variant.condition,
         point=case.variant.point,
         status=status,

@@ -20,14 +20,22 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.params import STRICT
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame
-from tiswarm.records.io import digest, make_folder, read_json, write_json, write_text
+from tiswarm.records.io import (
+    as_json,
+    digest,
+    make_folder,
+    read_json,
+    write_bytes,
+    write_json,
+    write_text,
+)
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import check_folders
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, series_text, structure_key
-from tiswarm.study.provenance import CODE, Cost
+from tiswarm.study.provenance import Cost, case_code, structure_code
 from tiswarm.version import __version__
 from tiswarm.world.history import History, read_history, write_history
 
@@ -53,7 +61,8 @@ class CaseRecord:
     distrust: str = ""  # why the estimate did not converge, or is not consistent
     scores: Mapping[str, float | int | bool | None] = field(default_factory=dict)  # None: unknown
     version: str = __version__  # version of the package that computed the case
-    code: str = field(default_factory=lambda: CODE)  # digest of the code that computed the case
+    method: str = ""  # localization method; older versions wrote none
+    code: str = ""  # digest of the code that computed the case
     files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of all others but the cost
     digest: str = ""  # SHA-256 of the record without it; older versions wrote none
 
@@ -70,12 +79,16 @@ class CaseRecord:
     @property
     def is_current(self) -> bool:
         """Whether the code of this process computed the case, or failed to."""
-        return self.code == CODE
+        return bool(self.code) and self.code == case_code(self.method)
 
     def sealed(self) -> "CaseRecord":
         """Return the record with its digest."""
         content = json.dumps(asdict(replace(self, digest="")))
         return replace(self, digest=sha256(content.encode()).hexdigest())
+
+    def written(self) -> bytes:
+        """Return the bytes of `case.json`."""
+        return as_json(asdict(self))
 
 
 _RECORD_KIND = TypeAdapter(CaseRecord)
@@ -140,12 +153,13 @@ class RunFolder:
     def read_case(self, name: str) -> CaseRecord | None:
         """Read a case, finished or failed; None where a file is missing or damaged, or a link."""
         folder = self.cases / name
-        record = read_json(folder / "case.json", _RECORD_KIND)
+        path = folder / "case.json"
+        record = read_json(path, _RECORD_KIND)
         if record is None or record.case != name or folder.is_symlink():
             return None
-        if not record.digest:
+        if not record.method or not record.digest:
             record = replace(record, code="")  # an older version stored it
-        elif record.digest != record.sealed().digest:
+        elif record.digest != record.sealed().digest or path.read_bytes() != record.written():
             return None
         complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
         intact = all(digest(folder / file) == sha for file, sha in record.files.items())
@@ -190,7 +204,7 @@ class RunFolder:
         return folder
 
     def _publish(self, record: CaseRecord, folder: Path) -> None:
-        write_json(folder / "case.json", asdict(record.sealed()))
+        write_bytes(folder / "case.json", record.sealed().written())
         target = self.cases / record.case
         remove(target)
         try:
@@ -230,7 +244,7 @@ class RunFolder:
         remove(self.path / _STRUCTURES)
 
     def _structure_path(self, case: Case) -> Path:
-        key = sha256(repr((structure_key(case), CODE)).encode()).hexdigest()[:12]
+        key = sha256(repr((structure_key(case), structure_code())).encode()).hexdigest()[:12]
         return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
 
 

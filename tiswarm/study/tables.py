@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tiswarm.evaluation.metrics import mean_std_ci95, paired_difference
+from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
@@ -29,7 +29,7 @@ from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
-from tiswarm.study.cases import point_text
+from tiswarm.study.cases import point_cells, point_text
 from tiswarm.study.store import CaseRecord
 
 _ACCURACY = (
@@ -37,6 +37,7 @@ _ACCURACY = (
     "procrustes_disparity",
 )  # fmt: skip
 _AVERAGED = (
+    "joined", "disconnected",
     "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
@@ -57,7 +58,8 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "condition": record.condition,
             "point": point_text(record.point),
             "kind": setting.structure.kind,
-            **record.point,
+            **point_cells(record.point),
+            "robots": setting.robots,
             "status": record.status,
             "distrust": record.distrust,
             "reason": record.reason,
@@ -87,7 +89,7 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
             setting = setting_of[first.case]
-            row = {"condition": first.condition, **first.point, **ours}
+            row = {"condition": first.condition, **point_cells(first.point), **ours}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
         base = (of_paper or at_point)[0]
@@ -147,15 +149,14 @@ def _paper(setting: Scenario, ours: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
-    """Count cases, and return means over the finished ones with their uncertainty."""
+    """Count cases, and return means over the finished ones with their uncertainty and range."""
     scores = pd.DataFrame([record.scores for record in records if record.is_done])
     full: dict[str, Any] = {"cases": len(scores), "failed": len(records) - len(scores)}
-    rmse = scores["rmse_R"] if len(scores) else pd.Series([math.nan])
-    full |= {"rmse_R_least": float(rmse.min()), "rmse_R_most": float(rmse.max())}
     for name in _AVERAGED:
         column = scores[name] if name in scores else pd.Series(dtype=float)
-        values = mean_std_ci95(column.to_numpy(np.float64))
-        full |= {f"{name}_{statistic}": value for statistic, value in values.items()}
+        values = column.to_numpy(np.float64)
+        found = mean_std_ci95(values) | least_and_most(values)
+        full |= {f"{name}_{statistic}": value for statistic, value in found.items()}
     return full
 
 
@@ -167,7 +168,7 @@ def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
         for first, second in itertools.combinations(conditions, 2):
             names = {"condition": second[0].condition, "against": first[0].condition}
             rows += differences(
-                {**names, **first[0].point},
+                {**names, **point_cells(first[0].point)},
                 accuracy_by_key({record.seed: record for record in first}),
                 accuracy_by_key({record.seed: record for record in second}),
             )
@@ -207,7 +208,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         ]
         errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
         parts.append(pd.concat(errors))
-        first = {"condition": of_row[0].condition, **of_row[0].point}
+        first = {"condition": of_row[0].condition, **point_cells(of_row[0].point)}
         names_of += [first] * len(parts[-1])
     if not parts:
         return pd.DataFrame(columns=["condition", "by"])
@@ -233,7 +234,7 @@ def suites(
         ]
         row = {
             "condition": first.condition,
-            **first.point,
+            **point_cells(first.point),
             "suite": suite.name,
             "way": setting.localization.method + ", touch" * touch,
             "needs": suite.needs,

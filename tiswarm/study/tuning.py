@@ -25,7 +25,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Variant, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
-from tiswarm.study.provenance import CODE
+from tiswarm.study.provenance import all_code
 from tiswarm.version import __version__
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
@@ -116,7 +116,7 @@ def tune(
     ranges = {name: limits for name, limits in (GAINS | _ROUND_GAINS).items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": __version__,
-        "code": CODE,
+        "code": all_code(),
         "scenario": scenario.name,
         "points": [point.label for point in points],
         "robots": [point.settings.robots for point in points],
