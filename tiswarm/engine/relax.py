@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tiswarm.aliases import Ints, Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
 from tiswarm.engine import kernels
@@ -62,6 +62,7 @@ class RelaxResult:
     """Largest error of a force by rounding, relative to the largest force [1]."""
 
 
+@program.exclusive()
 def relax(
     position: ArrayLike,
     orientation_wxyz: ArrayLike,
@@ -133,6 +134,7 @@ class PreparedSwarm:
         step <- momentum * step + m F, no longer than the longest step
     """
 
+    @program.exclusive()
     def __init__(
         self,
         position: ArrayLike,
@@ -217,6 +219,7 @@ class PreparedSwarm:
         self.structure = seldom.upload(ids[order])
         kernels.turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
 
+    @program.exclusive()
     def relax(
         self,
         *,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
@@ -259,6 +259,7 @@ class Localizer:
             spawn_position=np.full((1, 3), np.nan),
         )
 
+    @program.exclusive()
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
         count, every = self._count, self._params.iterations
