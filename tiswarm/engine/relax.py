@@ -36,6 +36,7 @@ _STEPS, _STEPS_ON_CARD = 4, 16
 serve some 13, and the card skips the rest."""
 _CALLS = 2
 """Calls on a processor between two questions whether rows are stale."""
+_DIVERGED = "the forces diverged; lower the gains or give max_step"
 _NO_LIMIT = 1e30
 _LARGEST_GAIN = 1e12
 _NORM_SLACK = 1e-6
@@ -59,7 +60,8 @@ class RelaxResult:
     """Floating-point type that the device computed in."""
 
     force_error: float
-    """Largest error of a force by rounding, relative to the largest force [1]."""
+    """Largest error of a force by rounding [1]: relative to the largest force, or to that of two
+    docks D / 2 from touching, connected or not, where that is larger."""
 
 
 @program.exclusive()
@@ -255,7 +257,8 @@ class PreparedSwarm:
             )
         position = self.start_position.copy()
         if steps == 0 or len(position) == 0:
-            return self._result(position, np.zeros(steps), 0)
+            at_rest = float(np.abs(position).max(initial=0.0))
+            return self._result(position, np.zeros(steps), 0, at_rest)
         if backend.current() is not self.running and not self.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
         if not resume:
@@ -265,24 +268,24 @@ class PreparedSwarm:
         while True:
             self._go_to_start()
             moves, builds = relax(gains, np.broadcast_to(ramps, steps))
-            numbers = self.memory.download(self.robots.position)
-            end, is_full = self.places.to_lengths(numbers), self.places.are_full(numbers)
-            if is_full:
-                self.places = self.places.coarser()
-                self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / self.places.scale
-            if not self.places.is_resolved(end):
-                raise InputError("the forces diverged; lower the gains or give max_step")
-            if not is_full:
+            if not self.places.were_left(moves):
                 break
+            self.places = self.places.coarser()
+            self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / self.places.scale
+            if not self.places.is_resolved(self.start_position):
+                raise InputError(f"{_DIVERGED}, or use precision f64")
+        end = self.places.to_lengths(self.memory.download(self.robots.position))
+        farthest = _farthest(self.position, end, moves)
+        if not self.places.is_resolved(farthest):
+            raise InputError(_DIVERGED)
         self.last_step = self.memory.download(self.robots.last_step)
         position[self.order] = self.position = end
-        return self._result(position, moves, builds)
+        return self._result(position, moves, builds, farthest)
 
-    def _result(self, position: Reals, moves: Reals, builds: int) -> RelaxResult:
-        farthest = max(np.abs(p).max(initial=0.0) for p in (self.start_position, position))
+    def _result(self, position: Reals, moves: Reals, builds: int, farthest: float) -> RelaxResult:
         if self.running.precision == "f32" and len(position):
             # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
-            farthest = 2.0 * self.places.scale / np.finfo(np.float32).eps
+            farthest = float(2.0 * self.places.scale / np.finfo(np.float32).eps)
         return RelaxResult(
             position=position,
             largest_move=moves,
@@ -345,6 +348,12 @@ class PreparedSwarm:
             neighbors.make_room(entries)
             self._go_to_start()
         return moves.max(axis=0).astype(np.float64), int(builds.max())
+
+
+def _farthest(start: Reals, end: Reals, moves: Reals) -> float:
+    """Bound the largest coordinate on the way from start to end, by the longest step of each."""
+    way = np.concatenate([[0.0], np.cumsum(moves)])
+    return float(np.minimum(np.abs(start).max() + way, np.abs(end).max() + way[-1] - way).max())
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals:
