@@ -16,6 +16,7 @@ from tests.oracle import swarm_step
 from tiswarm import relax
 from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
+from tiswarm.engine import stepping
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import RobotGeometry
 
@@ -60,7 +61,7 @@ def _way(request, monkeypatch):
     """All ways in which steps are taken; the processor runs a card's kernels too."""
     monkeypatch.setattr(engine, "SMALL", 2_000 if request.param == "by structure" else 0)
     monkeypatch.setattr(backend.Backend, "on_card", request.param == "as on a card")
-    monkeypatch.setattr(engine, "_STEPS_ON_CARD", 4)  # fewer to compile
+    monkeypatch.setattr(stepping, "_STEPS_ON_CARD", 4)  # fewer to compile
 
 
 @pytest.mark.usefixtures("_way")
@@ -312,6 +313,27 @@ def test_a_step_in_single_precision_is_within_its_stated_error(
         error = np.abs(found.position - expected).max()
         assert error <= found.force_error * max(force, pair) + unit
         position = found.position
+
+
+@both_small
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypatch):
+    """Steps that outgrow the numbers, or diverge, leave no trace in later ones."""
+    monkeypatch.setattr(engine, "SMALL", small)
+    place, options = swarm(20), {"robot": ROBOT, "precision": precision}
+    prepared = engine.PreparedSwarm(*place, **options)
+    strong = {"attraction_gain": 3.0, "repulsion_gain": 1e4, "ramp": 0.5}
+
+    prepared.relax(steps=1, **strong)
+    with pytest.raises(InputError, match="diverged"):
+        prepared.relax(steps=200, **strong)
+    found = prepared.relax(ramp=0.5, steps=5, **GAINS)
+
+    fresh = relax(*place, **options, ramp=0.5, steps=5, **GAINS)
+    np.testing.assert_array_equal(found.position, fresh.position)
+    assert found.force_error == fresh.force_error
+    here = prepared.relax(ramp=0.5, steps=0, resume=True, **GAINS)
+    np.testing.assert_array_equal(here.position, found.position)
 
 
 def test_a_swarm_that_leaves_what_single_precision_resolves_says_so():
