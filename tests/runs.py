@@ -2,9 +2,11 @@
 
 import filecmp
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
@@ -17,6 +19,19 @@ Command = Callable[..., "subprocess.CompletedProcess[str]"]
 def environment(**env: str) -> dict[str, str]:
     """Return the environment of a user's process, whose kernels run without bounds checks."""
     return {name: value for name, value in os.environ.items() if name != "TISWARM_DEBUG"} | env
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C end children that start within, also where this process ignores it: under nohup.
+
+    A child inherits that a signal is ignored, but not its handler.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from tests.browser import dump
-from tests.runs import REPOSITORY, environment
+from tests.runs import REPOSITORY, environment, interruptible
 from tiswarm.cli import main
 
 NO_RUN = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
@@ -26,11 +26,12 @@ class Served:
         self.run = run
         self._waiting = waiting
         self.late = waiting.name
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "tiswarm", "view", "--live", str(run)],
-            cwd=REPOSITORY, env=environment(), text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        )  # fmt: skip
+        with interruptible():
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "tiswarm", "view", "--live", str(run)],
+                cwd=REPOSITORY, env=environment(), text=True,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            )  # fmt: skip
         self.url = self.process.stdout.readline().split()[-1]
 
     def get(self, path, **headers):

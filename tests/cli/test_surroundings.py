@@ -7,36 +7,43 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 import pytest
 
-from tests.runs import REPOSITORY
+from tests.runs import REPOSITORY, environment, interruptible
 from tiswarm.cli import main
 
 LONG = ("robots=60", "seeds=1000", "localization.iterations=3000", "conditions={a: {}, b: {}}")
 """Settings of a study of many minutes, no launch of which takes long: signals wait for its end."""
 
 
-def _interrupt(number: signal.Signals, out: Path, *options: str):
-    """Start a study, send a signal while it computes, and return its process and its children."""
+@contextmanager
+def _interrupted(number: signal.Signals, out: Path, *options: str):
+    """Send a signal to a study while it computes; yield its process and its children."""
     settings = [part for text in LONG for part in ("--set", text)]
     command = [sys.executable, "-m", "tiswarm", "run", "tests/tower.yaml", *settings]
-    process = subprocess.Popen(
-        [*command, "--out", str(out), *options],
-        cwd=REPOSITORY,
-        env={k: v for k, v in os.environ.items() if k != "TISWARM_DEBUG"},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    ours = psutil.Process(process.pid)
-    while not [*out.glob("*/.lock")] or len(ours.children()) < ("--workers" in options):
-        assert process.poll() is None
-        time.sleep(0.05)
-    children = ours.children()
-    process.send_signal(number)
-    return process, children
+    with interruptible():
+        process = subprocess.Popen(
+            [*command, "--out", str(out), *options],
+            cwd=REPOSITORY, env=environment(), stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    children: list[psutil.Process] = []
+    with process:
+        try:
+            ours = psutil.Process(process.pid)
+            while not [*out.glob("*/.lock")] or len(children) < ("--workers" in options):
+                assert process.poll() is None
+                time.sleep(0.05)
+                children = ours.children()
+            process.send_signal(number)
+            yield process, children
+        finally:
+            for each in [process, *children]:
+                with suppress(psutil.NoSuchProcess):
+                    each.kill()
 
 
 @pytest.mark.parametrize(
@@ -50,17 +57,16 @@ def _interrupt(number: signal.Signals, out: Path, *options: str):
 )
 def test_a_signal_ends_a_study_in_one_line(tmp_path, number, options):
     """Its status is that of the signal; children, locks and partial files are gone."""
-    process, children = _interrupt(number, tmp_path, *options)
+    with _interrupted(number, tmp_path, *options) as (process, children):
+        _, said = process.communicate(timeout=60)
 
-    _, said = process.communicate(timeout=60)
-
-    assert process.returncode == 128 + number
+        assert process.returncode == 128 + number
+        assert psutil.wait_procs(children, timeout=0.0)[1] == []
     assert said.splitlines()[-1] == (
         "tiswarm: error: interrupted; finished results are kept, "
         "and the same command continues from there"
     )
     assert "Traceback" not in said
-    assert psutil.wait_procs(children, timeout=0.0)[1] == []
     [lock] = tmp_path.glob("*/.lock")
     with lock.open() as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tiswarm.compute import backend, kernel_cache
+from tiswarm.compute.lang import LIBRARY, ti
 
 
 @pytest.fixture
@@ -95,3 +96,17 @@ def test_the_backend_starts_beside_damaged_kernels(tmp_path, monkeypatch, capsys
     assert len(stored) > 2
     assert before == ""
     assert "damaged kernel cache cleared" in capsys.readouterr().err
+
+
+def test_kernels_outlast_a_reset_by_other_code(monkeypatch, capsys, tmp_path):
+    """The library writes them on its order, too; they are sealed, not taken for damaged."""
+    monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(tmp_path))
+    backend.start(threads=1, precision="f32")
+
+    ti.reset()
+    running = backend.start(threads=1, precision="f32")
+
+    assert capsys.readouterr().err == (
+        f"tiswarm: warning: a reset() of {LIBRARY} ended kernels; starting them anew\n"
+    )
+    assert not running.is_cold

@@ -16,6 +16,7 @@ from tests.oracle import swarm_step
 from tiswarm import relax
 from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
+from tiswarm.engine import stepping
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.robot import RobotGeometry
 
@@ -60,7 +61,7 @@ def _way(request, monkeypatch):
     """All ways in which steps are taken; the processor runs a card's kernels too."""
     monkeypatch.setattr(engine, "SMALL", 2_000 if request.param == "by structure" else 0)
     monkeypatch.setattr(backend.Backend, "on_card", request.param == "as on a card")
-    monkeypatch.setattr(engine, "_STEPS_ON_CARD", 4)  # fewer to compile
+    monkeypatch.setattr(stepping, "_STEPS_ON_CARD", 4)  # fewer to compile
 
 
 @pytest.mark.usefixtures("_way")
@@ -210,7 +211,10 @@ def _without_bounds_checks():
     return {name: value for name, value in os.environ.items() if name != "TISWARM_DEBUG"}
 
 
-@pytest.mark.parametrize("small", [2_000, 0], ids=["by structure", "all at once"])
+both_small = pytest.mark.parametrize("small", [2_000, 0], ids=["by structure", "all at once"])
+
+
+@both_small
 def test_single_precision_is_as_good_far_from_the_origin(monkeypatch, small):
     """Forces 2,000 R away are within the stated error, which is that of a swarm at the origin."""
     monkeypatch.setattr(engine, "SMALL", small)
@@ -241,8 +245,10 @@ def test_a_shift_by_whole_units_changes_no_bit(seed, shift):
     assert there.force_error == here.force_error
 
 
-def test_a_swarm_that_outgrows_its_unit_starts_again_with_a_coarser_one():
+@both_small
+def test_a_swarm_that_outgrows_its_unit_starts_again_with_a_coarser_one(small, monkeypatch):
     """Two robots blown apart by thousands of R, as in f64; the stated error grows."""
+    monkeypatch.setattr(engine, "SMALL", small)
     position, level = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), [[1, 0, 0, 0]] * 2
     gains = GAINS | {"repulsion_gain": 1e3, "max_step": None}
     found = [
@@ -253,6 +259,94 @@ def test_a_swarm_that_outgrows_its_unit_starts_again_with_a_coarser_one():
     assert np.ptp(found[0].position) > 1_000.0
     np.testing.assert_allclose(found[1].position, found[0].position, rtol=1e-5)
     assert found[1].force_error > 1e-4
+
+
+@both_small
+def test_robots_that_come_back_from_beyond_the_numbers_are_right(small, monkeypatch):
+    """Repulsion throws two connected robots 1,250 R away; nine steps later they are together."""
+    monkeypatch.setattr(engine, "SMALL", small)
+    pair = [[0, 0, 0], [0.3, 0, 0]], [[1, 0, 0, 0]] * 2, [[0, 0, 1, 0]]
+    gains = {"attraction_gain": 0.5, "repulsion_gain": 100.0, "ramp": 0.5}
+    right, found = (
+        relax(*pair, robot=ROBOT, steps=10, precision=precision, **gains)
+        for precision in ("f64", "f32")
+    )
+
+    np.testing.assert_allclose(found.position, right.position, atol=1e-4)
+    assert found.largest_move[0] == pytest.approx(1_252.815, rel=1e-5)
+
+
+@both_small
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    robots=st.integers(2, 8),
+    attraction=st.floats(-2, 0.3).map(lambda power: 10**power),
+    repulsion=st.floats(-2, 4).map(lambda power: 10**power),
+    ramp=st.floats(0.0, 1.0),
+)
+def test_a_step_in_single_precision_is_within_its_stated_error(
+    small, seed, robots, attraction, repulsion, ramp
+):
+    """Also under gains so strong that robots fly, and the swarm starts again in a coarser unit."""
+    position, orientation, contacts = swarm(robots, seed)
+    gains = {"attraction_gain": attraction, "repulsion_gain": repulsion}
+    pair = attraction * ramp + repulsion * (1.0 - ramp)  # two docks R from touching
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(engine, "SMALL", small)
+        prepared = engine.PreparedSwarm(
+            position, orientation, contacts, robot=ROBOT, precision="f32"
+        )
+
+    for step in range(4):
+        try:
+            found = prepared.relax(**gains, ramp=ramp, steps=1, resume=step > 0)
+        except InputError:
+            assert np.abs(position).max() * max(1.0, pair) > 1e4
+            break
+        expected = swarm_step(
+            position, arms(orientation), contacts, np.zeros(robots), np.full(robots, np.nan),
+            spacing=2.0, ramp=ramp, height_gain=0.0, max_step=None, **gains,
+        )  # fmt: skip
+        force = np.linalg.norm(expected - position, axis=1).max()
+        unit = found.force_error / 64  # to which steps are rounded
+        error = np.abs(found.position - expected).max()
+        assert error <= found.force_error * max(force, pair) + unit
+        position = found.position
+
+
+@both_small
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_a_swarm_outlasts_steps_that_were_too_strong(small, precision, monkeypatch):
+    """Steps that outgrow the numbers, or diverge, leave no trace in later ones."""
+    monkeypatch.setattr(engine, "SMALL", small)
+    place, options = swarm(20), {"robot": ROBOT, "precision": precision}
+    prepared = engine.PreparedSwarm(*place, **options)
+    strong = {"attraction_gain": 3.0, "repulsion_gain": 1e4, "ramp": 0.5}
+
+    prepared.relax(steps=1, **strong)
+    with pytest.raises(InputError, match="diverged"):
+        prepared.relax(steps=200, **strong)
+    found = prepared.relax(ramp=0.5, steps=5, **GAINS)
+
+    fresh = relax(*place, **options, ramp=0.5, steps=5, **GAINS)
+    np.testing.assert_array_equal(found.position, fresh.position)
+    assert found.force_error == fresh.force_error
+    here = prepared.relax(ramp=0.5, steps=0, resume=True, **GAINS)
+    np.testing.assert_array_equal(here.position, found.position)
+
+
+def test_a_swarm_that_leaves_what_single_precision_resolves_says_so():
+    """It names the way out, and in f64 the same steps are taken."""
+    pair = [[0, 0, 0], [0.3, 0, 0]], [[1, 0, 0, 0]] * 2, [[0, 0, 1, 0]]
+    gains = {"attraction_gain": 0.5, "repulsion_gain": 1e7, "ramp": 0.5}
+
+    with pytest.raises(InputError, match=r"diverged; .* or use precision f64"):
+        relax(*pair, robot=ROBOT, steps=40, precision="f32", **gains)
+
+    result = relax(*pair, robot=ROBOT, steps=40, **gains)
+    assert result.largest_move[0] > 1e7
+    assert result.force_error > 32 * np.finfo(np.float64).eps * 1e7
 
 
 @pytest.mark.parametrize(
@@ -275,6 +369,16 @@ def test_a_swarm_that_outgrows_its_unit_starts_again_with_a_coarser_one():
         ({"position": [[1e9, 0, 0], [0, 0, 0]], "precision": "f32"}, "use precision f64"),
         (
             {"attraction_gain": 1e12, "steps": 9, "contacts": [[0, 0, 1, 0]], "max_step": None},
+            "diverged",
+        ),
+        (
+            {
+                "attraction_gain": 1e12,
+                "steps": 9,
+                "contacts": [[0, 0, 1, 0]],
+                "max_step": None,
+                "precision": "f32",
+            },
             "diverged",
         ),
     ],

@@ -5,16 +5,14 @@ All others run on the processor in f64: they walk along few chains of dependent 
 card is slower, and need functions that some cards lack in f64. One backend runs at a time, so a
 stage first calls `device` or `processor`.
 
-Nothing else may call `ti.init`. A device that is not there is an error, never a silent
+A device that is not there is an error, never a silent
 change of device.
 """
 
-import atexit
 import contextlib
-import ctypes
-import gc
-import io
 import os
+import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,9 +24,10 @@ import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tiswarm.compute import cards, kernel_cache
+from tiswarm.compute import cards, kernel_cache, program
 from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
+from tiswarm.compute.program import Array
 from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.memory import naming_shortage, require_address_space
 from tiswarm.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
@@ -121,7 +120,13 @@ class _Choice(NamedTuple):
     precision: AnyPrecision = "auto"
 
 
-_chosen = _Choice()
+class _Chosen(threading.local):
+    """What each thread chose, so that a thread does not change the device of another's call."""
+
+    choice = _Choice()
+
+
+_chosen = _Chosen()
 _started: Backend | None = None
 
 
@@ -146,8 +151,7 @@ def choose(
     Raises:
         InputError: the device is unknown or the thread count below 1.
     """
-    global _chosen  # noqa: PLW0603 - the kernel library itself is one per process
-    _chosen = _checked(arch, threads, precision)
+    _chosen.choice = _checked(arch, threads, precision)
 
 
 def start(
@@ -162,11 +166,10 @@ def start(
         InputError: the device is unknown or the thread count below 1.
         EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
     """
-    global _chosen  # noqa: PLW0603
     if arch != "auto":
         choice = _checked(arch, threads, precision)
         running = _run(choice)
-        _chosen = choice
+        _chosen.choice = choice
         return running
     has_vulkan = (card := cards.find_card("vulkan")) is not None and not card.is_software
     candidates: tuple[Arch, ...] = ("cuda", "metal", "vulkan")
@@ -182,7 +185,7 @@ def device() -> Backend:
     Raises:
         EnvironmentTroubleError: the machine lacks the device, the precision or the memory.
     """
-    return _run(_chosen)
+    return _run(_chosen.choice)
 
 
 def processor() -> Backend:
@@ -191,7 +194,7 @@ def processor() -> Backend:
     Raises:
         EnvironmentTroubleError: the machine lacks the memory.
     """
-    return _run(_Choice(threads=_chosen.threads))
+    return _run(_Choice(threads=_chosen.choice.threads))
 
 
 def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choice:
@@ -203,55 +206,49 @@ def _checked(arch: Arch, threads: int | None, precision: AnyPrecision) -> _Choic
     return _Choice(arch, threads, precision)
 
 
+@program.exclusive()
 def _run(choice: _Choice) -> Backend:
     """Start a backend, or do nothing where the very same one runs."""
-    global _started  # noqa: PLW0603
+    global _started  # noqa: PLW0603 - the kernel library itself is one per process
     arch, card = choice.arch, cards.find_card(choice.arch)
     precision: Precision = "f64" if arch == "cpu" or (card and card.has_fast_f64) else "f32"
     if choice.precision != "auto":
         precision = choice.precision
     count = choice.threads or available_threads()
-    wanted = (arch, count, precision)
-    if _started and (_started.arch, _started.threads, _started.precision) == wanted:
-        return _started
+    if program.is_running():
+        wanted = (arch, count, precision)
+        if _started and (_started.arch, _started.threads, _started.precision) == wanted:
+            return _started
+    elif _started:
+        sys.stderr.write(
+            f"tiswarm: warning: a reset() of {LIBRARY} ended kernels; starting them anew\n"
+        )
     require_address_space(_START_MB + _THREAD_MB * count)
     # Linear algebra with threads of its own would fight the kernels' and round differently.
     threadpool_limits(1, user_api="blas")
     # Each library takes its buffer by this; where memory ran out it would wait for it for ever.
     for solve in (np.linalg.solve, scipy.linalg.blas.dtrsv):  # type: ignore[attr-defined]
         solve(np.eye(2), np.ones(2))
-    gc.collect()  # an array let go later is freed by its address, where another may lie by then
-    _stop()
+    _started = None  # a start that fails may leave nothing running
+    program.end()
     library = f"{LIBRARY} {'.'.join(map(str, ti.__version__))}"
     cache = kernel_cache.find_folder(library.replace(" ", "-"))
-    with kernel_cache.sealed(cache):
-        pass  # finds damage before the library reads it
-    atexit.register(_stop)
-    _init(arch, count, precision, cache, blocks=_BLOCKS * card.multiprocessors if card else 0)
+    try:
+        _init(arch, count, precision, cache, blocks=_BLOCKS * card.multiprocessors if card else 0)
+        _probe(arch, precision)
+    except BaseException:  # also an interrupt
+        program.end()  # seals the kernels of the probe
+        raise
     _started = Backend(
         arch=arch, threads=count, precision=precision, library=library,
         card=card.name if card else "", cache=str(cache),
     )  # fmt: skip
-    try:
-        _probe(arch, precision)
-    except EnvironmentTroubleError:
-        _stop()  # seals the kernels of the probe
-        raise
     return _started
-
-
-def _stop() -> None:
-    """End what is running; the library writes its new kernels now, not later without a seal."""
-    global _started  # noqa: PLW0603
-    if _started:
-        with kernel_cache.sealed(Path(_started.cache)):
-            _started = None  # a start that fails may leave nothing running
-            ti.reset()
 
 
 def current() -> Backend:
     """Return the running backend, starting the device of parallel stages where none runs."""
-    return _started or device()
+    return _started if _started and program.is_running() else device()
 
 
 @contextlib.contextmanager
@@ -270,7 +267,7 @@ def fast_arithmetic() -> Iterator[None]:
 
 
 def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks: int) -> None:
-    """Call the library's own start-up, quietly, and check what came of it."""
+    """Start the library's program, and check what came of it."""
     wanted = getattr(ti, arch)
     real = ti.f64 if precision == "f64" else ti.f32
     options = {
@@ -278,14 +275,12 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
         "enable_fallback": False,
         "cpu_max_num_threads": threads,
         "fast_math": False,  # it would drop NaN checks and change bits
-        "offline_cache": True,
-        "offline_cache_file_path": str(cache),
         "debug": os.environ.get("TISWARM_DEBUG") == "1",
         "saturating_grid_dim": blocks,  # of threads in a loop, on CUDA; 0 leaves it to the library
     }
     try:
-        with contextlib.redirect_stdout(io.StringIO()), _float_state_kept(), naming_shortage():
-            ti.init(arch=wanted, log_level=ti.CRITICAL, **options)
+        with naming_shortage():
+            program.start(cache, arch=wanted, log_level=ti.CRITICAL, **options)
     except RuntimeError as error:
         raise EnvironmentTroubleError(
             f"backend {arch} is not available on this machine; use --arch cpu"
@@ -295,23 +290,6 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
         raise EnvironmentTroubleError(
             f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
         )
-
-
-@contextlib.contextmanager
-def _float_state_kept() -> Iterator[None]:
-    """Undo that `ti.init` makes subnormal results 0, which would hold for all of Python.
-
-    The kernels' own threads, which it starts, keep that state. Without POSIX nothing is undone.
-    """
-    math = ctypes.CDLL(None) if os.name == "posix" else None
-    state = ctypes.create_string_buffer(256)  # at least the size of any system's fenv_t
-    if math:
-        math.fegetenv(state)
-    try:
-        yield
-    finally:
-        if math:
-            math.fesetenv(state)
 
 
 def faulty_driver() -> EnvironmentTroubleError:
@@ -361,15 +339,15 @@ class Allocator:
         """Reserve an array of real numbers."""
         if self.on_host:
             return np.empty(shape, self.running.dtype)
-        return ti.ndarray(ti.f64 if self.running.precision == "f64" else ti.f32, shape)
+        return Array(ti.f64 if self.running.precision == "f64" else ti.f32, shape)
 
     def ints(self, *shape: int) -> DeviceArray:
         """Reserve an array of integers."""
-        return np.empty(shape, np.int32) if self.on_host else ti.ndarray(ti.i32, shape)
+        return np.empty(shape, np.int32) if self.on_host else Array(ti.i32, shape)
 
     def longs(self, *shape: int) -> DeviceArray:
         """Reserve an array of integers of 64 bits."""
-        return np.empty(shape, np.int64) if self.on_host else ti.ndarray(ti.i64, shape)
+        return np.empty(shape, np.int64) if self.on_host else Array(ti.i64, shape)
 
     def upload(self, values: NDArray[Any]) -> DeviceArray:
         """Copy an array, in the precision of the backend if its numbers are real."""

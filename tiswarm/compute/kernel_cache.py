@@ -61,8 +61,18 @@ def sealed(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            with contextlib.suppress(OSError):  # without a seal it will be cleared
-                (folder / _SEAL).write_text(_digest(folder), encoding="ascii")
+            _seal(folder)
+
+
+def seal(folder: Path) -> None:
+    """Seal what the library has just written on somebody else's order, if the folder is there."""
+    with contextlib.suppress(OSError), _locked(folder):
+        _seal(folder)
+
+
+def _seal(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # without a seal it will be cleared
+        (folder / _SEAL).write_text(_digest(folder), encoding="ascii")
 
 
 def clear(folder: Path) -> bool:

@@ -31,6 +31,9 @@ UNKNOWN = -(2.0**31)
 """Height of robots that no height pulls."""
 WALL = 3.0 * 2.0**28
 """Largest whole number of a center; two docks' numbers then differ by one that fits in 32 bits."""
+OUT_OF_REACH = 1e36
+"""Squared step that stands for one beyond the WALL, or too long for its square to fit in an f32."""
+_LONGEST_F32 = 1e18
 
 TAKEN, STALE, STRAYED, LONGEST = 0, 1, 2, 3
 """Columns of `control`: steps taken; whether rows are stale or no step is left; on cards, whether a
@@ -190,7 +193,10 @@ def step_robot(
     on_card: Static, grid: Ref, gains: Ref, guided: Static, ramp, base, next_base, robot,
     rows: Ref, robots: Ref,
 ):  # fmt: skip
-    """Move a robot by its forces; return its squared step and distance from its reference."""
+    """Move a robot by its forces; return its squared step and distance from its reference.
+
+    A robot whose whole numbers would go beyond the WALL stops there; its step is OUT_OF_REACH.
+    """
     force = _force_on_robot(on_card, grid, gains, guided, ramp, base, robot, rows, robots)
     here = vector_at(robots.position, robot)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
@@ -205,10 +211,14 @@ def step_robot(
     if ti.static(guided):
         for c in ti.static(range(3)):
             robots.last_step[robot, c] = step[c]
+    square = step.norm_sqr()
     strayed = 0.0
     for c in ti.static(range(3)):
         here[c] += _in_places(step[c], grid.unit, robots.position)
         if ti.static(holds_integers(robots.position)):
+            beyond = ti.abs(here[c]) >= int(WALL) or ti.abs(step[c]) >= WALL * grid.unit
+            if beyond or ti.abs(force[c]) > _LONGEST_F32:
+                square = OUT_OF_REACH
             here[c] = ti.max(-int(WALL), ti.min(here[c], int(WALL)))
         robots.position[robot, c] = here[c]
         moved = here[c] - robots.reference[robot, c]
@@ -217,7 +227,7 @@ def step_robot(
         for c in ti.static(range(3)):
             arm = _in_places(robots.arm[m, c], grid.unit, robots.dock)
             robots.dock[next_base + 4 * m + c] = here[c] + arm
-    return step.norm_sqr(), strayed
+    return square, strayed
 
 
 @ti.kernel

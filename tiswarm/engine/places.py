@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiswarm.aliases import Reals
-from tiswarm.engine.kernels import UNKNOWN, WALL
+from tiswarm.engine.kernels import OUT_OF_REACH, UNKNOWN
 
 _SMALLEST = 32.0
 """Half of the smallest box around a swarm that units are chosen for [D]; heaps expand in it."""
@@ -64,11 +64,13 @@ class Places:
         """Convert centers back."""
         return number if self.unit is None else self.origin + number * self.unit
 
-    def is_resolved(self, center: Reals) -> bool:
+    def is_resolved(self, coordinate: Reals | float) -> bool:
         """Whether every coordinate is a number, and the device resolves it finely enough."""
-        coarsest = max(np.abs(center).max(initial=0.0) * np.finfo(np.float64).eps, self.unit or 0.0)
+        coarsest = max(
+            np.abs(coordinate).max(initial=0.0) * np.finfo(np.float64).eps, self.unit or 0.0
+        )
         return bool(coarsest <= _FINEST * self.spacing)
 
-    def are_full(self, number: Reals) -> bool:
-        """Whether the numbers of a robot went as far as they reach."""
-        return self.unit is not None and bool(np.abs(number).max() >= WALL)
+    def were_left(self, moves: Reals) -> bool:
+        """Whether a robot went farther than numbers reach; its longest step by step, shape (T,)."""
+        return self.unit is not None and bool(moves.max() > 0.5 * np.sqrt(OUT_OF_REACH))

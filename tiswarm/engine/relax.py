@@ -10,36 +10,26 @@ Equations as in `tiswarm.engine.kernels`. Lengths in the unit of the robot's spa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.compute import backend
-from tiswarm.compute.backend import Allocator, Backend
-from tiswarm.compute.neighbor_list import MOST_ITEMS, NeighborList, morton_order
-from tiswarm.engine import kernels
-from tiswarm.engine.kernels import Gains, Robots
+from tiswarm.aliases import Reals
+from tiswarm.compute import backend, program
+from tiswarm.compute.backend import Backend
+from tiswarm.engine.kernels import Gains
 from tiswarm.engine.places import Places
-from tiswarm.engine.structure_kernels import relax_structures
+from tiswarm.engine.stepping import Stepper
+from tiswarm.engine.swarm import Swarm
 from tiswarm.errors import InputError
 from tiswarm.params import AnyArch, AnyPrecision, Precision
 from tiswarm.robot import Robot
 
-_SKIN = 0.25
-"""Reach of rows of neighbors beyond D [D]."""
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
-_STEPS, _STEPS_ON_CARD = 4, 16
-"""Most steps of a call. On a card Python needs longer for a call than the card for its steps; rows
-serve some 13, and the card skips the rest."""
-_CALLS = 2
-"""Calls on a processor between two questions whether rows are stale."""
+_DIVERGED = "the forces diverged; lower the gains or give max_step"
 _NO_LIMIT = 1e30
 _LARGEST_GAIN = 1e12
-_NORM_SLACK = 1e-6
-"""Largest deviation of a quaternion's norm from 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +49,11 @@ class RelaxResult:
     """Floating-point type that the device computed in."""
 
     force_error: float
-    """Largest error of a force by rounding, relative to the largest force [1]."""
+    """Largest error of a force by rounding [1]: relative to the largest force, or to that of two
+    docks D / 2 from touching, connected or not, where that is larger."""
 
 
+@program.exclusive()
 def relax(
     position: ArrayLike,
     orientation_wxyz: ArrayLike,
@@ -127,12 +119,34 @@ def relax(
 class PreparedSwarm:
     """A swarm on the device, to be relaxed again and again; arguments as for `relax`.
 
-    Robots are renumbered, so that neighbors are near in memory. A guided swarm has inertia and a
-    mobility of each robot m, and its connected docks part where they are nearer than D:
+    A guided swarm has inertia and a mobility of each robot m, and its connected docks part where
+    they are nearer than D:
 
         step <- momentum * step + m F, no longer than the longest step
     """
 
+    swarm: Swarm
+    """The robots as the caller numbers them, where they are at first."""
+
+    running: Backend
+    """What computes."""
+
+    stepper: Stepper | None
+    """Their arrays on the device; None without robots."""
+
+    first_places: Places
+    """Numbers that centers have on the device at first."""
+
+    places: Places
+    """Numbers after the last call, which are coarser if the swarm outgrew the first ones."""
+
+    position: Reals
+    """Centers after the last call, shape (N, 3)."""
+
+    last_step: Reals
+    """Last step of each robot of a guided swarm, shape (N, 3)."""
+
+    @program.exclusive()
     def __init__(
         self,
         position: ArrayLike,
@@ -153,70 +167,45 @@ class PreparedSwarm:
         A `mobility`, the step of each robot along each axis for a force of 1 [1], shape (N, 3),
         makes the swarm guided; 0 fixes a coordinate. `running` is a backend that runs already.
         """
-        self.start_position = center = _shaped("position", position, ("N", 3))
-        robots = len(center)
-        orientation = _shaped("orientation_wxyz", orientation_wxyz, (robots, 4))
-        norm = np.linalg.norm(orientation, axis=1)
-        if not (np.isfinite(center).all() and (np.abs(norm - 1.0) < _NORM_SLACK).all()):
-            raise InputError(
-                "positions must be finite and orientations unit quaternions (w, x, y, z)"
-            )
-        ids: Ints = np.zeros(robots, np.int64)
-        if structure is not None:
-            named = _shaped("structure", structure, (robots,))
-            ids = np.unique(named, return_inverse=True)[1].astype(np.int64)
-        body, self.spacing = robot.dock_offset_body, robot.spacing
-        connected = _checked_contacts(contacts, len(body), ids)
-        target = None if height is None else _shaped("height", height, (robots,))
-        self.guided = mobility is not None
-        share = np.ones((1, 1)) if mobility is None else _shaped("mobility", mobility, (robots, 3))
+        self.swarm = swarm = Swarm.check(
+            position, orientation_wxyz, contacts, robot=robot, height=height, mobility=mobility,
+            structure=structure,
+        )  # fmt: skip
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
-        if robots == 0:
-            return
-        reach = float(np.linalg.norm(body, axis=1).max())
-        self.target = np.full(1, np.nan) if target is None else target
-        self.places = Places(origin=np.zeros(3), unit=None, spacing=self.spacing)
-        if running.precision == "f32":
-            self.places = Places.choose(center, self.target, reach=reach, spacing=self.spacing)
-        if not self.places.is_resolved(center):
-            way_out = ", or use precision f64" if running.precision == "f32" else ""
-            raise InputError(
-                f"a robot {np.abs(center).max():.3g} from the origin is beyond what "
-                f"{running.precision} resolves; bring robots nearer together{way_out}"
-            )
-        size = np.bincount(ids)
-        self.by_structure = not running.on_card and size.max() <= SMALL
-        self.order = order = morton_order(center, ids)
-        self.start = np.concatenate([[0], size.cumsum()])
-        per_robot = _bytes_of_robot(running.dtype, len(body), guided=self.guided)
-        running.require_memory(robots * per_robot, robots)
-        new = np.argsort(order)
-        connected[:, [0, 2]] = new[connected[:, [0, 2]]]
-        self.memory = memory = Allocator(running, on_host=self.by_structure)
-        self.neighbors = NeighborList(
-            memory, center[order], connected,
-            docks=len(body), reach=reach, cutoff=(1.0 + _SKIN) * self.spacing,
-            start=self.start if self.by_structure else None, unit=self.places.unit,
-        )  # fmt: skip
-        if target is not None:
-            self.target = target[order]
-        numbers = memory.reals if self.places.unit is None else memory.ints
-        self.robots = Robots(
-            position=numbers(robots, 3),
-            reference=numbers(robots, 3),
-            height=numbers(len(self.target)),
-            arm=memory.reals(robots * len(body), 3),
-            dock=numbers(2 * robots * len(body) * 4),
-            mobility=memory.upload(share[order] if self.guided else share),
-            last_step=memory.reals(*share.shape),
-        )
-        self.control, self.moves, self.ramp = memory.ints(4), memory.reals(1), memory.reals(1)
-        seldom = memory.for_few_launches()
-        self.structure = seldom.upload(ids[order])
-        kernels.turn_docks(seldom.upload(orientation[order]), seldom.upload(body), self.robots.arm)
+        self.first_places = self._choose_places()
+        self._rest()
+        self.stepper = None
+        if len(swarm.position):
+            largest = np.bincount(swarm.structure).max()
+            self.stepper = Stepper(
+                swarm, running, self.places,
+                by_structure=not running.on_card and bool(largest <= SMALL),
+            )  # fmt: skip
 
+    def _choose_places(self) -> Places:
+        """Choose what numbers centers have, as long as the swarm does not outgrow them."""
+        swarm, precision = self.swarm, self.running.precision
+        places = Places(origin=np.zeros(3), unit=None, spacing=swarm.spacing)
+        if precision == "f32" and len(swarm.position):
+            places = Places.choose(
+                swarm.position, swarm.height, reach=swarm.reach, spacing=swarm.spacing
+            )
+        if not places.is_resolved(swarm.position):
+            way_out = ", or use precision f64" if precision == "f32" else ""
+            raise InputError(
+                f"a robot {np.abs(swarm.position).max():.3g} from the origin is beyond what "
+                f"{precision} resolves; bring robots nearer together{way_out}"
+            )
+        return places
+
+    def _rest(self) -> None:
+        """Put the robots where they were at first, at rest."""
+        self.places, self.position = self.first_places, self.swarm.position
+        self.last_step = np.zeros(self.position.shape)
+
+    @program.exclusive()
     def relax(
         self,
         *,
@@ -242,7 +231,7 @@ class PreparedSwarm:
             )
         limit = _NO_LIMIT if max_step is None else max_step
         gains = Gains(
-            attraction_gain, repulsion_gain, height_gain, self.spacing, limit, parting_gain,
+            attraction_gain, repulsion_gain, height_gain, self.swarm.spacing, limit, parting_gain,
             momentum,
         )  # fmt: skip
         if not (all(0.0 <= gain <= _LARGEST_GAIN for gain in gains[:3]) and limit >= 0.0):
@@ -250,146 +239,42 @@ class PreparedSwarm:
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {tuple(gains)}"
             )
-        position = self.start_position.copy()
-        if steps == 0 or len(position) == 0:
-            return self._result(position, np.zeros(steps), 0)
-        if backend.current() is not self.running and not self.by_structure:
-            raise InputError("another device started, which freed the swarm; prepare it again")
         if not resume:
-            self.position = self.start_position[self.order]
-            self.last_step = np.zeros(self.robots.last_step.shape)
-        relax = self._by_structure if self.by_structure else self._all_at_once
+            self._rest()
+        stepper = self.stepper
+        if steps == 0 or stepper is None:
+            return self._result(np.zeros(steps), 0, np.abs(self.position).max(initial=0.0))
+        if backend.current() is not self.running and not stepper.by_structure:
+            raise InputError("another device started, which freed the swarm; prepare it again")
+        places, ramps = self.places, np.broadcast_to(ramps, steps)
         while True:
-            self._go_to_start()
-            moves, builds = relax(gains, np.broadcast_to(ramps, steps))
-            numbers = self.memory.download(self.robots.position)
-            end, is_full = self.places.to_lengths(numbers), self.places.are_full(numbers)
-            if is_full:
-                self.places = self.places.coarser()
-                self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / self.places.scale
-            if not self.places.is_resolved(end):
-                raise InputError("the forces diverged; lower the gains or give max_step")
-            if not is_full:
+            moves, builds = stepper.take_steps(self.position, self.last_step, places, gains, ramps)
+            if not places.were_left(moves):
                 break
-        self.last_step = self.memory.download(self.robots.last_step)
-        position[self.order] = self.position = end
-        return self._result(position, moves, builds)
+            places = places.coarser()
+            if not places.is_resolved(self.position):
+                raise InputError(f"{_DIVERGED}, or use precision f64")
+        end = stepper.position()
+        farthest = _farthest(self.position, end, moves)
+        if not places.is_resolved(farthest):
+            raise InputError(_DIVERGED)
+        self.places, self.position, self.last_step = places, end, stepper.last_step()
+        return self._result(moves, builds, farthest)
 
-    def _result(self, position: Reals, moves: Reals, builds: int) -> RelaxResult:
-        farthest = max(np.abs(p).max(initial=0.0) for p in (self.start_position, position))
-        if self.running.precision == "f32" and len(position):
+    def _result(self, moves: Reals, builds: int, farthest: float) -> RelaxResult:
+        if self.places.unit is not None:
             # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
-            farthest = 2.0 * self.places.scale / np.finfo(np.float32).eps
+            farthest = float(2.0 * self.places.unit / np.finfo(np.float32).eps)
         return RelaxResult(
-            position=position,
+            position=self.position.copy(),
             largest_move=moves,
             list_builds=builds,
             precision=self.running.precision,
-            force_error=self.running.force_error(2.0 * farthest / self.spacing),
+            force_error=self.running.force_error(2.0 * farthest / self.swarm.spacing),
         )
 
-    def _go_to_start(self) -> None:
-        robots, places = self.robots, self.places
-        self.memory.refill(robots.position, places.to_numbers(self.position, places.origin))
-        self.memory.refill(robots.height, places.to_numbers(self.target, places.origin[2]))
-        self.memory.refill(robots.last_step, self.last_step)
-        kernels.place_docks(places.scale, self.structure, robots.position, robots.arm, robots.dock)
 
-    def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
-        """Step by step, each with all threads; make rows anew where they are stale."""
-        neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(ramp)
-        if self.moves.shape[0] != steps:
-            self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
-        self.memory.refill(self.ramp, ramp)
-        taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
-        most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
-        control.fill(0)
-        while taken < steps:
-            neighbors.build(robots.dock, taken % 2 * half)
-            kernels.start_interval(robots.position, robots.reference, control)
-            while not control[kernels.STALE]:
-                with backend.fast_arithmetic():
-                    for t in range(taken, taken + calls * most, most):
-                        kernels.step_robots(
-                            neighbors.on_card, most, self.guided, neighbors.docks,
-                            neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * _SKIN * self.spacing, self.places.scale, t, self.ramp,
-                            *neighbors.rows, *robots, control, self.moves,
-                        )  # fmt: skip
-                before, taken = taken, int(control[kernels.TAKEN])
-                if taken == before:
-                    raise backend.faulty_driver()
-        moves = self.memory.download(self.moves).astype(np.float64)
-        return moves, neighbors.builds - builds_before
-
-    def _by_structure(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
-        """All steps of a structure on one thread; again from the start if a row was too short."""
-        neighbors, structures = self.neighbors, len(self.start) - 1
-        start, ramps = self.memory.upload(self.start), self.memory.upload(ramp)
-        moves = self.memory.reals(structures, len(ramp))
-        builds = self.memory.ints(structures)
-        stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
-        while True:
-            with backend.fast_arithmetic():
-                relax_structures(
-                    self.guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff, stray_limit,
-                    self.places.scale, neighbors.capacity, *gains, start, ramps, neighbors.table,
-                    *neighbors.cells, *neighbors.connections, *neighbors.rows, *self.robots, builds,
-                    neighbors.longest, moves,
-                )  # fmt: skip
-            if (entries := neighbors.fullest()) <= neighbors.capacity:
-                break
-            neighbors.make_room(entries)
-            self._go_to_start()
-        return moves.max(axis=0).astype(np.float64), int(builds.max())
-
-
-def _shaped(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> Reals:
-    """Copy an array of this shape; a length that is a letter may be any."""
-    expected = str(shape).replace("'", "")
-    try:
-        array = np.array(values, np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{name} is no table of numbers; give an array of shape {expected}"
-        ) from error
-    if array.size == 0:
-        array = array.reshape(0, *(int(length) for length in shape[1:]))
-    wanted = tuple(len(array) if isinstance(n, str) else n for n in shape) if array.ndim else ()
-    if array.shape != wanted:
-        raise InputError(f"{name} has shape {array.shape}; expected {expected}")
-    return array
-
-
-def _checked_contacts(contacts: ArrayLike, docks: int, structure: Ints) -> Ints:
-    """Contacts between docks that exist, of different robots of one structure, each once."""
-    given = _shaped("contacts", contacts, ("C", 4))
-    odd = given[~(np.abs(given) < MOST_ITEMS) | (given != np.rint(given))]
-    if odd.size:
-        raise InputError(f"contacts holds {odd[0]:g}; give whole numbers: robot, dock, robot, dock")
-    rows = given.astype(np.int64)
-    first, second = rows[:, [0, 2]].T
-    beyond = (rows < 0) | (rows >= np.array([len(structure), docks] * 2))
-    wrong = beyond.any(axis=1) | (first == second)
-    if not wrong.any():
-        wrong = structure[first] != structure[second]
-    if wrong.any():
-        raise InputError(
-            f"contact {tuple(rows[wrong][0].tolist())} is not between docks 0 to {docks - 1} of "
-            f"two of the {len(structure)} robots in one structure"
-        )
-    # One number a pair sorts far faster than rows of four do.
-    one, other = first * docks + rows[:, 1], second * docks + rows[:, 3]
-    most = len(structure) * docks
-    pair = np.unique(np.minimum(one, other) * most + np.maximum(one, other))
-    one, other = np.divmod(pair, most)
-    return np.column_stack([one // docks, one % docks, other // docks, other % docks])
-
-
-def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) -> int:
-    """Count the memory of a robot in arrays of numbers and of integers [B]."""
-    numbers, integers = (
-        (5 if guided else 3) * 3 + docks * (3 + 2 * 4 + 4),
-        docks * (1 + 16 + 16) + 12,
-    )
-    return numbers * np.dtype(dtype).itemsize + 4 * integers
+def _farthest(start: Reals, end: Reals, moves: Reals) -> float:
+    """Bound the largest coordinate on the way from start to end, by the longest step of each."""
+    way = np.concatenate([[0.0], np.cumsum(moves)])
+    return float(np.minimum(np.abs(start).max() + way, np.abs(end).max() + way[-1] - way).max())

@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 
 from tiswarm.aliases import Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Backend
 from tiswarm.errors import InputError
 from tiswarm.localization import hop_by_hop, least_squares, virtual_force
@@ -79,6 +79,7 @@ def localize(
     return localize_many([log], [params], with_observability=True, on_progress=in_robots)[0]
 
 
+@program.exclusive()
 def localize_many(
     logs: Sequence[SensingLog],
     params: Sequence[LocalizationParams],

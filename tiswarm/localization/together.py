@@ -126,9 +126,7 @@ def _step(
             resume=before > 0,
         )
         trace.append(now.position)
-        length = np.empty(len(first))
-        length[swarm.order] = np.linalg.norm(swarm.last_step, axis=1)
-        moved.append(length)
+        moved.append(np.linalg.norm(swarm.last_step, axis=1))
         on_progress(after / chosen.steps)
     return [
         Estimate(

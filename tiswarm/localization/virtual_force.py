@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
@@ -260,6 +260,7 @@ class Localizer:
             **self._head.source_arrays(),
         )
 
+    @program.exclusive()
     def _place(self, contact: NDArray[np.int32]) -> None:
         """Launch Algorithm 1 for the last robot alone."""
         count, every = self._count, self._params.iterations

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.aliases import AnyInts, Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
 from tiswarm.progress import Advance, ignore
@@ -34,6 +34,7 @@ _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
 
 
+@program.exclusive()
 def grow(
     params: StructureParams,
     *,

@@ -30,7 +30,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from tiswarm.aliases import AnyInts, Reals
-from tiswarm.compute import backend
+from tiswarm.compute import backend, program
 from tiswarm.params import STRICT
 from tiswarm.world.elimination_kernels import HALF_COLUMNS, NODE_COLUMNS, EliminationArrays
 from tiswarm.world.frame_kernels import (
@@ -263,6 +263,7 @@ class Frames:
         frame.stiffness[of, place] = stiff[order].reshape(-1, 144)
         np.add.at(count, of, 1)
 
+    @program.exclusive()
     def solve(self, structures: Sequence[int]) -> None:
         """Find the forces at rest under the own weight of some structures."""
         self._admit()

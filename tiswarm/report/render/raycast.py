@@ -205,10 +205,9 @@ def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
 
 def taichi_tracer(scene: Scene) -> Trace:
     """Prepare a kernel that intersects each ray with the capsules of its tile."""
-    from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
+    from tiswarm.compute import backend, program  # noqa: PLC0415 - slow to import
     from tiswarm.report.render.kernels import FAR, trace_capsules  # noqa: PLC0415 - slow to import
 
-    backend.processor()
     camera = scene.camera
     start, end = (camera.project(ends.astype(np.float64)) for ends in (scene.start, scene.end))
     nearest: Reals = np.minimum(start[:, 2], end[:, 2]) - scene.radius
@@ -220,9 +219,11 @@ def taichi_tracer(scene: Scene) -> Trace:
 
     def trace(pixels: Array32, _direction: Array32) -> tuple[Array32, Ints]:
         depth, seen = np.empty(len(pixels), np.float32), np.empty(len(pixels), np.int32)
-        trace_capsules(
-            np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen
-        )
+        with program.exclusive():
+            backend.processor()
+            trace_capsules(
+                np.ascontiguousarray(pixels), lens, tile_start, tile_item, *capsules, depth, seen
+            )
         return np.where(depth < FAR / 2.0, depth, np.float32(np.inf)), seen.astype(np.int64)
 
     return trace
