@@ -201,7 +201,8 @@ def _convergence(
 ) -> Convergence:
     """Give the verdicts, and the first reason for a bad one."""
     test, links = ConvergenceTest, len(problem.variance)
-    alike = ends.cost <= ends.cost.min() + np.sqrt(2.0 * len(problem.rows))
+    chance = MixtureSettings.alike * np.sqrt(2.0 * len(problem.rows))
+    alike = ends.cost <= ends.cost.min() + chance
     first = int(ends.cost.argmin())
     torn = int((ends.missed[first, :links][~outlier[:links]] > test.outlier_sd**2).sum())
     width = np.sqrt(2.0 * max(best.freedom, 1))

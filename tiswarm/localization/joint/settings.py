@@ -106,7 +106,7 @@ class MixtureSettings:
     """Standard deviation by which measurements may be missed as chains are ranked, in that of their
     end temperature [1]."""
 
-    rounds: int = 4
+    rounds: int = 3
     """Rounds in which the end of a chain is moved to a minimum."""
 
     unfolding: float = 0.1
@@ -116,14 +116,18 @@ class MixtureSettings:
     warm_rounds: int = 15
     """Rounds at that temperature."""
 
-    fewest: float = 4.0
+    fewest: float = 6.0
     """Effective number of ends that the mixture is to have, if their costs are alike."""
 
-    chance: float = 8.0
+    chance: float = 4.0
     """Width of a chi-square, in the largest divisor of costs [1]."""
 
     heats: int = 6
     """Divisors that are tried."""
+
+    alike: float = 2.0
+    """Excess of a cost over the least one up to which both count as the same, in widths of a
+    chi-square [1]."""
 
     spare: float = 0.25
     """Least degrees of freedom of a chi-square, in unknown coordinates [1]: where measurements are
