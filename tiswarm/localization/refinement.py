@@ -28,6 +28,10 @@ from tiswarm.records.sensing_log import SensingLog
 OVERLAP_SD = 0.05
 """Overlap of two docks that counts like a measurement missed by one standard deviation [R]."""
 
+HINGE_SD = 1.0
+"""Standard deviation of the offset of two robots in contact along each axis, where only what their
+docks can reach is known [R]."""
+
 SETTLED = 0.01
 """Change of the cost below which rounds end [1]."""
 
@@ -82,6 +86,7 @@ class Cost:
         non_overlap: bool = True,
         are_independent: bool = False,
         further_variance: Reals | float = 0.0,
+        hinged: Ints | None = None,
     ) -> None:
         """Gather what does not change with the state.
 
@@ -95,7 +100,9 @@ class Cost:
             are_independent: Whether errors of orientations count as noise of each row, as the
                 annealer takes them, which is quicker.
             further_variance: Variance of rows beside their noise [R^2], shape (E,).
+            hinged: Pairs of robots whose offset is known to `HINGE_SD` as well, shape (n, 2).
         """
+        self.hinged = hinged
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
         self.robust_sd, self.non_overlap = robust_sd, non_overlap
         self.variance = rows.variance() + further_variance
@@ -217,6 +224,7 @@ class Cost:
             ),
             self._overlaps(state),
             *([] if self.links is None else [self._links_of(state, self.links)]),
+            *([] if self.hinged is None else [_hinges(self.hinged)]),
         ]
         off = (
             state.position - begin.position, state.turn[self.walks.final], state.yaw, state.shared
@@ -321,3 +329,12 @@ class Cost:
         far = np.linalg.norm(shift, axis=1, keepdims=True)
         shift *= np.minimum(1.0, longest / np.maximum(far, longest))
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
+
+
+def _hinges(pair: Ints) -> Rows:
+    """Hold the offsets of pairs of robots where they are, along each axis."""
+    rows = _AXES.size * len(pair)
+    column = 3 * pair.T[:, :, None] + _AXES
+    value = np.repeat([1.0, -1.0], rows)
+    variance = np.full(rows, HINGE_SD**2)
+    return Rows(np.zeros(rows), np.tile(np.arange(rows), 2), column.ravel(), value, variance)

@@ -17,9 +17,11 @@ from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import (
+    AnnealSchedule,
     ConvergenceTest,
     MixtureSettings,
     RefineSettings,
+    SdCalibration,
 )
 from tiswarm.localization.joint.starts import images
 from tiswarm.localization.params import JointParams
@@ -110,6 +112,10 @@ def mix(
     annealed, ends, frame = aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
     by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    if params.refines(log.robot_count):
+        hinged = _hinged_variance(log, params, problem, ends, ~outlier)
+        share = SdCalibration.hinged
+        by_chains = np.sqrt((1.0 - share) * by_chains**2 + share * hinged)
     minima, shares = [], []
     for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
         weight = np.where(ends.solution == solution, ends.weight, 0.0)
@@ -155,6 +161,30 @@ def mix(
         convergence=verdict,
         solutions=solutions,
     )
+
+
+def _hinged_variance(
+    log: SensingLog, params: JointParams, problem: Problem, ends: Ends, inlier: Bools
+) -> Reals:
+    """Compute the mean square error of positions if robots in contact are joined by hinges, (N,).
+
+    Chains agree on motions that the search has not tried. A chain of robots that only their
+    contacts hold is as uncertain as a random walk.
+    """
+    best = int(ends.cost.argmin())
+    start = ends.position[best], ends.yaw[best]
+    joins = problem.is_final if problem.is_final.any() else np.ones(len(problem.pair), np.bool_)
+    cost = Cost(
+        log,
+        problem.rows.select(inlier).associated(*start),
+        yaw_precision=problem.yaw_precision,
+        non_overlap=params.non_overlap,
+        are_independent=True,
+        further_variance=AnnealSchedule.coldest**2,
+        hinged=np.unique(problem.pair[joins], axis=0),
+    )
+    square = cost.refine(start, 0)[1].variance()
+    return np.where(problem.untied, 0.0, square)
 
 
 def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]:
@@ -267,7 +297,6 @@ def minimum(
         yaw_precision=problem.yaw_precision,
         links=problem.connections,
         non_overlap=params.non_overlap,
-        further_variance=(0.5 * annealed.sigma) ** 2,
     )
     prior = RefineSettings.prior_sd * np.sqrt(len(sd)) * sd
     prior = np.maximum(prior, RefineSettings.least_prior)

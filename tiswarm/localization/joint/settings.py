@@ -167,6 +167,9 @@ class SdCalibration:
     those of the anchor, decide where the whole structure is, and chains agree on that more often
     than they are right."""
 
+    hinged: float = 0.3
+    """Share of the variance if contacts were hinges, beside that of the chains [1]."""
+
 
 class RefineSettings:
     """Generalized least squares from where the chains ended. Chosen on training structures."""
