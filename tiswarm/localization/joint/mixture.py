@@ -111,18 +111,11 @@ def mix(
         annealed, ends = with_further(log, params, problem, annealed, ends, images(problem, best))
     annealed, ends, frame = aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
-    by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     if params.refines(log.robot_count):
-        hinged = _hinged_variance(log, params, problem, ends, ~outlier)
-        share = SdCalibration.hinged
-        by_chains = np.sqrt((1.0 - share) * by_chains**2 + share * hinged)
-    minima, shares = [], []
-    for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
-        weight = np.where(ends.solution == solution, ends.weight, 0.0)
-        shares.append(weight.sum())
-        chosen = weight / weight.sum()
-        minima.append(minimum(log, params, problem, annealed, ends, chosen, ~outlier, by_chains))
-    minima, share = _weighed(minima, np.array(shares))
+        hinged, part = _hinged_variance(log, params, problem, ends, ~outlier), SdCalibration.hinged
+        open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
+    minima, share = _minima(log, params, problem, annealed, ends, ~outlier, open_sd)
     best = minima[0]
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
@@ -130,12 +123,12 @@ def mix(
         is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, annealed.mean, 1)
     )
     # Chains agree where disconnected parts are, but nothing measures it.
-    placed, square = place_disconnected(np.concatenate([position[None], at]), problem)
+    placed, loose = place_disconnected(np.concatenate([position[None], at]), problem)
     within = share @ np.array([each.sd**2 for each in minima])
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
-    sd = np.where(is_held, np.sqrt(within + between), by_chains)
+    sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = _convergence(problem, ends, outlier, best, has_failed)
-    sd = np.sqrt((verdict.sd_factor * sd) ** 2 + square[0])
+    sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
     gap = problem.residual(at, np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
     solutions = tuple(
@@ -146,7 +139,7 @@ def mix(
             residual=float(np.sqrt((gap[n] ** 2).mean())) if gap.size else 0.0,
             residual_sd=float(np.sqrt(((gap[n] / width) ** 2).mean())) if gap.size else 0.0,
             position=placed[1 + n],
-            sd=np.sqrt(each.sd**2 + square[1 + n]),
+            sd=np.sqrt(each.sd**2 + loose[1 + n]),
         )
         for n, each in enumerate(minima)
     )
@@ -160,6 +153,46 @@ def mix(
         misfit=_by_robot(problem.rows, best.square),
         convergence=verdict,
         solutions=solutions,
+    )
+
+
+def _minima(
+    log: SensingLog,
+    params: JointParams,
+    problem: Problem,
+    annealed: Annealed,
+    ends: Ends,
+    inlier: Bools,
+    open_sd: Reals,
+) -> tuple[list[Minimum], Reals]:
+    """Find the minimum of each solution, the likeliest first, and their weights."""
+    if not params.refines(log.robot_count):
+        return [_unrefined(problem, annealed, ends, inlier, open_sd)], np.ones(1)
+    minima, shares = [], []
+    for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
+        weight = np.where(ends.solution == solution, ends.weight, 0.0)
+        shares.append(weight.sum())
+        chosen = weight / weight.sum()
+        minima.append(minimum(log, params, problem, annealed, ends, chosen, inlier, open_sd))
+    return _weighed(minima, np.array(shares))
+
+
+def _unrefined(
+    problem: Problem, annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals
+) -> Minimum:
+    """Take the mean of all chains of a structure that is too large to be refined."""
+    square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
+    spare = MixtureSettings.spare * 3.0 * (len(sd) - 1)
+    return Minimum(
+        position=np.tensordot(ends.weight, annealed.mean, 1),
+        yaw=ends.weight @ annealed.mean_yaw,
+        sd=sd,
+        is_held=np.zeros(len(sd), np.bool_),
+        cost=float(square.sum()),
+        chi_square=float(square.sum()),
+        freedom=max(int(inlier.sum()), int(spare)),
+        square=square,
+        log_volume=0.0,
     )
 
 
@@ -297,6 +330,9 @@ def minimum(
         yaw_precision=problem.yaw_precision,
         links=problem.connections,
         non_overlap=params.non_overlap,
+        # A bias that is not solved for is in all stances of a robot.
+        are_independent=problem.rows.odometry.bias > 0.0,
+        further_variance=(MixtureSettings.tepid * annealed.sigma) ** 2,
     )
     prior = RefineSettings.prior_sd * np.sqrt(len(sd)) * sd
     prior = np.maximum(prior, RefineSettings.least_prior)

@@ -106,6 +106,9 @@ class MixtureSettings:
     """Standard deviation by which measurements may be missed as chains are ranked, in that of their
     end temperature [1]."""
 
+    tepid: float = 0.5
+    """The same as solutions are refined: less than the search leaves as strain."""
+
     rounds: int = 3
     """Rounds in which the end of a chain is moved to a minimum."""
 
