@@ -78,8 +78,8 @@ def test_version_is_printed(tiswarm):
             "--cues: smell is not a cue; use contacts, non_overlap",
         ),
         (
-            ("localize", "log.jsonl", "--method", "least-squares", "--set", "start.iterations=x"),
-            '--set start.iterations=x: "x" should be a valid integer',
+            ("localize", "log.jsonl", "--method", "least-squares", "--set", "starts=x"),
+            '--set starts=x: "x" should be a valid integer',
         ),
         (("report", "scenarios"), "run folder"),
         (("render", "scenarios"), "scenarios"),

@@ -91,9 +91,7 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
     path.write_text("\n".join(lines[:12]))
     log = tiswarm.read_log(path)
 
-    estimate = tiswarm.localize(
-        log, "least-squares", cues=["contacts", "height"], rounds=1, start={"iterations": 20}
-    )
+    estimate = tiswarm.localize(log, "least-squares", cues=["contacts", "height"], rounds=1)
 
     assert estimate.observability.cues == ("contacts", "height")
     assert len(estimate.iteration) == 2

@@ -113,7 +113,7 @@ def test_planar_robots_that_join_are_placed_as_in_the_whole_log(tower, tmp_path,
     "params",
     [
         JointParams(chains=4, steps=1500, walk_contacts=False),
-        LeastSquaresParams(start=VirtualForceParams(), rounds=4, walk_contacts=False),
+        LeastSquaresParams(walk_contacts=False),
     ],
     ids=lambda p: p.method,
 )

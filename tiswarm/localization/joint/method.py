@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from tiswarm.aliases import Bools, Reals
+from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams, JointParams
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -38,19 +39,30 @@ def localize_batch(
     Returns:
         One estimate a log: the mean over the end of all chains that converged, refined where that
         is of use. `sd` follows from the variance within and between chains, or from the refined
-        problem. The residual is the root mean square over the contacts of the distance of their
-        docks less D, or of the components of measured offsets.
+        problem. The residual is the root mean square over contacts, ranges, and the components of
+        measured offsets.
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=on_progress)
-    return [_estimate(*each) for each in zip(logs, params, problems, annealed, strict=True)]
+    estimates = []
+    for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
+        ended, has_failed, restarted = _restarted(log, p, problem, chains)
+        estimates.append(mixed(log, p, problem, ended, has_failed, restarted=restarted))
+    return estimates
 
 
-def _estimate(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
+def mixed(
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
+    *,
+    restarted: int = 0,
+    prior_sd: Reals | None = None,
 ) -> Estimate:
-    annealed, has_failed, restarted = _restarted(log, params, problem, annealed)
-    mixture = mix(log, params, problem, annealed, has_failed)
+    """Make an estimate of chains, or of starts that do not move; arguments as for `mix`."""
+    mixture = mix(log, params, problem, annealed, has_failed, prior_sd)
     position, yaw = mixture.position, mixture.yaw
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
     yaw_trace = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
@@ -82,8 +94,8 @@ def _estimate(
         ),
         iteration=annealed.iteration,
         trace=trace * unit,
-        residual=_rms(gap) * unit,
-        residual_sd=float(_rms(gap[-1:] / width)[0]),
+        residual=rms(gap) * unit,
+        residual_sd=float(rms(gap[-1] / width)),
     )
 
 
@@ -105,9 +117,3 @@ def _restarted(
         restarted += int(has_failed.sum())
         has_failed = failed(problem, annealed)
     return annealed, has_failed, restarted
-
-
-def _rms(gap: Reals) -> Reals:
-    """Root mean square of gaps (K, P), 0 where there are none, shape (K,)."""
-    rms: Reals = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
-    return rms

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.localization.assessment import misfit_by_robot
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.frames import Frame, align, free_frame
 from tiswarm.localization.joint.initialization import place_disconnected
@@ -24,7 +25,7 @@ from tiswarm.localization.joint.settings import (
     RefineSettings,
 )
 from tiswarm.localization.joint.starts import images, scaled_distances
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING
@@ -115,7 +116,12 @@ class Mixture(NamedTuple):
 
 
 def mix(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
+    prior_sd: Reals | None = None,
 ) -> Mixture:
     """Mix the chains of one structure into one estimate.
 
@@ -125,6 +131,8 @@ def mix(
         problem: Measurements.
         annealed: Chains.
         has_failed: Chains that no noise of the measurements explains, shape (K,).
+        prior_sd: Standard deviation of positions that measurements leave open [R], shape (N,); that
+            of the chains if None.
     """
     ends = rank(log, params, problem, annealed, has_failed)
     if params.refines(log.robot_count):
@@ -134,21 +142,25 @@ def mix(
         annealed, ends = _joined(log, params, problem, annealed, ends, further)
     annealed, ends, frame = _aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
-    by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    by_chains = prior_sd
+    if by_chains is None:
+        by_chains = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     placed, square = place_disconnected(annealed.mean, problem)
-    placed = replace(annealed, mean=placed)
-    minima, shares = [], []
+    minima, shares, untied = [], [], problem.untied[:, None]
     for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
         weight = np.where(ends.solution == solution, ends.weight, 0.0)
         shares.append(weight.sum())
         chosen = weight / weight.sum()
-        minima.append(minimum(log, params, problem, placed, chosen, ~outlier, by_chains))
+        found = minimum(log, params, problem, annealed, chosen, ~outlier, by_chains)
+        # Parts stay apart until the end, so that their docks push no others.
+        at = np.where(untied, np.tensordot(chosen, placed, 1), found.position)
+        minima.append(found._replace(position=at))
     minima, share = _weighed(minima, np.array(shares))
     best = minima[0]
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
     position = np.where(
-        is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, placed.mean, 1)
+        is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, placed, 1)
     )
     within = share @ np.array([each.sd**2 for each in minima])
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
@@ -156,10 +168,6 @@ def mix(
     verdict = _convergence(problem, ends, outlier, best, has_failed)
     # Chains agree where they place disconnected parts, but nothing measures it.
     sd = verdict.sd_factor * np.sqrt(sd**2 + ends.weight @ square)
-    pair = best.square[: len(problem.rows.other)]
-    misfit = np.bincount(problem.rows.robot, best.square, problem.rows.robots)
-    misfit -= 0.5 * np.bincount(problem.rows.robot[: len(pair)], pair, len(misfit))
-    misfit += 0.5 * np.bincount(problem.rows.other, pair, len(misfit))
     gap = problem.residual(at, np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
     solutions = tuple(
@@ -181,7 +189,7 @@ def mix(
         mirrored=between > within,
         free_frame=frame.names,
         outlier=outlier,
-        misfit=misfit,
+        misfit=misfit_by_robot(problem.rows, best.square),
         convergence=verdict,
         solutions=solutions,
     )
@@ -228,7 +236,7 @@ def _convergence(
     is_consistent = misfit_sd <= test.chance_sd
     reasons = {
         "all chains ended out of reach of their contacts, or ran hot": has_failed.all(),
-        "no two chains ended at the same least cost": len(alike) > 1 and alike.sum() == 1,
+        "no two chains or starts ended at the same least cost": len(alike) > 1 and alike.sum() == 1,
         f"the best chain misses {torn} contacts or ranges": (
             torn > test.torn_anyway + test.most_torn * links
         ),
@@ -253,7 +261,11 @@ def _convergence(
 
 
 def rank(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
 ) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
@@ -270,9 +282,25 @@ def rank(
     return _ends(problem, position, yaw, cost, annealed.sigma)
 
 
+def settled(
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    position: Reals,
+    sigma: float,
+    rounds: int,
+) -> tuple[Reals, Reals, float]:
+    """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
+    length = problem.length[~problem.is_offset]
+    warm = MixtureSettings.unfolding * float(np.median(length)) if len(length) else sigma
+    start = position, np.zeros(len(position))
+    position, yaw, _ = _descended(log, params, problem, start, warm, MixtureSettings.warm_rounds)
+    return _descended(log, params, problem, (position, yaw), sigma, rounds)
+
+
 def _descended(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     start: tuple[Reals, Reals],
     sigma: float,
@@ -308,7 +336,7 @@ def _ends(problem: Problem, position: Reals, yaw: Reals, cost: Reals, sigma: flo
 
 def _joined(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     annealed: Annealed,
     ends: Ends,
@@ -317,16 +345,8 @@ def _joined(
     """Add the minima that further starts lead to, as chains that do not move."""
     if not further:
         return annealed, ends
-    none = np.zeros(log.robot_count)
-    warm = MixtureSettings.unfolding * float(np.median(problem.length[~problem.is_offset]))
-    found = []
-    for position in further:
-        for sigma, rounds in (
-            (warm, MixtureSettings.warm_rounds),
-            (annealed.sigma, 5 * MixtureSettings.rounds),
-        ):
-            position, yaw, cost = _descended(log, params, problem, (position, none), sigma, rounds)
-        found.append((position, yaw, cost))
+    rounds = 5 * MixtureSettings.rounds
+    found = [settled(log, params, problem, each, annealed.sigma, rounds) for each in further]
     position, yaw, cost = (np.array(column) for column in zip(*found, strict=True))
     within = np.zeros(position.shape[:2])
     annealed = annealed.joined(position, yaw, within)
@@ -395,7 +415,7 @@ def _solutions(position: Reals, weight: Reals) -> Ints:
 
 def minimum(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     annealed: Annealed,
     weight: Reals,

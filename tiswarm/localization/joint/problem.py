@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.planes import Planes, fixed_planes
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Precision, measure
@@ -188,8 +188,9 @@ class Problem:
         every = Planes._make(column[order] for column in every)
         for robot in np.unique(self.fixes.robot):
             mine = np.flatnonzero(every.robot == robot)
-            is_near = np.abs(every.direction[mine] @ every.direction[mine].T) > _PERPENDICULAR
-            every.crowd[mine] = np.where(is_near.sum(axis=1) > 1, 3.0, 1.0)
+            mine_only = every.direction[mine]
+            square = ((mine_only @ (mine_only.T @ mine_only)) * mine_only).sum(axis=1)
+            every.crowd[mine] = np.where(square > 1.0 + _PERPENDICULAR, 3.0, 1.0)
         return every
 
     def sensed_place(self) -> tuple[Reals, Bools]:
@@ -273,7 +274,7 @@ class Problem:
         return reach(self.pair[counts], longest[counts], self.part)
 
 
-def pose_problem(log: SensingLog, params: JointParams) -> Problem:
+def pose_problem(log: SensingLog, params: ChiSquareParams) -> Problem:
     """Gather what a log measures, as far as its cues are in use.
 
     Args:
