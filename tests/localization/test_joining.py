@@ -26,6 +26,7 @@ def lines(towers):
         return path.read_text().splitlines()
 
 
+@pytest.mark.filterwarnings("ignore:.*converged")
 def test_joining_one_by_one_gives_the_bytes_of_the_whole_log(lines, tmp_path):
     """Online and offline are one code path, whether lines come as text or as mappings."""
     path = tmp_path / "sensing.jsonl"
