@@ -1,18 +1,17 @@
-"""The least-squares problem as a factor graph of GTSAM: one factor a residual.
+"""The chi-square of a log as a factor graph of GTSAM: one factor a row.
 
 The factors compute residuals and derivatives by themselves, robot by robot. So they check the
 formulas of `tiswarm.measurements.model` too, not only its solver.
 """
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult
 
-from tiswarm.localization.least_squares import Problem
-from tiswarm.localization.params import LeastSquaresParams
+from tiswarm.localization.joint.problem import Problem
 
 Array = NDArray[np.float64]
 Residual = Callable[[list[Array], list[float]], tuple[float, list[Array], list[float]]]
@@ -21,73 +20,109 @@ Residual = Callable[[list[Array], list[float]], tuple[float, list[Array], list[f
 CONVERGED = 1e-8
 """Relative and absolute decrease of the cost below which an iteration is the last."""
 
+MOST_ITERATIONS = 200
 
-def levenberg_marquardt(
-    problem: Problem, unknowns: Array, params: LeastSquaresParams
-) -> OptimizeResult:
-    """Minimize the residuals by GTSAM's Levenberg-Marquardt method; the loss is linear.
 
-    Keys are robots: position N is that of robot N, key R + N its yaw [rad],
-    with R robots. The anchor has no position key.
+class Minimum(NamedTuple):
+    """Where a solver ended."""
+
+    position: Array
+    """Centers [R], shape (N, 3)."""
+
+    yaw: Array
+    """Yaw corrections [rad], shape (N,)."""
+
+    chi_square: float
+
+
+def levenberg_marquardt(problem: Problem, position: Array, yaw: Array) -> Minimum:
+    """Minimize the chi-square of a problem by GTSAM's Levenberg-Marquardt method.
+
+    Keys are robots: position N is that of robot N, key R + N its yaw [rad], with R robots. The
+    anchor has no position key.
+
+    Args:
+        problem: Measurements without touches and sources.
+        position: Centers to start from [R], shape (N, 3).
+        yaw: Yaw corrections to start from [rad], shape (N,).
     """
-    robots = problem.robots
+    robots = len(position)
+    turned = robots if problem.yaw_precision else 0
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    positions, arcs = np.split(unknowns, [3 * robots - 3])
-    for robot, position in enumerate(positions.reshape(-1, 3), start=1):
-        values.insert(robot, position)
-    for robot, arc in enumerate(arcs):
-        values.insert(robots + robot, np.array([arc]))
+    for robot in range(1, robots):
+        values.insert(robot, position[robot])
+    for robot in range(turned):
+        values.insert(robots + robot, np.array([yaw[robot]]))
     for involved, residual in _residuals(problem):
-        if problem.yaw_sd or max(involved) > 0:
-            graph.push_back(_factor(problem, involved, residual))
-    if problem.yaw_sd:
-        prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.yaw_sd)
-        for robot in range(robots):
+        if turned or max(involved) > 0:
+            graph.push_back(_factor(problem, position[0], involved, residual))
+    if turned:
+        prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.yaw_precision**-0.5)
+        for robot in range(turned):
             graph.push_back(gtsam.PriorFactorVector(robots + robot, np.zeros(1), prior))
     settings = gtsam.LevenbergMarquardtParams()
-    settings.setMaxIterations(params.evaluations)
+    settings.setMaxIterations(MOST_ITERATIONS)
     settings.setRelativeErrorTol(CONVERGED)
     settings.setAbsoluteErrorTol(CONVERGED)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, settings)
-    found, iterations = optimizer.optimize(), optimizer.iterations()
-    keys = [*range(1, robots), *(robots + np.arange(len(arcs))).tolist()]
-    x = np.concatenate([found.atVector(key) for key in keys])
-    status = int(iterations < params.evaluations)
-    return OptimizeResult(x=x, cost=optimizer.error(), nfev=iterations, status=status)
+    found = optimizer.optimize()
+    places = [found.atVector(robot) for robot in range(1, robots)]
+    turns = [found.atVector(robots + robot)[0] for robot in range(turned)]
+    return Minimum(
+        np.vstack([position[:1], *places]),
+        np.array(turns) if turned else np.zeros(robots),
+        2.0 * optimizer.error(),
+    )
 
 
 def _residuals(problem: Problem) -> Iterator[tuple[list[int], Residual]]:
     """List the residuals with the robots that they depend on."""
     rows = problem.rows
-    for n, j in enumerate(rows.other.tolist()):
-        d = rows.distances
-        residual = _distance(
-            rows.other_arm[n], rows.arm[n], problem.width[n], d.length[n], hinge=bool(d.is_hinge[n])
-        )
-        yield [j, int(rows.robot[n])], residual
+    width = np.sqrt(rows.variance())
+    distances = len(rows.distances.length)
+    for n, (i, j) in enumerate(zip(rows.robot.tolist(), rows.other.tolist(), strict=False)):
+        ends = rows.other_arm[n], rows.arm[n], width[n]
+        if n < distances:
+            yield [j, i], _distance(*ends, rows.distances.length[n])
+        else:
+            yield [j, i], _offset(*ends, rows.offsets.axis[n - distances])
     for k, (way, value) in enumerate(zip(rows.places.direction, rows.places.value, strict=True)):
         n = len(rows.other) + k
-        yield [int(rows.robot[n])], _coordinate(way, rows.arm[n], value, problem.width[n])
+        yield [int(rows.robot[n])], _coordinate(way, rows.arm[n], value, width[n])
 
 
-def _distance(a: Array, b: Array, width: float, spacing: float, *, hinge: bool) -> Residual:
-    """Distance between docks a and b of two robots, less its measured length, over its width."""
+def _distance(a: Array, b: Array, width: float, length: float) -> Residual:
+    """Distance between the ends of arms a and b of two robots, less its measured length."""
 
     def residual(position: list[Array], yaw: list[float]) -> tuple[float, list[Array], list[float]]:
         from_i, from_j = _turned(a, yaw[0]), _turned(b, yaw[1])
         apart = position[1] + from_j - position[0] - from_i
         distance = float(np.linalg.norm(apart))
-        if hinge and distance >= spacing:
-            return 0.0, [np.zeros(3), np.zeros(3)], [0.0, 0.0]
         way = apart / (distance * width) if distance else np.zeros(3)
         by_yaw = [-float(way @ _swept(from_i)), float(way @ _swept(from_j))]
-        return (distance - spacing) / width, [-way, way], by_yaw
+        return (distance - length) / width, [-way, way], by_yaw
+
+    return residual
+
+
+def _offset(a: Array, b: Array, width: float, axis: Array) -> Residual:
+    """Component of the vector between the ends of arms, along an axis of the second robot."""
+
+    def residual(position: list[Array], yaw: list[float]) -> tuple[float, list[Array], list[float]]:
+        from_i, from_j = _turned(a, yaw[0]), _turned(b, yaw[1])
+        apart = position[1] + from_j - position[0] - from_i
+        way = _turned(axis, yaw[1]) / width
+        by_yaw = [
+            -float(way @ _swept(from_i)),
+            float(way @ _swept(from_j) + _swept(way) @ apart),
+        ]
+        return float(way @ apart), [-way, way], by_yaw
 
     return residual
 
 
 def _coordinate(way: Array, arm: Array, value: float, width: float) -> Residual:
-    """Coordinate of the end of a robot's arm along a direction, less its value, over its width."""
+    """Coordinate of the end of a robot's arm along a direction, less its value."""
 
     def residual(position: list[Array], yaw: list[float]) -> tuple[float, list[Array], list[float]]:
         turned = _turned(arm, yaw[0])
@@ -97,16 +132,19 @@ def _coordinate(way: Array, arm: Array, value: float, width: float) -> Residual:
     return residual
 
 
-def _factor(problem: Problem, robots: list[int], residual: Residual) -> "gtsam.CustomFactor":
+def _factor(
+    problem: Problem, anchor: Array, robots: list[int], residual: Residual
+) -> "gtsam.CustomFactor":
+    count = len(problem.part)
     placed = [robot for robot in robots if robot > 0]
-    turned = robots if problem.yaw_sd else []
-    keys = placed + [problem.robots + robot for robot in turned]
+    turned = robots if problem.yaw_precision else []
+    keys = placed + [count + robot for robot in turned]
 
     def error(
         _this: "gtsam.CustomFactor", values: "gtsam.Values", slopes: list[Array] | None
     ) -> Array:
-        position = [values.atVector(r) if r else problem.anchor for r in robots]
-        yaw = [values.atVector(problem.robots + r)[0] for r in turned]
+        position = [values.atVector(r) if r else anchor for r in robots]
+        yaw = [values.atVector(count + r)[0] for r in turned]
         off, by_position, by_yaw = residual(position, yaw or [0.0] * len(robots))
         if slopes is not None:
             rows = [slope for slope, r in zip(by_position, robots, strict=True) if r]

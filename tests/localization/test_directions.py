@@ -7,13 +7,13 @@ import pytest
 
 from tests.localization.test_problem import true_yaw
 from tests.structures import with_directions
-from tiswarm.localization.params import JointParams, LeastSquaresParams, VirtualForceParams
+from tiswarm.localization.params import JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = JointParams(chains=3, steps=600, hold_steps=200)
-METHODS = [QUICK, LeastSquaresParams(start=VirtualForceParams(iterations=40), non_overlap=False)]
+METHODS = [QUICK, LeastSquaresParams(non_overlap=False)]
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 
 

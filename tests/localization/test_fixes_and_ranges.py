@@ -12,7 +12,6 @@ from tiswarm.localization.params import (
     HopByHopParams,
     JointParams,
     LeastSquaresParams,
-    VirtualForceParams,
 )
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.observability import observability
@@ -21,7 +20,7 @@ from tiswarm.sensing import SensingParams, observe
 
 METHODS = [
     JointParams(chains=2, steps=600, hold_steps=200, non_overlap=False),
-    LeastSquaresParams(start=VirtualForceParams(iterations=40), non_overlap=False),
+    LeastSquaresParams(non_overlap=False),
     HopByHopParams(non_overlap=False),
 ]
 CONTACTS = ("contacts", "height", "ground", "walk_contacts")

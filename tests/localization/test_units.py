@@ -29,7 +29,7 @@ METHODS = [
     dataclasses.replace(SHORT, back_propagation=BackPropagation(every=5, sweeps=12)),
     VirtualForceParams(schedule="together", together=Together(steps=40)),
     JointParams(chains=2, steps=300, hold_steps=100),
-    LeastSquaresParams(start=SHORT, rounds=2),
+    LeastSquaresParams(starts=2, rounds=4),
     HopByHopParams(),
 ]
 UP = np.array([0.0, 0.0, 3.0])

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from tiswarm.localization.least_squares import improve
 from tiswarm.localization.params import JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements import cues
@@ -28,7 +27,7 @@ def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
     monkeypatch.setattr(cues, "CUES", [*cues.CUES, (("wall",), wall)])
 
     after = [localize(log, params), observability(log, params.cues)]
-    reference = improve(log, LeastSquaresParams(rounds=2), history.position)
+    reference = localize(log, LeastSquaresParams())
 
     off = [np.abs(found[0].position - history.position)[:, 0].mean() for found in (before, after)]
     assert off[1] < 0.5 * off[0]

@@ -145,7 +145,7 @@ def test_chained_orientations_are_as_noisy_as_stated(towers):
     ("params", "largest"),
     [
         (JointParams(chains=3, steps=600, hold_steps=200), 0.25),
-        (LeastSquaresParams(start=VirtualForceParams(iterations=40), non_overlap=False), 0.4),
+        (LeastSquaresParams(non_overlap=False), 0.4),
         (VirtualForceParams(iterations=40), 8.0),
     ],
     ids=lambda p: getattr(p, "method", ""),

@@ -21,11 +21,13 @@ Lengths in R.
 """
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.params import HopByHopParams
 from tiswarm.localization.trilateration import POINTS, Ties, Trilateration, length, outer, unit
 from tiswarm.measurements.contacts import disconnected, parts
@@ -58,6 +60,25 @@ _MOST = 1e3
 """Chi-square beyond which odds are nil; avoids an overflow."""
 
 
+class Placed(NamedTuple):
+    """Where N robots are by their own measurements."""
+
+    position: Reals
+    """Centers [R], shape (N, 3)."""
+
+    sd: Reals
+    """Standard deviation of each [R], shape (N,)."""
+
+    undetermined: Bools
+    """Coordinates that are guesses, shape (N, 3)."""
+
+    @property
+    def is_located(self) -> Bools:
+        """Whether no coordinate of a robot is a guess, shape (N,)."""
+        is_located: Bools = np.logical_not(self.undetermined.any(axis=1))
+        return is_located
+
+
 def batch_key(log: SensingLog, params: HopByHopParams) -> Hashable:  # noqa: ARG001
     """Name what logs must share to be localized in one batch: nothing."""
     return None
@@ -71,8 +92,8 @@ def localize_batch(
     """Localize structures one after the other.
 
     Returns:
-        One estimate a log. The residual is the root mean square over the contacts of the distance
-        of their docks less D.
+        One estimate a log. The residual is the root mean square over contacts, ranges, and the
+        components of measured offsets. Verdicts are on located robots.
     """
     estimates: list[Estimate] = []
     for log, p in zip(logs, params, strict=True):
@@ -82,33 +103,50 @@ def localize_batch(
 
 
 def _localize(log: SensingLog, params: HopByHopParams) -> Estimate:
-    rows = measure(log, params.cues).averaged()
-    swarm = _Swarm(rows, log, params)
-    if params.order == "join":
-        swarm.place_in_join_order()
-    else:
-        swarm.place_by_hops()
-    position, unit_length = swarm.position[:-1], log.dock_radius
-    gap = measure(log, ["contacts"], odometry=rows.odometry).residual(position)
+    rows = measure(log, params.cues)
+    placed = place(log, rows, non_overlap=params.non_overlap, in_join_order=params.order == "join")
+    position, unit_length = placed.position, log.dock_radius
+    is_guess = np.logical_not(placed.is_located)
+    found = assess(log, params.cues, position, is_guess=is_guess, sd=placed.sd)
+    gap = rows.residual(position)[: len(rows.other)]
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit_length,
         disconnected=disconnected(rows),
-        sd=np.sqrt(np.trace(swarm.shared_covariance[:-1], axis1=1, axis2=2)) * unit_length,
-        undetermined=swarm.undetermined,
+        sd=found.convergence.sd_factor * placed.sd * unit_length,
+        undetermined=placed.undetermined,
+        **found._asdict(),
         iteration=np.zeros(1, np.int64),
         trace=position[None] * unit_length,
-        residual=np.sqrt([(gap**2).sum() / max(len(gap), 1)]) * unit_length,
+        residual=np.array([rms(gap) * unit_length]),
+    )
+
+
+def place(
+    log: SensingLog, rows: Measurements, *, non_overlap: bool, in_join_order: bool = False
+) -> Placed:
+    """Place the robots of a log by its rows."""
+    swarm = _Swarm(rows.averaged(), log, non_overlap=non_overlap, is_earlier_only=in_join_order)
+    if in_join_order:
+        swarm.place_in_join_order()
+    else:
+        swarm.place_by_hops()
+    return Placed(
+        position=swarm.position[:-1],
+        sd=np.sqrt(np.trace(swarm.shared_covariance[:-1], axis1=1, axis2=2)),
+        undetermined=swarm.undetermined,
     )
 
 
 class _Swarm:
     """N robots, some of them placed, and last in each array the world."""
 
-    def __init__(self, rows: Measurements, log: SensingLog, params: HopByHopParams) -> None:
+    def __init__(
+        self, rows: Measurements, log: SensingLog, *, non_overlap: bool, is_earlier_only: bool
+    ) -> None:
         """Place the anchor."""
         self.robots = rows.robots
-        self.non_overlap = params.non_overlap
+        self.non_overlap = non_overlap
         self.part = parts(rows)
         self.docks = rows.odometry.arm[rows.odometry.final]
         self.position = np.zeros((self.robots + 1, 3))
@@ -119,7 +157,7 @@ class _Swarm:
         self.is_placed = self.is_located.copy()
         self.undetermined = np.zeros((self.robots, 3), np.bool_)
         self.ties = Ties.of(rows)
-        if params.order == "join":
+        if is_earlier_only:
             is_world = self.ties.partner == self.robots
             self.ties = self.ties.select((self.ties.partner < self.ties.robot) | is_world)
 

@@ -36,8 +36,6 @@ _ONE_BY_ONE = (
 )
 """Settings of `virtual-force` that have no meaning where robots move together."""
 
-_Width = Annotated[float, Field(gt=0.0)]
-
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class BackPropagation:
@@ -255,69 +253,86 @@ class CueParams:
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class LeastSquaresParams(CueParams):
-    """Weights of the residuals that `scipy.optimize.least_squares` minimizes together.
-
-    A residual counts in units of its width. The widths are plausible, not fitted.
-    """
-
-    method: Literal["least-squares"] = "least-squares"
-    """Name of the method."""
-
-    touches: Literal[False] = False
-    """Touches do not count: only `joint` finds their docks."""
-
-    start: VirtualForceParams = VirtualForceParams()
-    """How the positions to start from are found."""
-
-    solve_yaw: bool = True
-    """Solve for each robot's bias of yaw where the log states one; else yaw is taken as sensed."""
-
-    contact_width: _Width = 0.05
-    """Width of the residual of a contact: the distance of its docks less D [R]."""
-
-    overlap_width: _Width = 0.05
-    """Width of the overlap of two docks that are not in contact [R]."""
-
-    height_width: _Width = 0.05
-    """Width of the residual of a height, from flips or the ground [R]."""
-
-    odometry_width: _Width = 0.5
-    """Width of the residual of each coordinate that flips give from a known spawn [R]."""
-
-    loss: Literal["linear", "soft_l1", "huber", "cauchy"] = "linear"
-    """How residuals beyond their width count, as scipy names it."""
-
-    rounds: Annotated[int, Field(ge=1, le=1000)] = 10
-    """Solves at most; before each, pairs of docks that may overlap are looked up anew."""
-
-    evaluations: Annotated[int, Field(ge=1, le=100_000)] = 50
-    """Largest number of evaluations of the residuals in each solve."""
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class JointParams(CueParams):
-    """Weights and schedule of the annealer that places all robots at once.
+class ChiSquareParams(CueParams):
+    """What the chi-square of all measurements is made of, beside what a log states.
 
     How much each cue counts follows from the noise that the log states.
     """
 
-    method: Literal["joint"] = "joint"
+    robust: Annotated[
+        bool, Field(description="Let measurements that disagree with all others give way.")
+    ] = True
+
+    solve_yaw: Annotated[
+        bool,
+        Field(
+            description="Solve for each robot's bias of yaw where the log states one; else it "
+            "widens equations."
+        ),
+    ] = True
+
+    seed: Annotated[
+        int, Field(ge=0, lt=2**31, description="Seed of the random numbers of all starts.")
+    ] = 0
+
+    contact_sd: Annotated[
+        float,
+        Field(
+            gt=0.0,
+            description="How far from D docks that feel each other may be, as a standard deviation "
+            "[R].",
+        ),
+    ] = 0.006
+
+    height_sd: Annotated[
+        float,
+        Field(
+            gt=0.0,
+            description="The same of heights and grounds, beside the noise that the log states "
+            "[R].",
+        ),
+    ] = 0.01
+
+    spawn_sd: Annotated[
+        float,
+        Field(
+            gt=0.0,
+            description="Standard deviation of each coordinate of a spawn position whose log "
+            "states none [R].",
+        ),
+    ] = 0.2
+
+    def refines(self, robots: int) -> bool:  # noqa: ARG002 - `joint` looks at it
+        """Whether to move estimates of a structure of so many robots to a minimum."""
+        return True
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class LeastSquaresParams(ChiSquareParams):
+    """Starts from which the chi-square of all measurements is minimized."""
+
+    method: Literal["least-squares"] = "least-squares"
     """Name of the method."""
 
-    robust: bool = True
-    """Let contacts that disagree with all others give way."""
+    starts: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Starts: the positions of `hop-by-hop`, and the same with random errors of its standard
+    deviations. Where ranges tie robots, multidimensional scaling adds two more."""
 
-    solve_yaw: bool = True
-    """Solve for each robot's bias of yaw where the log states one; else it widens equations."""
+    rounds: Annotated[int, Field(ge=1, le=1000)] = 50
+    """Levenberg-Marquardt steps at most from each start."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class JointParams(ChiSquareParams):
+    """Schedule of the annealer that places all robots at once."""
+
+    method: Literal["joint"] = "joint"
+    """Name of the method."""
 
     refine: bool | None = None
     """Let errors that equations of walks share count once, by generalized least squares from where
     the chains ended; never where a bias of yaw of more than 0.2 rad is to be solved for. If null
     up to 3,000 robots, beyond which it would take longer than the chains."""
-
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    """Seed of the chains' random numbers."""
 
     chains: Annotated[int, Field(ge=1, le=1000)] | None = None
     """Annealings from different starts; the estimate is made of their mean. If null 8,
@@ -337,15 +352,6 @@ class JointParams(CueParams):
     end_sigma: Annotated[float, Field(gt=0.0)] | None = None
     """The same when annealing ends [R]. If null 0.01 where measurements suffice and are sharp, up
     to 0.025 where they are fewer than the coordinates by a twentieth, or that uncertain."""
-
-    contact_sd: Annotated[float, Field(gt=0.0)] = 0.006
-    """How far from D docks that feel each other may be, as a standard deviation [R]."""
-
-    height_sd: Annotated[float, Field(gt=0.0)] = 0.01
-    """The same of heights and grounds, beside the noise that the log states [R]."""
-
-    spawn_sd: Annotated[float, Field(gt=0.0)] = 0.2
-    """Standard deviation of each coordinate of a spawn position whose log states none [R]."""
 
     extension_prior: Annotated[float, Field(ge=0.0, le=3.0)] = 1.5
     """Prior that robots extend outward: gain in log-likelihood for each R more between the centers

@@ -113,8 +113,10 @@ def localize_many(
         for n, relative in zip(members, batch, strict=True):
             estimate = _moved(relative, logs[n])
             if with_observability:
+                # Half way between two images, measurements may resist less than at either.
+                at = estimate.solutions[0] if estimate.solutions else estimate
                 known = observability(
-                    logs[n], params[n].cues, estimate.position, yaw_unknown=estimate.yaw is not None
+                    logs[n], params[n].cues, at.position, yaw_unknown=estimate.yaw is not None
                 )
                 estimate = replace(estimate, observability=known)
             estimates[n] = estimate

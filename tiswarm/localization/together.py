@@ -20,6 +20,7 @@ from tiswarm.aliases import Bools, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.engine.relax import SMALL, PreparedSwarm
+from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
 from tiswarm.measurements.cues import measure
@@ -128,19 +129,24 @@ def _step(
         trace.append(now.position)
         moved.append(np.linalg.norm(swarm.last_step, axis=1))
         on_progress(after / chosen.steps)
-    return [
-        Estimate(
-            robot_id=log.robot_id,
-            position=trace[-1][a:b] * log.dock_radius,
-            disconnected=disconnected(measure(log, ["contacts"])),
-            iteration=frames,
-            trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
-            residual=np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
-            * log.dock_radius,
-            steps=np.where(np.arange(b - a) == 0, 0, chosen.steps),
+    estimates = []
+    for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
+        untied = disconnected(measure(log, ["contacts"]))
+        found = assess(log, params.cues, trace[-1][a:b], is_guess=untied)
+        moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
+        estimates.append(
+            Estimate(
+                robot_id=log.robot_id,
+                position=trace[-1][a:b] * log.dock_radius,
+                disconnected=untied,
+                **found._asdict(),
+                iteration=frames,
+                trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
+                residual=moves * log.dock_radius,
+                steps=np.where(np.arange(b - a) == 0, 0, chosen.steps),
+            )
         )
-        for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True)
-    ]
+    return estimates
 
 
 def _chained(log: SensingLog, is_planar: Bools) -> Reals:

@@ -24,6 +24,7 @@ from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.localization import together
+from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import (
     BackPropagation,
     LocalizationParams,
@@ -74,7 +75,8 @@ def localize_batch(
     """Localize structures side by side, in one launch.
 
     Returns:
-        One estimate a log. The residual is the root mean square step of the robots.
+        One estimate a log. The residual is the root mean square step of the robots. Verdicts are on
+        robots that contacts tie to the anchor.
     """
     if params[0].schedule == "together":
         heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
@@ -114,13 +116,16 @@ def localize_batch(
         trace.step_length[frames > iterations, older] = 0.0
         scaled = trace.position[:, a:b] * log.dock_radius
         steps = trace.step_length[:, a:b] * log.dock_radius
-        turns = bool(_torque(p, log.noise).gain)
+        yaw = placed.yaw[a:b] if _torque(p, log.noise).gain else None
+        untied = disconnected(measure(log, ["contacts"]))
+        found = assess(log, p.cues, trace.position[-1, a:b], is_guess=untied, yaw=yaw)
         estimates.append(
             Estimate(
                 robot_id=log.robot_id,
                 position=scaled[-1],
-                disconnected=disconnected(measure(log, ["contacts"])),
-                yaw=placed.yaw[a:b] if turns else None,
+                disconnected=untied,
+                yaw=yaw,
+                **found._asdict(),
                 iteration=frames,
                 trace=scaled,
                 residual=np.sqrt(np.mean(steps**2, axis=1)),

@@ -10,7 +10,7 @@ from tiswarm.localization.joint.frames import Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
 from tiswarm.localization.joint.starts import scaled_distances
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
@@ -40,7 +40,11 @@ class Ends:
 
 
 def ranked(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
 ) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
@@ -59,7 +63,7 @@ def ranked(
 
 def _descended(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     start: tuple[Reals, Reals],
     sigma: float,
@@ -95,7 +99,7 @@ def _ends(problem: Problem, position: Reals, yaw: Reals, cost: Reals, sigma: flo
 
 def with_further(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     annealed: Annealed,
     ends: Ends,
@@ -120,7 +124,23 @@ def with_further(
     )
 
 
-def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> list[Reals]:
+def settled(
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    position: Reals,
+    sigma: float,
+    rounds: int,
+) -> tuple[Reals, Reals, float]:
+    """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
+    length = problem.length[~problem.is_offset]
+    warm = MixtureSettings.unfolding * float(np.median(length)) if len(length) else sigma
+    start = position, np.zeros(len(position))
+    position, yaw, _ = _descended(log, params, problem, start, warm, MixtureSettings.warm_rounds)
+    return _descended(log, params, problem, (position, yaw), sigma, rounds)
+
+
+def further_starts(log: SensingLog, params: ChiSquareParams, problem: Problem) -> list[Reals]:
     """Find where measured distances fit as a whole, by ascending cost [R], (N, 3) each.
 
     None where contacts alone tie robots, or for structures too large to be refined. Of two mirror
@@ -128,15 +148,10 @@ def further_starts(log: SensingLog, params: JointParams, problem: Problem) -> li
     """
     if not params.refines(log.robot_count):
         return []
-    anchor, yaw = log.anchor_position / log.dock_radius, np.zeros(log.robot_count)
-    far, rounds = float(np.median(problem.length)), MixtureSettings.warm_rounds
+    anchor, rounds = log.anchor_position / log.dock_radius, MixtureSettings.warm_rounds
     found = []
     for start in scaled_distances(problem, anchor):
-        warm = MixtureSettings.unfolding * far
-        there = _descended(log, params, problem, (start, yaw), warm, rounds)
-        position, _, cost = _descended(
-            log, params, problem, there[:2], AnnealSchedule.warmest, rounds
-        )
+        position, _, cost = settled(log, params, problem, start, AnnealSchedule.warmest, rounds)
         found.append((cost, position))
     found.sort(key=lambda pair: pair[0])
     chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(problem.rows))

@@ -48,7 +48,7 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools) -> Frame:
         return nothing
     turns = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(_AXES)], axis=1)
     changed = rows.jacobian(position)[:, : turns.shape[0]] @ turns
-    _, size, axes = np.linalg.svd(np.asarray(changed), full_matrices=True)
+    _, size, axes = np.linalg.svd(np.linalg.qr(np.asarray(changed), mode="r"))
     size = np.pad(size, (0, _AXES - len(size)))
     moved = np.linalg.norm(turns @ axes.T, axis=0)
     axes = axes[(size <= _UNRESISTED * extent) & (moved > _UNRESISTED * extent)]

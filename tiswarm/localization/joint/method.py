@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tiswarm.aliases import Bools, Reals
+from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import further_starts
@@ -13,7 +14,7 @@ from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams, JointParams
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -44,21 +45,25 @@ def localize_batch(
     """
     problems = [pose_problem(log, p) for log, p in zip(logs, params, strict=True)]
     annealed = anneal(logs, params, problems, on_progress=on_progress)
-    return [_estimate(*each) for each in zip(logs, params, problems, annealed, strict=True)]
+    estimates = []
+    for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
+        ended, has_failed, restarted = _further(log, p, problem, chains)
+        estimates.append(mixed(log, p, problem, ended, has_failed, restarted=restarted))
+    return estimates
 
 
-def _estimate(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
+def mixed(
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
+    *,
+    restarted: int = 0,
+    prior_sd: Reals | None = None,
 ) -> Estimate:
-    starts = further_starts(log, params, problem)
-    if starts:
-        # Twice the chains, of which half unfold what the initial guess has folded.
-        start = np.array([starts[k % len(starts)] for k in range(len(annealed.mean))])
-        annealed = annealed.joined(anneal([log], [params], [problem], start=[start])[0])
-        restarted, has_failed = 0, failed(problem, annealed)
-    else:
-        annealed, has_failed, restarted = _restarted(log, params, problem, annealed)
-    mixture = mix(log, params, problem, annealed, has_failed)
+    """Make an estimate of chains, or of starts that do not move; arguments as for `mix`."""
+    mixture = mix(log, params, problem, annealed, has_failed, prior_sd)
     position, yaw = mixture.position, mixture.yaw
     trace = np.concatenate([place_disconnected(annealed.trace[:-1], problem)[0], position[None]])
     yaw_trace = np.concatenate([annealed.yaw_trace[:-1], yaw[None]])
@@ -90,9 +95,24 @@ def _estimate(
         ),
         iteration=annealed.iteration,
         trace=trace * unit,
-        residual=_rms(gap) * unit,
-        residual_sd=float(_rms(gap[-1:] / width)[0]),
+        residual=rms(gap) * unit,
+        residual_sd=float(rms(gap[-1:] / width)[0]),
     )
+
+
+def _further(
+    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed
+) -> tuple[Annealed, Bools, int]:
+    """Anneal as many chains from where ranges fit, if there are any; else those that failed again.
+
+    Such starts unfold what the initial guess has folded. Returns as `_restarted`.
+    """
+    starts = further_starts(log, params, problem)
+    if not starts:
+        return _restarted(log, params, problem, annealed)
+    start = np.array([starts[k % len(starts)] for k in range(len(annealed.mean))])
+    annealed = annealed.joined(anneal([log], [params], [problem], start=[start])[0])
+    return annealed, failed(problem, annealed), 0
 
 
 def _restarted(
@@ -113,9 +133,3 @@ def _restarted(
         restarted += int(has_failed.sum())
         has_failed = failed(problem, annealed)
     return annealed, has_failed, restarted
-
-
-def _rms(gap: Reals) -> Reals:
-    """Root mean square of gaps (K, P), 0 where there are none, shape (K,)."""
-    rms: Reals = np.sqrt((gap**2).sum(axis=1) / max(gap.shape[1], 1))
-    return rms

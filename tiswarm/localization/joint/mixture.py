@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.aliases import Bools, Reals
+from tiswarm.localization.assessment import misfit_by_robot
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.joint.initialization import place_disconnected
@@ -24,7 +25,7 @@ from tiswarm.localization.joint.settings import (
     SdCalibration,
 )
 from tiswarm.localization.joint.starts import images
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import Convergence, Solution
@@ -94,7 +95,12 @@ class Mixture(NamedTuple):
 
 
 def mix(
-    log: SensingLog, params: JointParams, problem: Problem, annealed: Annealed, has_failed: Bools
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    has_failed: Bools,
+    prior_sd: Reals | None = None,
 ) -> Mixture:
     """Mix the chains of one structure into one estimate.
 
@@ -104,6 +110,8 @@ def mix(
         problem: Measurements.
         annealed: Chains.
         has_failed: Chains that no noise of the measurements explains, shape (K,).
+        prior_sd: Standard deviation of positions that measurements leave open [R], shape (N,); that
+            of the chains if None.
     """
     ends = ranked(log, params, problem, annealed, has_failed)
     if params.refines(log.robot_count):
@@ -111,8 +119,10 @@ def mix(
         annealed, ends = with_further(log, params, problem, annealed, ends, images(problem, best))
     annealed, ends, frame = aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
-    open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
-    if params.refines(log.robot_count):
+    open_sd = prior_sd
+    if open_sd is None:
+        open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
+    if prior_sd is None and params.refines(log.robot_count):
         hinged, part = _hinged_variance(log, params, problem, ends, ~outlier), SdCalibration.hinged
         open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
     minima, share = _minima(log, params, problem, annealed, ends, ~outlier, open_sd)
@@ -150,7 +160,7 @@ def mix(
         mirrored=between > within,
         free_frame=frame.names,
         outlier=outlier,
-        misfit=_by_robot(problem.rows, best.square),
+        misfit=misfit_by_robot(problem.rows, best.square),
         convergence=verdict,
         solutions=solutions,
     )
@@ -158,7 +168,7 @@ def mix(
 
 def _minima(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     annealed: Annealed,
     ends: Ends,
@@ -167,7 +177,7 @@ def _minima(
 ) -> tuple[list[Minimum], Reals]:
     """Find the minimum of each solution, the likeliest first, and their weights."""
     if not params.refines(log.robot_count):
-        return [_unrefined(problem, annealed, ends, inlier, open_sd)], np.ones(1)
+        return [_unrefined(annealed, ends, inlier, open_sd)], np.ones(1)
     minima, shares = [], []
     for solution in range(int(ends.solution[ends.weight > 0.0].max()) + 1):
         weight = np.where(ends.solution == solution, ends.weight, 0.0)
@@ -177,14 +187,13 @@ def _minima(
     return _weighed(minima, np.array(shares))
 
 
-def _unrefined(
-    problem: Problem, annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals
-) -> Minimum:
+def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
     """Take the mean of all chains of a structure that is too large to be refined."""
     square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
     spare = MixtureSettings.spare * 3.0 * (len(sd) - 1)
+    position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
     return Minimum(
-        position=np.tensordot(ends.weight, annealed.mean, 1),
+        position=position,
         yaw=ends.weight @ annealed.mean_yaw,
         sd=sd,
         is_held=np.zeros(len(sd), np.bool_),
@@ -197,7 +206,7 @@ def _unrefined(
 
 
 def _hinged_variance(
-    log: SensingLog, params: JointParams, problem: Problem, ends: Ends, inlier: Bools
+    log: SensingLog, params: ChiSquareParams, problem: Problem, ends: Ends, inlier: Bools
 ) -> Reals:
     """Compute the mean square error of positions if robots in contact are joined by hinges, (N,).
 
@@ -232,17 +241,6 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
     return [minima[n] for n in order], share[order] / share.sum()
-
-
-def _by_robot(rows: Measurements, square: Reals) -> Reals:
-    """Sum parts of the chi-square by robots, half of that of a pair for each, shape (N,)."""
-    mine = square.copy()
-    mine[: len(rows.other)] *= 0.5
-    ends = np.concatenate([rows.robot, rows.other])
-    total: Reals = np.bincount(
-        ends, np.concatenate([mine, mine[: len(rows.other)]]), rows.robots
-    ).astype(np.float64)
-    return total
 
 
 def _outliers(problem: Problem, ends: Ends) -> Bools:
@@ -299,7 +297,7 @@ def _convergence(
 
 def minimum(
     log: SensingLog,
-    params: JointParams,
+    params: ChiSquareParams,
     problem: Problem,
     annealed: Annealed,
     ends: Ends,

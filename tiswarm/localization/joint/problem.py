@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.planes import Planes, measured_planes
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
 from tiswarm.measurements.cues import Precision, measure
@@ -220,7 +220,7 @@ class Problem:
         return reach(self.pair[counts], longest[counts], self.part)
 
 
-def pose_problem(log: SensingLog, params: JointParams) -> Problem:
+def pose_problem(log: SensingLog, params: ChiSquareParams) -> Problem:
     """Gather what a log measures, as far as its cues are in use.
 
     Args:

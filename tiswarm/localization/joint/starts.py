@@ -89,6 +89,6 @@ def images(problem: Problem, position: Reals) -> list[Reals]:
     if known.sum() < _AXES or known.all():
         return []
     center = position[known].mean(axis=0)
-    normal = np.linalg.svd(position[known] - center)[2][2]
+    normal = np.linalg.svd(position[known] - center, full_matrices=False)[2][2]
     mirrored = position - 2.0 * ((position - center) @ normal)[:, None] * normal
     return [np.where(known[:, None], position, mirrored)]
