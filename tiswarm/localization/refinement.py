@@ -44,6 +44,10 @@ _UNKNOWN = 1e-6
 _LONGEST_STEP = 0.5
 """Longest step of a robot in a round, in R and in the median of measured distances [1]."""
 
+_FALLING, _MOST_ROUNDS = 0.3, 30
+"""Share of the cost by which a round must lower it for more rounds than asked for, and rounds at
+most."""
+
 _SMALLER, _LEAST_RADIUS = 0.4, 1e-4
 """Radius within which a step is trusted, relative to one that raised the cost [1], and the least
 radius [R]."""
@@ -163,7 +167,7 @@ class Cost:
 
         Args:
             start: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
-            rounds: Rounds at most.
+            rounds: Rounds; more if the cost still falls fast.
             prior: Width of a prior around the start [R], shape (N,); none if None.
 
         Returns:
@@ -178,8 +182,10 @@ class Cost:
             point = state.position[:, None] + self._docks_at(state.yaw)
             self.docks = close_docks(self.log, point, SPACING + _MARGIN)
         linear = self.linearized(state, begin, precision)
-        radius = np.inf
-        for _ in range(rounds):
+        radius, gain = np.inf, np.inf
+        for count in range(_MOST_ROUNDS * (rounds > 0)):
+            if count >= rounds and gain < _FALLING * linear.cost:
+                break
             trial = self._moved(state, linear, radius)
             there = self.linearized(trial, begin, precision)
             if there.cost > linear.cost + SETTLED:

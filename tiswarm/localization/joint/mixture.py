@@ -233,10 +233,14 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     """Weigh solutions, and sort those that count by descending weight.
 
     Where measurements hold all robots, weights are the likelihoods of the minima times their
-    widths (Laplace). Elsewhere nothing but the chains says how wide a solution is.
+    widths (Laplace). Elsewhere nothing but the chains says how wide a solution is; those whose cost
+    exceeds the least one by more than chance explains do not count.
     """
+    cost = np.array([each.cost for each in minima])
+    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(minima[0].square))
+    share = np.where(cost <= cost.min() + chance, share, 0.0)
     if all(each.is_held[1:].all() for each in minima):
-        height = np.array([each.log_volume - 0.5 * each.cost for each in minima])
+        height = np.array([each.log_volume for each in minima]) - 0.5 * cost
         share = np.exp(height - height.max())
     share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
