@@ -27,7 +27,7 @@ def test_check_warns_of_unlikely_positions(log, tmp_path):
 
     alone = replace(log, contacts=log.contacts[:0], stances=None)
     far = np.where(np.arange(30)[:, None] == 7, 1e6, np.zeros((30, 3)))
-    ranges, fixes = np.array([[9, 3, 1e5, 1]]), np.array([[8, 1, 0, 0, 1e6, 1]])
+    ranges, fixes = np.array([[9, 3, 1e5, 1, -1]]), np.array([[8, 1, 0, 0, 1e6, 1, -1]])
     found = []
     for changes in ({"spawn_position": far}, {"ranges": ranges}, {"fixes": fixes}):
         write_sensing_log(replace(alone, **changes), path)

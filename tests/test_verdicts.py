@@ -248,7 +248,7 @@ def test_no_share_looks_like_all_or_none_that_is_not(share):
 
 def test_outliers_of_each_kind_are_named_with_their_line(log, estimate, towers):
     """A range names the other robot, a coordinate its axis, a robot its IMU."""
-    fixes = np.array([[5, 1, 0, 0, 1e3, 0.1], [5, 0, 1, 0, towers[0].position[5, 1], 0.1]])
+    fixes = np.array([[5, 1, 0, 0, 1e3, 0.1, -1], [5, 0, 1, 0, towers[0].position[5, 1], 0.1, -1]])
     high = np.where(_which(6), 1e3, log.flip_height)
     sensed = replace(log, fixes=fixes.astype(float), flip_height=high)
     flips = np.diff(sensed.stances.start)
@@ -299,7 +299,7 @@ def test_outliers_of_earlier_stances_name_the_stance(log, estimate):
 def test_every_kind_of_coordinate_has_a_name(log, estimate, towers):
     """No outlier is left out of the list because its cue is new."""
     spawned = observe(towers[0], SensingParams(spawn_noise=0.1))
-    fixes = np.array([[5, 1.0, 0.0, 0.0, 1.0, 0.1]])
+    fixes = np.array([[5, 1.0, 0.0, 0.0, 1.0, 0.1, -1.0]])
     sensed = replace(spawned, fixes=fixes)
     rows = measure(sensed, cue_names())
 

@@ -162,8 +162,8 @@ def _beacons():
     """Three beacons on a ceiling, a tag that ranges to them, and both images of its place."""
     log, _ = structure(Rule(docks=1, offset=0.0), 4, 0)
     place = np.array([[0.0, 0, 50], [60, 0, 50], [0, 60, 50], [20, 20, 30]])
-    fixes = [[i, *axis, place[i] @ axis, 0.1] for i in (1, 2) for axis in np.eye(3)]
-    ranges = [[3, j, np.linalg.norm(place[3] - place[j]), 0.1] for j in range(3)]
+    fixes = [[i, *axis, place[i] @ axis, 0.1, -1.0] for i in (1, 2) for axis in np.eye(3)]
+    ranges = [[3, j, np.linalg.norm(place[3] - place[j]), 0.1, -1.0] for j in range(3)]
     log = replace(
         log, anchor_position=place[0], contacts=log.contacts[:0], fixes=np.array(fixes),
         ranges=np.array(ranges),
@@ -193,7 +193,7 @@ def test_a_range_to_a_robot_off_the_mirror_plane_decides():
     """Ranges to robots in the plane, which are there already, are the same in both images."""
     log, images = _beacons()
     low = np.array([40.0, 40.0, 10.0])
-    fixes = [[4, *axis, low @ axis, 0.1] for axis in np.eye(3)]
+    fixes = [[4, *axis, low @ axis, 0.1, -1.0] for axis in np.eye(3)]
     more = {
         name: np.concatenate([getattr(log, name), getattr(log, name)[-1:]])
         for name in ("orientation_wxyz", "flip_height", "spawn_position")

@@ -29,9 +29,11 @@ def room():
     beacons = np.array([[0, 0, 2], [60, 0, 25], [60, 50, 2], [0, 50, 25.0]])
     tags = np.random.default_rng(0).uniform([10, 10, 3], [50, 40, 15], (6, 3))
     place = np.concatenate([beacons, tags])
-    fixes = [[i, *axis, place[i] @ axis, 0.1] for i in range(1, 4) for axis in np.eye(3)]
+    fixes = [[i, *axis, place[i] @ axis, 0.1, -1.0] for i in range(1, 4) for axis in np.eye(3)]
     ranges = [
-        [i, j, np.linalg.norm(place[i] - place[j]), 0.1] for i in range(4, 10) for j in range(i)
+        [i, j, np.linalg.norm(place[i] - place[j]), 0.1, -1.0]
+        for i in range(4, 10)
+        for j in range(i)
     ]
     return replace(
         empty, anchor_position=place[0], contacts=empty.contacts[:0], fixes=np.array(fixes),

@@ -17,6 +17,8 @@ from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.run import RunResult
 
 SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
+ANY_VERDICT = {0, 4}
+"""Exit statuses of `localize` for an estimate that can be trusted, and for one that cannot."""
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
 
 
@@ -63,7 +65,7 @@ def test_logs_of_every_kind_are_read_back(tiswarm, tmp_path, kind):
         "--out", tmp_path / "estimate.csv",
     )  # fmt: skip
 
-    assert done.returncode == 0, done.stderr
+    assert done.returncode in ANY_VERDICT, done.stderr
     assert (tmp_path / "estimate.csv").read_bytes() == (case / "estimate.csv").read_bytes()
 
 
@@ -163,7 +165,7 @@ def test_localize_gives_the_bytes_of_the_run(tiswarm, small_run, tmp_path):
             "localize", case / "sensing.jsonl", "--method", "virtual-force", *settings, "--out", out
         )
 
-        assert done.returncode == 0, done.stderr
+        assert done.returncode in ANY_VERDICT, done.stderr
         assert out.read_bytes() == (case / "estimate.csv").read_bytes()
 
 
@@ -192,7 +194,7 @@ def test_any_method_is_run_and_called_alike(tiswarm, tmp_path, method, setting):
         "--cues", "contacts,height", "--set", setting, "--out", tmp_path / "estimate.csv",
     )  # fmt: skip
 
-    assert done.returncode == 0, done.stderr
+    assert done.returncode in ANY_VERDICT, done.stderr
     assert "contacts, height: " in done.stdout
     assert (tmp_path / "estimate.csv").read_bytes() == (case / "estimate.csv").read_bytes()
 
@@ -209,7 +211,7 @@ def test_the_localizer_is_blind_to_the_truth(tiswarm, small_run, tmp_path):
         "--out", tmp_path / "blind.csv",
     )  # fmt: skip
 
-    assert done.returncode == 0, done.stderr
+    assert done.returncode in ANY_VERDICT, done.stderr
     assert (tmp_path / "blind.csv").read_bytes() == (case / "estimate.csv").read_bytes()
 
 

@@ -82,7 +82,7 @@ def assess(
         is_guess: Robots whose measurements do not count, shape (N,).
         sd: Standard deviation that the method states [R], shape (N,); None where it has none.
         yaw: Yaw corrections [rad], shape (N,); zero if None. What the log states of a bias of yaw
-            is solved for, whatever the method did, up to `LARGE` robots.
+            is solved for, whether or not the method does, up to `LARGE` robots.
 
     Returns:
         The verdicts. The search converged if noise, or `sd`, explains how far the estimate is from
@@ -114,7 +114,7 @@ def assess(
         f"{torn} of {links} contacts and ranges are outliers": (
             torn > ConvergenceTest.most_outliers * links
         ),
-        f"chi-square exceeds the least one nearby by {found.excess:.3g}, of which noise explains "
+        f"chi-square exceeds the least one nearby by {found.excess:.3g}, and noise explains "
         f"{chance:.3g}": not is_near and not _is_within(found.position - position, sd, is_guess),
         f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
         "explain its chi-square": is_large and not is_consistent,

@@ -180,7 +180,7 @@ def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed,
 def _weights(cost: Reals, measurements: int) -> Reals:
     """Weigh ends by their least costs, shape (K,).
 
-    A chain makes mistakes of its own in many parts of a structure, whatever the rest is like. So
+    A chain makes mistakes of its own in many parts of a structure. So
     up to the width of the chi-square, its cost says little about the whole: costs are divided by
     what leaves `MixtureSettings.fewest` ends in the mixture, where that is in reach.
     """

@@ -1,6 +1,6 @@
 """Rigid motions of all robots that no measurement resists, and chains aligned along them.
 
-Ranges alone leave a swarm free to turn about its anchor, and cannot tell it from its mirror image.
+Ranges alone leave a swarm free to turn about its anchor, and do not exclude its mirror image.
 Chains then differ by such motions, and their mean would be too small. Lengths in R.
 """
 

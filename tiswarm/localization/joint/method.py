@@ -71,7 +71,7 @@ def mixed(
     width = np.sqrt(problem.variance + annealed.sigma**2)
     outliers = problem.rows.select(mixture.outlier)
     places = np.concatenate([problem.inconsistent.sensed_places, outliers.sensed_places])
-    unit = log.dock_radius
+    unit, found = log.dock_radius, mixture.convergence.converged
     return Estimate(
         robot_id=log.robot_id,
         position=position * unit,
@@ -79,8 +79,8 @@ def mixed(
         sd=mixture.sd * unit,
         yaw=yaw if problem.yaw_precision else None,
         convergence=replace(mixture.convergence, restarted=restarted),
-        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0),
-        outlier_places=places,
+        outlier_contacts=np.unique(outliers.sensed_contacts, axis=0) if found else None,
+        outlier_places=places if found else None,
         misfit=mixture.misfit,
         mirrored=mixture.mirrored,
         free_frame=mixture.free_frame,

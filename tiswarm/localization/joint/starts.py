@@ -75,7 +75,7 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
 def images(problem: Problem, position: Reals) -> list[Reals]:
     """Mirror a configuration in the plane nearest to the robots whose places are measured.
 
-    Where these are in one plane, as beacons on a ceiling, ranges cannot tell both images apart.
+    Where these are in one plane, as beacons on a ceiling, ranges exclude neither image.
 
     Args:
         problem: Measurements.
