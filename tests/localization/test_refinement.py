@@ -289,6 +289,42 @@ def test_steps_and_variances_are_those_of_generalized_least_squares(towers, kind
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_the_width_of_a_minimum_is_the_root_of_a_determinant(towers, kind):
+    """Of the covariance of all unknowns; solutions are weighed by it."""
+    log = with_orientations(sensed(towers[0], kind))
+    _, cost = cost_of(log, non_overlap=False)
+    volumes, expected = [], []
+
+    for width in (0.1, 0.5):
+        start = (towers[0].position, np.zeros(30))
+        linear = cost.refine(start, 0, np.full(30, width))[1]
+        volumes.append(linear.log_volume)
+        information = linear.jacobian.T @ dense(linear) @ linear.jacobian.toarray()
+        information += np.diag(linear.precision)
+        expected.append(-0.5 * np.linalg.slogdet(information)[1])
+
+    assert np.diff(volumes) == pytest.approx(np.diff(expected), rel=1e-6)
+    assert volumes[0] < volumes[1]
+
+
+@pytest.mark.parametrize("radius", [0.01, 1.0])
+def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(towers, radius):
+    """As Levenberg and Marquardt damp them: turns and errors of sources are not."""
+    log = sensed(towers[0], "sources")
+    _, cost = cost_of(log)
+    draw = np.random.default_rng(4)
+    at = state_at(cost, towers[0].position + 0.3 * draw.normal(size=(30, 3)), draw, turn=0.1)
+    linear = cost.linearized(at, at, cost.precision)
+
+    found, _ = linear.step(radius)
+
+    weight, jacobian = dense(linear), linear.jacobian.toarray()
+    prior = with_prior(cost, radius)[cost.free]
+    posterior = np.linalg.inv(jacobian.T @ weight @ jacobian + np.diag(prior))
+    np.testing.assert_allclose(found, -posterior @ linear.slope, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_round_goes_where_its_step_leads(towers, kind):
     """Each unknown moves by its own part of the step; where priors begin is left as it was."""
     log = with_orientations(sensed(towers[0], kind))
