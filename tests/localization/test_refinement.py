@@ -19,6 +19,7 @@ from tests.structures import (
     with_ranges,
 )
 from tiswarm.compute.math import dock_offsets
+from tiswarm.localization import refinement
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import LARGE, JointParams
 from tiswarm.localization.refinement import OVERLAP_SD, SETTLED, Cost, State
@@ -325,7 +326,7 @@ def test_steps_within_a_radius_are_those_with_a_prior_of_that_width(towers, radi
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_round_goes_where_its_step_leads(towers, kind):
+def test_a_round_goes_where_its_step_leads(towers, kind, monkeypatch):
     """Each unknown moves by its own part of the step; where priors begin is left as it was."""
     log = with_orientations(sensed(towers[0], kind))
     _, cost = cost_of(log, non_overlap=False)
@@ -334,6 +335,7 @@ def test_a_round_goes_where_its_step_leads(towers, kind):
     free, earlier = cost.linearized(begin, begin, with_prior(cost, width)).step(np.inf)
     step = np.zeros(len(cost.precision))
     step[cost.free] = free
+    monkeypatch.setattr(refinement, "_MOST_ROUNDS", 1)
 
     state, _ = cost.refine((begin.position, begin.yaw), 1, np.full(log.robot_count, width))
 
@@ -513,13 +515,14 @@ def test_rounds_end_where_no_step_is_left(towers, kind):
     assert 0.0 <= gain < 0.05 < 1e-3 * cost.refine((start, np.zeros(30)), 0)[1].cost
 
 
-def test_no_round_moves_a_robot_far():
+def test_no_round_moves_a_robot_far(monkeypatch):
     """Half an R, or half of a usual distance: derivatives are those of where it was."""
     log, truth = structure(Rule(kind="tree"), 15, 1)
     log = with_heights(log, truth)
     _, cost = cost_of(log, non_overlap=False)
     start = truth + 8.0 * np.random.default_rng(0).normal(size=truth.shape)
     start[0] = truth[0]
+    monkeypatch.setattr(refinement, "_MOST_ROUNDS", 1)
 
     state, _ = cost.refine((start, np.zeros(15)), 1)
 
