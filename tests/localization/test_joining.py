@@ -115,7 +115,7 @@ def test_python_callers_choose_method_cues_and_settings(lines, tmp_path):
             {"method": "hop-by-hop", "touches": True},
             "touches: true should be false with hop-by-hop; leave it out, or choose method joint",
         ),
-        ({"method": "least-squares", "loss": "hubber"}, "loss: .*; did you mean huber"),
+        ({"method": "hop-by-hop", "order": "hps"}, "order: .*; did you mean hops"),
     ):
         with pytest.raises(InputError, match=message):
             tiswarm.localize(log, **call)

@@ -169,8 +169,8 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     """
     log = observe(towers[0], dataclasses.replace(NOISY, spawn_noise=spawn_noise))
     at = towers[0].position[fixed]
-    fixes = np.array([[i, 1.0, 0.0, 0.0, x, 0.1] for i, x in zip(fixed, at[:, 0], strict=True)])
-    log = dataclasses.replace(log, fixes=fixes.reshape(-1, 6))
+    fixes = [[i, 1.0, 0.0, 0.0, x, 0.1, -1.0] for i, x in zip(fixed, at[:, 0], strict=True)]
+    log = dataclasses.replace(log, fixes=np.array(fixes).reshape(-1, 7))
     params = dataclasses.replace(SHORT, walk_contacts=False)
     known = pose_problem(log, params)
     annealer = annealing.Annealer([log], [params], [known])

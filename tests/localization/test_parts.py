@@ -45,7 +45,7 @@ def swarm():
     first = np.unique(pose_problem(log, SHORT).part, return_index=True)[1]
     first = np.sort(first)[1:]
     robot, axis = np.repeat(first, 2), np.tile(np.arange(2), len(first))
-    width = np.full(len(robot), 0.05)
+    width = np.tile([0.05, -1.0], (len(robot), 1))
     fixes = np.column_stack([robot, np.eye(3)[axis], truth[robot, axis], width])
     return dataclasses.replace(log, fixes=fixes), truth
 
@@ -75,7 +75,7 @@ def test_branches_move_unless_a_robot_of_theirs_is_measured(swarm):
     """Along each axis by itself; a part moves toward where its root is known, the anchor never."""
     log, truth = swarm
     leaf = len(truth) - 1
-    at_leaf = [leaf, 0.0, 1.0, 0.0, truth[leaf, 1], 0.1]
+    at_leaf = [leaf, 0.0, 1.0, 0.0, truth[leaf, 1], 0.1, -1.0]
     some = dataclasses.replace(log, fixes=np.vstack([log.fixes, at_leaf]))
     known = pose_problem(some, SHORT)
 
@@ -132,7 +132,7 @@ def test_centers_meet_their_planes_as_least_squares_do(measured):
 def test_coordinates_that_we_make_up_are_no_measurements(swarm):
     """Parts that nothing ties are put somewhere, which determines nothing of them."""
     log, _ = swarm
-    untied = dataclasses.replace(log, fixes=np.empty((0, 6)))
+    untied = dataclasses.replace(log, fixes=np.empty((0, 7)))
     cues = SHORT.cues
 
     known = pose_problem(untied, SHORT)
@@ -150,7 +150,12 @@ def test_memory_is_linear_in_the_fixes_of_a_robot(swarm):
     count = 10_000
     axis = np.tile(np.eye(3), (count, 1))
     fixes = np.column_stack(
-        [np.full(3 * count, 9), axis, np.tile(truth[9], count), np.full(3 * count, 0.1)]
+        [
+            np.full(3 * count, 9),
+            axis,
+            np.tile(truth[9], count),
+            np.tile([0.1, -1.0], (3 * count, 1)),
+        ]
     )
     many = dataclasses.replace(log, fixes=fixes)
 
