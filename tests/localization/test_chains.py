@@ -163,7 +163,6 @@ def test_an_estimate_that_misses_its_measurements_says_so():
     assert bad.convergence.sd_factor > 10.0
 
 
-@pytest.mark.xfail(reason="outliers are listed all the same", strict=True)
 def test_no_contact_is_called_wrong_where_chains_did_not_converge():
     """Of contacts that contradict each other, the wrong ones may have been met."""
     log, _ = structure(Rule(kind="loops"), 40, 3)

@@ -109,10 +109,10 @@ class Cost:
         self.hinged = hinged
         self.log, self.rows, self.walks, self.links = log, rows, rows.odometry, links
         self.robust_sd, self.non_overlap = robust_sd, non_overlap
-        self.variance = rows.variance() + further_variance
-        self.own_variance = rows.own_variance + further_variance
-        if are_independent:
-            self.own_variance = self.variance - rows.shared_variance
+        self.variance = rows.variance() - rows.shared_variance + further_variance
+        self.own_variance = self.variance
+        if not are_independent:
+            self.own_variance = rows.own_variance + further_variance
         own, its = rows.noisy_arms()
         self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
         self.row, self.stance = (np.concatenate([own[k], its[k]]) for k in (0, 1))
@@ -149,11 +149,15 @@ class Cost:
         )  # fmt: skip
         final = self.of_final
         self.of_yaw = np.arange(len(self.row) if yaw_precision else 0)
+        self.of_axis = np.arange(len(rows.distances.stance), len(rows.other))[
+            : None if yaw_precision else 0
+        ]
         place = [
             (every, 3 * rows.robot[:, None] + _AXES),
             (pairs, 3 * rows.other[:, None] + _AXES),
             (self.row[final], 3 * (robots + self.owner[final, None]) + _AXES),
             (self.row[self.of_yaw], 6 * robots + self.owner[self.of_yaw, None]),
+            (self.of_axis, 6 * robots + rows.robot[self.of_axis, None]),
             (with_source, 7 * robots + rows.source[with_source, None]),
         ]
         self.row_of = np.concatenate([np.repeat(row, c.shape[1]) for row, c in place])
@@ -178,9 +182,7 @@ class Cost:
         precision = self.precision.copy()
         if prior is not None:
             precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
-        if self.non_overlap:
-            point = state.position[:, None] + self._docks_at(state.yaw)
-            self.docks = close_docks(self.log, point, SPACING + _MARGIN)
+        listed = self._list_docks(state)
         linear = self.linearized(state, begin, precision)
         radius, gain = np.inf, np.inf
         for count in range(_MOST_ROUNDS * (rounds > 0)):
@@ -196,9 +198,19 @@ class Cost:
                 continue
             gain = linear.cost - there.cost
             state, linear, radius = trial, there, radius / _SMALLER
-            if gain < SETTLED:
+            if np.linalg.norm(state.position - listed, axis=1).max() > 0.5 * _MARGIN:
+                listed = self._list_docks(state)
+                linear = self.linearized(state, begin, precision)
+            elif gain < SETTLED:
                 break
         return state, linear
+
+    def _list_docks(self, state: State) -> Reals:
+        """List docks that do not touch, close enough to overlap soon; return the centers."""
+        if self.non_overlap:
+            point = state.position[:, None] + self._docks_at(state.yaw)
+            self.docks = close_docks(self.log, point, SPACING + _MARGIN)
+        return state.position
 
     def linearized(self, state: State, begin: State, precision: Reals) -> Linear:
         """Linearize at a state; priors of that precision (U,) are around the start."""
@@ -216,7 +228,12 @@ class Cost:
                 self.earlier,
                 noise.shape,
             )
-        values = [direction, -direction[: len(self.rows.other)], final, yaw, self.of_source]
+        # The axes of offsets turn with the robot, too.
+        x, y, _ = rows.vectors(state.position)[self.of_axis].T
+        turning = direction[self.of_axis, 0] * y - direction[self.of_axis, 1] * x
+        values = [
+            direction, -direction[: len(self.rows.other)], final, yaw, turning, self.of_source
+        ]  # fmt: skip
         residual = rows.residual(state.position) - noise @ state.turn[self.is_earlier].ravel()
         residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
