@@ -17,7 +17,7 @@ from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest,
 from tiswarm.localization.params import CUES, LARGE, ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
-from tiswarm.records.estimate import MOST_WITHIN, Convergence
+from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
 from tiswarm.records.sensing_log import SensingLog
 
 _ROUNDS = 8
@@ -104,7 +104,7 @@ def assess(
         found = _minimum(log, chosen, problem, rows, state, is_guess)
     freedom = max(found.freedom, int(MixtureSettings.spare * unknowns), 1)
     misfit_sd = float((found.chi_square - freedom) / np.sqrt(2.0 * freedom))
-    is_consistent = misfit_sd <= ConvergenceTest.chance_sd
+    is_consistent = misfit_sd <= MOST_MISFIT_SD
     chance = unknowns + ConvergenceTest.chance_sd * np.sqrt(2.0 * unknowns)
     is_near = found.excess <= chance
     links = len(rows.other)

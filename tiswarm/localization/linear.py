@@ -23,8 +23,8 @@ _LEAST_DAMPING = 1e-12
 _AXES = np.arange(3)
 
 
-class Rows(NamedTuple):
-    """Rows of a linear problem, n of them."""
+class LinearRows(NamedTuple):
+    """LinearRows of a linear problem, n of them."""
 
     residual: Reals
     """Residuals, shape (n,)."""
@@ -46,7 +46,7 @@ class Rows(NamedTuple):
 class Linear:
     """Residuals e + J d + B w + n with unknowns d, turns w of earlier stances, and own noise n."""
 
-    tables: list[Rows]
+    tables: list[LinearRows]
     """Measurements, overlaps, and connections."""
 
     noise: csc_array

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.localization.linear import Linear, Rows, by_group
+from tiswarm.localization.linear import Linear, LinearRows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
@@ -238,7 +238,7 @@ class Cost:
         residual += np.append(self.rows.shared_sd * state.shared, 0.0)[self.rows.source]
         own_variance, excess = self._robust(residual)
         tables = [
-            Rows(
+            LinearRows(
                 residual,
                 self.row_of,
                 self.unknown_of,
@@ -307,7 +307,7 @@ class Cost:
         arm = self.walks.arm[self.walks.final]
         return turned(arm.reshape(-1, 3), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
 
-    def _overlaps(self, state: State) -> "Rows":
+    def _overlaps(self, state: State) -> "LinearRows":
         """Compute the overlaps of docks that do not touch, and their derivatives by shifts."""
         later, own, earlier, its = self.docks.T
         arm = self._docks_at(state.yaw)
@@ -318,7 +318,7 @@ class Cost:
         way = (apart[chosen] / length[chosen, None]).ravel()
         row = np.repeat(np.arange(len(chosen)), 3)
         column = 3 * np.stack([later[chosen], earlier[chosen]])[:, :, None] + _AXES
-        return Rows(
+        return LinearRows(
             length[chosen] - SPACING,
             np.tile(row, 2),
             column.ravel(),
@@ -326,7 +326,7 @@ class Cost:
             np.full(len(chosen), OVERLAP_SD**2),
         )
 
-    def _links_of(self, state: State, links: Connections) -> "Rows":
+    def _links_of(self, state: State, links: Connections) -> "LinearRows":
         """Compute residuals of connections [rad], and their derivatives by turns."""
         sd = self.walks.turn_sd[self.walks.final][:, [0, 0, 1]]
         turn = state.turn[self.walks.final] * sd
@@ -335,7 +335,7 @@ class Cost:
         column = 3 * (self.rows.robots + ends[:, None]) + _AXES
         sign = np.repeat([-1.0, 1.0], left.size)
         row, variance = np.tile(np.arange(left.size), 2), np.full(left.size, links.sd**2)
-        return Rows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
+        return LinearRows(left.ravel(), row, column.ravel(), sign * sd[ends].ravel(), variance)
 
     def _moved(self, state: State, linear: Linear, radius: float) -> State:
         """Go from a state to where the sum of squares, linearized there, is least."""
@@ -354,10 +354,10 @@ class Cost:
         return State(state.position + shift, state.yaw + yaw, turn, state.shared + shared)
 
 
-def _hinges(pair: Ints) -> Rows:
+def _hinges(pair: Ints) -> LinearRows:
     """Hold the offsets of pairs of robots where they are, along each axis."""
     rows = _AXES.size * len(pair)
     column = 3 * pair.T[:, :, None] + _AXES
     value = np.repeat([1.0, -1.0], rows)
     variance = np.full(rows, HINGE_SD**2)
-    return Rows(np.zeros(rows), np.tile(np.arange(rows), 2), column.ravel(), value, variance)
+    return LinearRows(np.zeros(rows), np.tile(np.arange(rows), 2), column.ravel(), value, variance)

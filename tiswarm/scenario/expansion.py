@@ -396,6 +396,5 @@ def _label(point: Mapping[str, object], condition: str) -> str:
         text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
         names.append(f"{key}={text.strip('-') if isinstance(value, (dict, list)) else text}")
     label = ",".join([*names, condition])
-    if len(label) <= MAX_LABEL:
-        return label
-    return f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
+    short = f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
+    return label if len(label) <= MAX_LABEL else short

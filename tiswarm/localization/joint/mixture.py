@@ -28,7 +28,7 @@ from tiswarm.localization.joint.starts import images
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
-from tiswarm.records.estimate import Convergence, Solution
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -272,7 +272,7 @@ def _convergence(
     torn = int((ends.missed[first, :links][~outlier[:links]] > test.outlier_sd**2).sum())
     width = np.sqrt(2.0 * max(best.freedom, 1))
     misfit_sd = float((best.chi_square - best.freedom) / width)
-    is_consistent = misfit_sd <= test.chance_sd
+    is_consistent = misfit_sd <= MOST_MISFIT_SD
     reasons = {
         "all chains ended out of reach of their contacts, or ran hot": has_failed.all(),
         "no two chains ended at the same least cost": len(alike) > 1 and alike.sum() == 1,
@@ -340,7 +340,8 @@ def minimum(
     prior = np.maximum(prior, RefineSettings.least_prior)
     state, linear = cost.refine((position, yaw), RefineSettings.rounds, prior)
     left = RefineSettings.sd_scale * np.sqrt(linear.variance())
-    is_held = (left <= RefineSettings.open_sd * sd) & ~problem.untied
+    is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
+    is_held = (left <= RefineSettings.open_sd * sd) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(

@@ -75,14 +75,6 @@ class ConvergenceTest:
     """Chains at least that must agree on an outlier, where there are so many: a single chain tears
     contacts that are right."""
 
-    capped_sd: float = 20.0
-    """Standard deviations that one measurement counts for at most: enough to find a chain that
-    tore a contact of the others, too few for the farthest measurement to decide."""
-
-    most_per_measurement: float = 3.0
-    """Mean squared residual, in variances, that the annealer explains: chains are up to 1.3 times
-    as hot as their target, and the best one is not free of torn contacts."""
-
     most_torn: float = 0.005
     """Share of contacts, beside outliers, that may be missed by `outlier_sd` [1]."""
 
@@ -187,18 +179,12 @@ class RefineSettings:
     least_prior: float = 0.05
     """Least prior width [R]."""
 
-    longest_step: float = 0.5
-    """Longest step of a robot in a round [R]."""
-
-    draws: int = 64
-    """Draws of all errors from which the variance of the result is computed."""
-
     sd_scale: float = 0.97
     """Standard deviations of an error per one of the draws. Fitted."""
 
     most_yaw_bias: float = 0.2
-    """Largest standard deviation of a yaw bias [rad]: chains that are farther off cannot be led to
-    the truth in a straight line."""
+    """Largest standard deviation of a yaw bias [rad] with which measurements hold robots: chains
+    that are farther off end in different minima."""
 
     open_sd: float = 2.0
     """A robot that the linear problem leaves more uncertain than so many chain sd stays where its
