@@ -26,7 +26,7 @@ from tiswarm.localization.joint.settings import (
 )
 from tiswarm.localization.joint.starts import images
 from tiswarm.localization.params import ChiSquareParams
-from tiswarm.localization.refinement import Cost
+from tiswarm.localization.refinement import SETTLED, Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
 from tiswarm.records.sensing_log import SensingLog
@@ -61,6 +61,9 @@ class Minimum(NamedTuple):
 
     log_volume: float
     """Logarithm of the width of the minimum, up to a constant."""
+
+    chains: int
+    """Chains that lead to it."""
 
 
 class Mixture(NamedTuple):
@@ -144,7 +147,7 @@ def mix(
     solutions = tuple(
         Solution(
             weight=float(share[n]),
-            chains=int((ends.weight[ends.solution == n] > 0.0).sum()),
+            chains=each.chains,
             chi_square=each.cost,
             residual=float(np.sqrt((gap[n] ** 2).mean())) if gap.size else 0.0,
             residual_sd=float(np.sqrt(((gap[n] / width) ** 2).mean())) if gap.size else 0.0,
@@ -202,6 +205,7 @@ def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Mini
         freedom=max(int(inlier.sum()), int(spare)),
         square=square,
         log_volume=0.0,
+        chains=int((ends.weight > 0.0).sum()),
     )
 
 
@@ -240,11 +244,28 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
     if all(each.is_held[1:].all() for each in minima):
+        minima, cost = _distinct(minima, cost)
         height = np.array([each.log_volume for each in minima]) - 0.5 * cost
         share = np.exp(height - height.max())
     share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
     return [minima[n] for n in order], share[order] / share.sum()
+
+
+def _distinct(minima: list[Minimum], cost: Reals) -> tuple[list[Minimum], Reals]:
+    """Keep one of the minima that agree to the sd of every robot, the one of least cost."""
+    kept: list[Minimum] = []
+    for n in np.argsort(cost, kind="stable").tolist():
+        away = [np.linalg.norm(minima[n].position - each.position, axis=1) for each in kept]
+        alike = [
+            k for k, each in enumerate(kept) if (away[k] <= np.maximum(each.sd, SETTLED)).all()
+        ]
+        if alike:
+            same = kept[alike[0]]
+            kept[alike[0]] = same._replace(chains=same.chains + minima[n].chains)
+        else:
+            kept.append(minima[n])
+    return kept, np.array([each.cost for each in kept])
 
 
 def _outliers(problem: Problem, ends: Ends) -> Bools:
@@ -354,6 +375,7 @@ def minimum(
         freedom=max(linear.freedom(), int(MixtureSettings.spare * 3 * (len(sd) - 1))),
         square=square,
         log_volume=linear.log_volume,
+        chains=int(members.sum()),
     )
 
 
