@@ -16,6 +16,7 @@ Log = tuple[SensingLog, NDArray[np.float64]]
 """What was sensed, and where robots truly are [m], shape (N, 3)."""
 
 BEACON_SD = 1e-3
+CLEARANCE = 0.5
 ROOM = np.array([[0.0, 0.0, 0.2], [6.0, 0.0, 2.5], [6.0, 5.0, 0.2], [0.0, 5.0, 2.5]])
 """Four beacons in corners, two of them high."""
 CEILING = np.array([[0.0, 0.0, 2.5], [6.0, 0.0, 2.5], [6.0, 5.0, 2.5], [0.0, 5.0, 2.5]])
@@ -82,6 +83,18 @@ def with_all_ranges(
     return replace(log, ranges=ranges)
 
 
+def _apart(
+    rng: np.random.Generator, low: Sequence[float], high: Sequence[float], count: int
+) -> NDArray[np.float64]:
+    """Draw places in a box that are so far from each other that no docks overlap."""
+    place: list[NDArray[np.float64]] = []
+    while len(place) < count:
+        drawn = rng.uniform(low, high)
+        if all(np.linalg.norm(drawn - other) > CLEARANCE for other in place):
+            place.append(drawn)
+    return np.array(place)
+
+
 def tags_among(
     beacons: NDArray[np.float64],
     tags: NDArray[np.float64],
@@ -105,12 +118,13 @@ def room_of_tags(
     beacons: NDArray[np.float64],
     seed: int,
     *,
+    count: int = 6,
     sd: float = 0.1,
     stated: float | None = None,
     late: Mapping[tuple[int, int], float] | None = None,
 ) -> Log:
-    """Log six tags below waist height in a room of four beacons."""
-    tags = np.random.default_rng([1, seed]).uniform([1.0, 1.0, 0.3], [5.0, 4.0, 1.5], (6, 3))
+    """Log some tags below head height in a room of four beacons."""
+    tags = _apart(np.random.default_rng([1, seed]), [1.0, 1.0, 0.3], [5.0, 4.0, 1.5], count)
     return tags_among(beacons, tags, sd=sd, seed=seed, stated=stated, late=late)
 
 
@@ -125,7 +139,7 @@ def nearly_flat(amplitude: float, seed: int) -> Log:
 
 def without_beacons(robots: int, seed: int, *, sd: float = 0.1) -> Log:
     """Log robots in a flat box that know all their distances and nothing else."""
-    place = np.random.default_rng([3, seed]).uniform(0.0, [4.0, 4.0, 2.0], (robots, 3))
+    place = _apart(np.random.default_rng([3, seed]), [0.0, 0.0, 0.0], [4.0, 4.0, 2.0], robots)
     return with_all_ranges(silent(place), place, sd=sd, seed=seed), place
 
 

@@ -269,9 +269,8 @@ def test_docks_of_another_length_are_not_consistent(tower):
 
 
 def _stated(sd, seed):
-    """Twelve robots that know all their distances to 0.1 m, and state another sd."""
-    _, place = foreign.without_beacons(12, seed)
-    return foreign.with_all_ranges(foreign.silent(place), place, sd=0.1, seed=seed, stated=sd)
+    """Twelve tags that measure distances to 0.1 m, and state another sd."""
+    return foreign.room_of_tags(foreign.ROOM, seed, count=12, stated=sd)[0]
 
 
 def test_sd_is_what_residuals_show_where_a_log_states_too_little_noise():
@@ -281,11 +280,11 @@ def test_sd_is_what_residuals_show_where_a_log_states_too_little_noise():
     estimates = localize_many(logs, [ALL] * 8)
 
     verdicts = [estimate.convergence for estimate in estimates]
-    sd = np.array([np.median(estimate.sd[1:]) for estimate in estimates])
+    sd = np.array([np.median(estimate.sd[4:]) for estimate in estimates])
     assert [v.sd_factor for v in verdicts[:4]] == [1.0] * 4
     assert not any(v.consistent for v in verdicts[4:])
     assert np.mean([v.sd_factor for v in verdicts[4:]]) == pytest.approx(2.5, rel=0.2)
-    assert np.mean(sd[4:] / sd[:4]) == pytest.approx(1.0, rel=0.2)
+    assert np.mean(sd[4:] / sd[:4]) == pytest.approx(1.0, rel=0.3)
 
 
 def test_the_factor_of_sd_is_the_birge_ratio():
@@ -293,8 +292,8 @@ def test_the_factor_of_sd_is_the_birge_ratio():
     estimate = localize(_stated(0.04, 0), ALL)
 
     verdict = estimate.convergence
-    ranges, unknowns = 66 - len(estimate.outlier_contacts), 3 * 11 - 3  # the frame is free
-    excess = np.sqrt(2.0 / (ranges - unknowns)) * verdict.misfit_sd
+    ranges, fixes, unknowns = 114 - len(estimate.outlier_contacts), 9, 3 * 15
+    excess = np.sqrt(2.0 / (ranges + fixes - unknowns)) * verdict.misfit_sd
     assert verdict.misfit_sd > 5.0
     assert verdict.sd_factor == pytest.approx(np.sqrt(1.0 + excess))
 
