@@ -170,7 +170,9 @@ def test_large_objects_have_short_names(run):
         r"SensingLog\(6 robots, \d+ contacts, \d+ stances, lengths in R\)", repr(log)
     )
     assert repr(estimate) == "Estimate(6 robots, lengths in R, not converged)"
-    assert repr(replace(estimate, sd=np.full(6, 0.25))).endswith("R, sd 0.25 in the median)")
+    assert repr(replace(estimate, sd=np.full(6, 0.25))).endswith(
+        "R, sd 0.25 in the median, not converged)"
+    )
     assert "array" not in repr(estimate.observability)
 
 

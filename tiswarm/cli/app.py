@@ -1,5 +1,6 @@
 """The `tiswarm` application, its exit status, and options that several commands share."""
 
+import contextlib
 import os
 import signal
 import sys
@@ -65,6 +66,12 @@ def _options(
     else:
         require_address_space(_LIBRARIES_MB)
         _enter_working_folder()
+
+
+def _drop_output() -> None:
+    """Send to nowhere what standard output could not take: Python flushes it once more at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _enter_working_folder() -> None:
@@ -139,6 +146,7 @@ def _status(arguments: list[str]) -> int:
     except OSError as error:
         what = error.filename or "cannot read or write"
         fail(f"{what}: {error.strerror or error}; check the disk and its permissions")
+        _drop_output()
         return EnvironmentTroubleError.exit_status
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code

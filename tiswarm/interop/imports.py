@@ -28,7 +28,7 @@ TOLERANCE = 0.02
 """Largest gap and overlap of a contact unless stated otherwise [dock radii]."""
 
 GAINS = (
-    "on towers of 100 robots, joint's mean RMSE is 1.04 R from contacts and ground, 0.70 R with "
+    "on towers of 100 robots, joint's mean RMSE is 1.03 R from contacts and ground, 0.70 R with "
     "heights, 0.21 R with contacts of stances too (docs/accuracy.md)"
 )
 """What heights and stances gain."""
