@@ -362,6 +362,7 @@ def minimum(
     state, linear = cost.refine((position, yaw), RefineSettings.rounds, prior)
     left = RefineSettings.sd_scale * np.sqrt(linear.variance())
     is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
+    is_biased &= bool(annealed.within.any())  # only chains say better
     is_held = (left <= RefineSettings.open_sd * sd) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
