@@ -155,8 +155,8 @@ def test_an_estimate_that_misses_its_measurements_says_so():
 
     assert good.convergence.converged
     assert abs(good.convergence.misfit_sd) < 5.0
-    # A mean over floppy motions misses contacts a little.
-    assert 0.3 < good.solutions[0].residual_sd < 3.0
+    # A mean over floppy motions misses contacts, the likeliest configuration does not.
+    assert good.solutions[0].residual_sd < 0.1 < good.residual_sd
     assert good.outlier_contacts is not None
     assert not bad.convergence.trusted
     assert bad.convergence.reason

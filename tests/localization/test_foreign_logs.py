@@ -114,7 +114,6 @@ def test_without_beacons_the_shape_is_known_and_the_frame_is_free(robots, seed):
     assert_honest(estimate, off)
 
 
-@pytest.mark.xfail(reason="free turns are in sd as far as a prior lets them", strict=True)
 def test_sd_without_beacons_is_that_of_the_shape():
     """By the pseudo-inverse of the information: turns about the anchor are left out."""
     for seed in SEEDS:

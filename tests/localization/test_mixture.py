@@ -196,8 +196,8 @@ def test_the_estimate_is_the_mean_of_its_solutions(case):
     assert (np.diff(weight) <= 0.0).all()
     assert weight.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(estimate.position, mean, atol=1e-9)
-    np.testing.assert_allclose(estimate.sd**2, weight @ within + between, rtol=1e-6)
-    np.testing.assert_array_equal(estimate.mirrored, between > weight @ within)
+    np.testing.assert_allclose(estimate.sd**2, weight @ within + between, rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(estimate.mirrored, between > weight @ within + 1e-12)
     assert estimate.known == [
         "mirrored" if is_mirrored else "yes" for is_mirrored in estimate.mirrored
     ]

@@ -17,6 +17,9 @@ _DRAWS = 64
 _FLOPPY = 1e-9
 """Information, relative to the largest one, below which nothing determines a motion."""
 
+NOMINAL = 1e-6
+"""Precision of an unknown that only other rows constrain, for which a prior is a formality."""
+
 _LEAST_DAMPING = 1e-12
 """Precision, relative to the largest one, that stops motions that no measurement resists."""
 
@@ -24,7 +27,7 @@ _AXES = np.arange(3)
 
 
 class LinearRows(NamedTuple):
-    """LinearRows of a linear problem, n of them."""
+    """Rows of a linear problem, n of them."""
 
     residual: Reals
     """Residuals, shape (n,)."""
@@ -91,13 +94,13 @@ class Linear:
         self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
         prior = self.precision * self.off**2
-        overlap = slice(measured, measured + len(self.tables[1].residual))
-        self.overlap = float(square[overlap].sum())
+        self._overlapping = slice(measured, measured + len(self.tables[1].residual))
+        self.overlap = float(square[self._overlapping].sum())
         """Cost of overlaps [1]."""
         of_rows = float(square.sum() + self.excess.sum()) - self.overlap
-        self.chi_square = of_rows + float(prior[self.shifts :].sum())
+        self.chi_square = of_rows + float(prior.sum())
         """Cost of measurements and connections, and of what their noise is taken to be [1]."""
-        self.cost = self.chi_square + self.overlap + float(prior[: self.shifts].sum())
+        self.cost = self.chi_square + self.overlap
         self.slope = self.jacobian.T @ pull + self.precision * self.off
 
     def _weighted(self, values: Reals) -> Reals:
@@ -115,10 +118,11 @@ class Linear:
             return csc_array(scaled.T @ scaled)
         return csc_array(self.jacobian.T @ (self.inverse @ self.jacobian))
 
-    def _factored(self, further: Reals) -> SuperLU:
-        """Factor the information with further precision of each free unknown, shape (F,)."""
+    def _factored(self, further: Reals, information: csc_array | None = None) -> SuperLU:
+        """Factor information with further precision of each free unknown, shape (F,)."""
+        known = self.information if information is None else information
         return splu(
-            csc_array(self.information + diags_array(further)),
+            csc_array(known + diags_array(further)),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
@@ -157,14 +161,21 @@ class Linear:
 
         By Sylvester's law, a shifted matrix has as many negative pivots as eigenvalues below it.
         """
-        shifted = self.precision - _FLOPPY * self._largest
-        shifted[: self.shifts] -= self.precision[: self.shifts]
-        known = int((self._factored(shifted).U.diagonal() > 0.0).sum())
-        rows = len(self.residual) - len(self.tables[1].residual)
-        return rows + int((self.precision[self.shifts :] > 0.0).sum()) - known
+        says = self.precision > NOMINAL
+        says[: self.shifts] = False
+        overlap = np.zeros(len(self.residual))
+        overlap[self._overlapping] = 1.0 / self.own_variance[self._overlapping]
+        held = self.jacobian.T @ diags_array(overlap) @ self.jacobian
+        shifted = np.where(says, self.precision, 0.0) - _FLOPPY * self._largest
+        known = int((self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum())
+        return int((overlap == 0.0).sum()) + int(says.sum()) - known
 
-    def variance(self) -> Reals:
-        """Compute the mean square error of positions from draws of all errors [R^2], shape (N,)."""
+    def variance(self, free: Reals | None = None) -> Reals:
+        """Compute the mean square error of positions from draws of all errors [R^2], shape (N,).
+
+        Args:
+            free: Orthonormal motions of all robots that do not count as errors, shape (3 N, k).
+        """
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
@@ -172,8 +183,11 @@ class Linear:
         error = np.sqrt(self.own_variance)[:, None] * own
         error[: len(self.robot)] += self.noise @ turn
         pull = self.jacobian.T @ self._weighted(error) + np.sqrt(self.precision)[:, None] * prior
-        shift = self.undamped.solve(pull)[: self.shifts].reshape(-1, 3, _DRAWS)
-        square: Reals = (shift**2).sum(axis=1).mean(axis=1)
+        shift = self.undamped.solve(pull)[: self.shifts]
+        if free is not None:
+            moved = free[3:]  # the anchor stays
+            shift -= moved @ (moved.T @ shift)
+        square: Reals = (shift.reshape(-1, 3, _DRAWS) ** 2).sum(axis=1).mean(axis=1)
         return np.concatenate([[0.0], square])
 
 

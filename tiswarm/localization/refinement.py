@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.localization.linear import Linear, LinearRows, by_group
+from tiswarm.localization.linear import NOMINAL, Linear, LinearRows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
@@ -37,9 +37,6 @@ SETTLED = 0.01
 
 _MARGIN = 1.0
 """Docks this much farther apart than D may come to overlap on the way [R]."""
-
-_UNKNOWN = 1e-6
-"""Precision of a turn that connections alone constrain, in its own standard deviations."""
 
 _LONGEST_STEP = 0.5
 """Longest step of a robot in a round, in R and in the median of measured distances [1]."""
@@ -117,7 +114,8 @@ class Cost:
         self.is_own = np.repeat([True, False], [len(own[0]), len(its[0])])
         self.row, self.stance = (np.concatenate([own[k], its[k]]) for k in (0, 1))
         self.arm = np.concatenate([own[2], its[2]])
-        self.sd = self.walks.turn_sd[:, [0, 0, 1]][self.stance]
+        self._turn_sd = self.walks.turn_sd[:, [0, 0, 1]]
+        self.sd = self._turn_sd[self.stance]
         self.owner = self.walks.owner[self.stance]
         self.is_earlier = ~np.isin(np.arange(len(self.walks.owner)), self.walks.final)
         is_noisy = self.sd.any(axis=1) & (not are_independent)
@@ -125,7 +123,8 @@ class Cost:
         self.of_earlier = np.flatnonzero(is_noisy & self.is_earlier[self.stance])
         self.earlier = np.cumsum(self.is_earlier)[self.stance[self.of_earlier]] - 1
         self.reach = float(np.median(rows.distances.length)) if len(rows.distances.length) else 1.0
-        self.docks: Ints = np.empty((0, 4), np.int64)
+        self._listed: Reals = np.full_like(self.walks.arm[self.walks.final], np.inf)
+        self._docks: Ints = np.empty((0, 4), np.int64)
         self._number_unknowns(yaw_precision)
 
     def _number_unknowns(self, yaw_precision: float) -> None:
@@ -134,7 +133,7 @@ class Cost:
         turns = np.zeros(3 * robots)
         turns[(3 * self.owner[self.of_final, None] + _AXES).ravel()] = 1.0
         if self.links is not None:
-            turns[np.repeat(self.links.is_chained, 3)] *= _UNKNOWN
+            turns[np.repeat(self.links.is_chained, 3)] *= NOMINAL
         sources = np.bincount(rows.source[rows.source >= 0], minlength=len(rows.shared_sd)) > 0
         yaws = np.full(robots, yaw_precision)
         self.precision = np.concatenate([0.0 * turns, turns, yaws, sources.astype(np.float64)])
@@ -172,24 +171,24 @@ class Cost:
         Args:
             start: Positions [R], shape (N, 3), and yaw corrections [rad], shape (N,).
             rounds: Rounds; more if the cost still falls fast.
-            prior: Width of a prior around the start [R], shape (N,); none if None.
+            prior: Width of a prior of positions [R], shape (N,); none if None. It is around where
+                each round begins: it bounds variances and steps, and does not move the minimum.
 
         Returns:
             The best state, and the cost linearized there.
         """
         turn, shared = np.zeros((len(self.is_earlier), 3)), np.zeros(len(self.rows.shared_sd))
-        begin = state = State(*start, turn, shared)
+        state = State(*start, turn, shared)
         precision = self.precision.copy()
         if prior is not None:
             precision[: 3 * len(prior)] = np.repeat(prior**-2, 3)
-        listed = self._list_docks(state)
-        linear = self.linearized(state, begin, precision)
+        linear = self.linearized(state, precision)
         radius, gain = np.inf, np.inf
         for count in range(_MOST_ROUNDS * (rounds > 0)):
             if count >= rounds and gain < _FALLING * linear.cost:
                 break
             trial = self._moved(state, linear, radius)
-            there = self.linearized(trial, begin, precision)
+            there = self.linearized(trial, precision)
             if there.cost > linear.cost + SETTLED:
                 far = np.linalg.norm(trial.position - state.position, axis=1).max()
                 radius = _SMALLER * min(radius, float(far))
@@ -198,22 +197,22 @@ class Cost:
                 continue
             gain = linear.cost - there.cost
             state, linear, radius = trial, there, radius / _SMALLER
-            if np.linalg.norm(state.position - listed, axis=1).max() > 0.5 * _MARGIN:
-                listed = self._list_docks(state)
-                linear = self.linearized(state, begin, precision)
-            elif gain < SETTLED:
+            if gain < SETTLED:
                 break
         return state, linear
 
-    def _list_docks(self, state: State) -> Reals:
-        """List docks that do not touch, close enough to overlap soon; return the centers."""
-        if self.non_overlap:
-            point = state.position[:, None] + self._docks_at(state.yaw)
-            self.docks = close_docks(self.log, point, SPACING + _MARGIN)
-        return state.position
+    def _close_docks(self, point: Reals) -> Ints:
+        """List docks at points (N, docks, 3) that do not touch, with all that overlap, (n, 4).
 
-    def linearized(self, state: State, begin: State, precision: Reals) -> Linear:
-        """Linearize at a state; priors of that precision (U,) are around the start."""
+        A list serves until docks have moved so far that others may overlap.
+        """
+        far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
+        if self.non_overlap and far > 0.5 * _MARGIN:
+            self._listed, self._docks = point, close_docks(self.log, point, SPACING + _MARGIN)
+        return self._docks
+
+    def linearized(self, state: State, precision: Reals) -> Linear:
+        """Linearize at a state; priors have that precision (U,), those of positions are there."""
         size = len(self.rows)
         rows, arm = self._turned(state)
         direction = rows.directions(state.position)
@@ -249,9 +248,8 @@ class Cost:
             *([] if self.links is None else [self._links_of(state, self.links)]),
             *([] if self.hinged is None else [_hinges(self.hinged)]),
         ]
-        off = (
-            state.position - begin.position, state.turn[self.walks.final], state.yaw, state.shared
-        )  # fmt: skip
+        at_rest = np.zeros_like(state.position)
+        off = (at_rest, state.turn[self.walks.final], state.yaw, state.shared)
         return Linear(
             tables=tables,
             noise=noise,
@@ -302,33 +300,50 @@ class Cost:
         excess[offset] /= 3.0
         return self.own_variance + self.variance * missed, excess
 
-    def _docks_at(self, yaw: Reals) -> Reals:
+    def _docks_at(self, state: State) -> Reals:
         """Arms of all docks at the end [R], shape (N, docks, 3)."""
         arm = self.walks.arm[self.walks.final]
-        return turned(arm.reshape(-1, 3), np.repeat(yaw, arm.shape[1])).reshape(arm.shape)
+        docks = arm.shape[1]
+        flat = turned(arm.reshape(-1, 3), np.repeat(state.yaw, docks))
+        if len(self.of_final):
+            turn = -(state.turn * self._turn_sd)[self.walks.final]
+            flat = Rotation.from_rotvec(np.repeat(turn, docks, axis=0)).apply(flat)
+        return flat.reshape(arm.shape)
 
-    def _overlaps(self, state: State) -> "LinearRows":
-        """Compute the overlaps of docks that do not touch, and their derivatives by shifts."""
-        later, own, earlier, its = self.docks.T
-        arm = self._docks_at(state.yaw)
-        apart = state.position[later] + arm[later, own]
-        apart -= state.position[earlier] + arm[earlier, its]
+    def _overlaps(self, state: State) -> LinearRows:
+        """Compute the overlaps of docks that do not touch, and their derivatives."""
+        arm = self._docks_at(state)
+        point = state.position[:, None] + arm
+        docks = self._close_docks(point)
+        apart = point[docks[:, 0], docks[:, 1]] - point[docks[:, 2], docks[:, 3]]
         length = np.linalg.norm(apart, axis=1)
         chosen = np.flatnonzero((length < SPACING) & (length > 0.0))
-        way = (apart[chosen] / length[chosen, None]).ravel()
-        row = np.repeat(np.arange(len(chosen)), 3)
-        column = 3 * np.stack([later[chosen], earlier[chosen]])[:, :, None] + _AXES
+        later, own, earlier, its = docks[chosen].T
+        way = apart[chosen] / length[chosen, None]
+        robot = np.concatenate([later, earlier])
+        pull = np.concatenate([way, -way])
+        across = np.cross(pull, np.concatenate([arm[later, own], arm[earlier, its]]))
+        turn = across * self._turn_sd[self.walks.final][robot]
+        robots = self.rows.robots
+        column = np.concatenate(
+            [
+                3 * robot[:, None] + _AXES,
+                3 * (robots + robot[:, None]) + _AXES,
+                6 * robots + robot[:, None],
+            ],
+            axis=1,
+        )
         return LinearRows(
             length[chosen] - SPACING,
-            np.tile(row, 2),
+            np.repeat(np.tile(np.arange(len(chosen)), 2), column.shape[1]),
             column.ravel(),
-            np.concatenate([way, -way]),
+            np.concatenate([pull, turn, -across[:, 2:]], axis=1).ravel(),
             np.full(len(chosen), OVERLAP_SD**2),
         )
 
-    def _links_of(self, state: State, links: Connections) -> "LinearRows":
+    def _links_of(self, state: State, links: Connections) -> LinearRows:
         """Compute residuals of connections [rad], and their derivatives by turns."""
-        sd = self.walks.turn_sd[self.walks.final][:, [0, 0, 1]]
+        sd = self._turn_sd[self.walks.final]
         turn = state.turn[self.walks.final] * sd
         left = links.residual - turn[links.robot] + turn[links.other]
         ends = np.concatenate([links.robot, links.other])

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.frames import Frame, align, free_frame
+from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
 from tiswarm.localization.joint.starts import scaled_distances
@@ -37,6 +37,9 @@ class Ends:
 
     solution: Ints
     """Solution of each, counted by descending weight, shape (K,)."""
+
+    frame: Frame = HELD
+    """Rigid motions of the anchor's part that nothing resists, by which ends are aligned."""
 
 
 def ranked(
@@ -158,23 +161,23 @@ def further_starts(log: SensingLog, params: ChiSquareParams, problem: Problem) -
     return [position for cost, position in found if cost <= found[0][0] + chance]
 
 
-def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends, Frame]:
+def aligned(problem: Problem, annealed: Annealed, ends: Ends) -> tuple[Annealed, Ends]:
     """Move all ends by rigid motions that nothing resists to where the best one is."""
     best = ends.position[int(ends.cost.argmin())]
     moves = problem.part == problem.part[0]
     frame = free_frame(problem.rows, best, moves)
     if not frame.names:
-        return annealed, ends, frame
+        return annealed, ends
     turn = align(ends.position, best, frame, moves)
 
     def turned(position: Reals) -> Reals:
         about = position[:, :1]
         return np.where(moves[:, None], about + (position - about) @ turn, position)
 
-    ends = replace(ends, position=turned(ends.position))
-    ends = replace(ends, solution=_solutions(ends.position, ends.weight))
+    position = turned(ends.position)
+    solution = _solutions(position, ends.weight)
     aligned = replace(annealed, mean=turned(annealed.mean), last=turned(annealed.last))
-    return aligned, ends, frame
+    return aligned, replace(ends, position=position, solution=solution, frame=frame)
 
 
 def _weights(cost: Reals, measurements: int) -> Reals:

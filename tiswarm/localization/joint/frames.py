@@ -7,6 +7,7 @@ Chains then differ by such motions, and their mean would be too small. Lengths i
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tiswarm.aliases import Bools, Reals
 from tiswarm.measurements.model import Measurements
@@ -21,7 +22,7 @@ class Frame(NamedTuple):
     """Rigid motions about the anchor that change no measurement."""
 
     axes: Reals
-    """Orthonormal axes of free turns: none, one or three, shape (n, 3)."""
+    """Orthonormal axes of free turns: none, one, or three (two that move a line), shape (n, 3)."""
 
     is_hand_free: bool
     """Whether a mirror image, in a plane through these axes, meets the measurements as well."""
@@ -32,6 +33,15 @@ class Frame(NamedTuple):
         turns = {0: (), 1: ("axis",)}.get(len(self.axes), ("rotation",))
         return (*turns, *(["hand"] if self.is_hand_free else []))
 
+    def motions(self, position: Reals, moves: Bools) -> Reals:
+        """Orthonormal motions of robots at positions (N, 3) by free turns, shape (3 N, n)."""
+        motions = _turning(self.axes, (position - position[0]) * moves[:, None])
+        return np.linalg.qr(motions)[0]
+
+
+HELD = Frame(np.empty((0, _AXES)), is_hand_free=False)
+"""Measurements resist every motion."""
+
 
 def free_frame(rows: Measurements, position: Reals, moves: Bools) -> Frame:
     """Find the rigid motions of some robots that change no measurement.
@@ -41,25 +51,29 @@ def free_frame(rows: Measurements, position: Reals, moves: Bools) -> Frame:
         position: Centers where these are met, the anchor first [R], shape (N, 3).
         moves: Robots tied to the anchor, shape (N,).
     """
-    nothing = Frame(np.empty((0, _AXES)), is_hand_free=False)
     arm = (position - position[0]) * moves[:, None]
     extent = np.linalg.norm(arm)
     if not extent:
-        return nothing
-    turns = np.stack([np.cross(axis, arm).ravel() for axis in np.eye(_AXES)], axis=1)
+        return HELD
+    turns = _turning(np.eye(_AXES), arm)
     changed = rows.jacobian(position)[:, : turns.shape[0]] @ turns
     _, size, axes = np.linalg.svd(np.linalg.qr(np.asarray(changed), mode="r"))
     size = np.pad(size, (0, _AXES - len(size)))
     moved = np.linalg.norm(turns @ axes.T, axis=0)
     axes = axes[(size <= _UNRESISTED * extent) & (moved > _UNRESISTED * extent)]
+
+    def is_free(there: Reals) -> bool:
+        """Whether robots with these arms meet the measurements as well."""
+        image = np.where(moves[:, None], position[0] + there, position)
+        change = rows.residual(image) - rows.residual(position)
+        return bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent)
+
+    # What resists to second order only does so after a turn by 1 rad.
+    axes = axes[[is_free(Rotation.from_rotvec(axis).apply(arm)) for axis in axes]]
     if not len(axes):
-        return nothing
+        return HELD
     frame = Frame(axes, is_hand_free=True)
-    image = np.where(moves[:, None], position[0] + _mirrored(arm, frame), position)
-    change = rows.residual(image) - rows.residual(position)
-    return frame._replace(
-        is_hand_free=bool(np.abs(change).max(initial=0.0) <= _UNRESISTED * extent)
-    )
+    return frame._replace(is_hand_free=is_free(_mirrored(arm, frame)))
 
 
 def align(position: Reals, other: Reals, frame: Frame, moves: Bools) -> Reals:
@@ -89,6 +103,12 @@ def align(position: Reals, other: Reals, frame: Frame, moves: Bools) -> Reals:
         best = int(np.argmin(off))
         matrices[k] = mirror[best] @ turns[best]
     return matrices
+
+
+def _turning(axes: Reals, arm: Reals) -> Reals:
+    """Velocities of arms (N, 3) that turn about axes (n, 3) at 1 rad/s, shape (3 N, n)."""
+    velocity = np.cross(axes[:, None], arm).astype(np.float64)
+    return velocity.reshape(len(axes), arm.size).T
 
 
 def _mirrored(arm: Reals, frame: Frame) -> Reals:

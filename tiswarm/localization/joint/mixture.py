@@ -35,8 +35,11 @@ from tiswarm.records.sensing_log import SensingLog
 class Minimum(NamedTuple):
     """The minimum of the cost of one solution."""
 
+    configuration: Reals
+    """Centers at the minimum [R], shape (N, 3)."""
+
     position: Reals
-    """Centers [R], shape (N, 3)."""
+    """The same, but the means of chains for robots that measurements do not hold."""
 
     yaw: Reals
     """Yaw corrections [rad], shape (N,)."""
@@ -120,7 +123,7 @@ def mix(
     if params.refines(log.robot_count):
         best = ends.position[int(ends.cost.argmin())]
         annealed, ends = with_further(log, params, problem, annealed, ends, images(problem, best))
-    annealed, ends, frame = aligned(problem, annealed, ends)
+    annealed, ends = aligned(problem, annealed, ends)
     outlier = _outliers(problem, ends)
     open_sd = prior_sd
     if open_sd is None:
@@ -136,13 +139,14 @@ def mix(
         is_held[:, None], np.tensordot(share, at, 1), np.tensordot(ends.weight, annealed.mean, 1)
     )
     # Chains agree where disconnected parts are, but nothing measures it.
-    placed, loose = place_disconnected(np.concatenate([position[None], at]), problem)
+    whole = [position, *(each.configuration for each in minima)]
+    placed, loose = place_disconnected(np.array(whole), problem)
     within = share @ np.array([each.sd**2 for each in minima])
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = _convergence(problem, ends, outlier, best, has_failed)
     sd = np.sqrt((verdict.sd_factor * sd) ** 2 + loose[0])
-    gap = problem.residual(at, np.array([each.yaw for each in minima]))
+    gap = problem.residual(placed[1:], np.array([each.yaw for each in minima]))
     width = np.sqrt(problem.variance + annealed.sigma**2)
     solutions = tuple(
         Solution(
@@ -161,7 +165,7 @@ def mix(
         yaw=np.tensordot(share, np.array([each.yaw for each in minima]), 1),
         sd=sd,
         mirrored=between > within,
-        free_frame=frame.names,
+        free_frame=ends.frame.names,
         outlier=outlier,
         misfit=misfit_by_robot(problem.rows, best.square),
         convergence=verdict,
@@ -196,6 +200,7 @@ def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Mini
     spare = MixtureSettings.spare * 3.0 * (len(sd) - 1)
     position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
     return Minimum(
+        configuration=position,
         position=position,
         yaw=ends.weight @ annealed.mean_yaw,
         sd=sd,
@@ -360,18 +365,21 @@ def minimum(
     prior = RefineSettings.prior_sd * np.sqrt(len(sd)) * sd
     prior = np.maximum(prior, RefineSettings.least_prior)
     state, linear = cost.refine((position, yaw), RefineSettings.rounds, prior)
-    left = RefineSettings.sd_scale * np.sqrt(linear.variance())
+    free = ends.frame.motions(state.position, problem.part == problem.part[0])
+    left = RefineSettings.sd_scale * np.sqrt(linear.variance(free))
     is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
-    is_held = (left <= RefineSettings.open_sd * sd) & ~problem.untied & (not is_biased)
+    small = np.maximum(RefineSettings.open_sd * sd, RefineSettings.linear_sd)
+    is_held = (left <= small) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
     return Minimum(
+        configuration=state.position,
         position=np.where(is_held[:, None], state.position, np.tensordot(weight, annealed.mean, 1)),
         yaw=np.where(is_held, state.yaw, weight @ annealed.mean_yaw),
         sd=np.where(is_held, left, sd),
         is_held=is_held,
-        cost=linear.chi_square + linear.overlap,
+        cost=linear.cost,
         chi_square=linear.chi_square,
         freedom=max(linear.freedom(), int(MixtureSettings.spare * 3 * (len(sd) - 1))),
         square=square,

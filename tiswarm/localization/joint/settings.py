@@ -190,3 +190,7 @@ class RefineSettings:
     """A robot that the linear problem leaves more uncertain than so many chain sd stays where its
     chains put it: overlaps and the extension prior hold it, which chains know and the linear
     problem does not."""
+
+    linear_sd: float = 0.3
+    """The same holds only for robots that it leaves more uncertain than this [R]: in motions that
+    small, neither matters, and chains agree more often than they are right."""
