@@ -90,7 +90,7 @@ def _verdicts(table: pd.DataFrame) -> Table:
 
 
 def _run(scenario: Path, options: argparse.Namespace) -> Path:
-    overrides: dict[str, object] = {"scorecard": "none"}  # older scenarios ask for one
+    overrides: dict[str, object] = {}
     for text in options.set:
         key, _, value = text.partition("=")
         overrides[key] = yaml.safe_load(value)

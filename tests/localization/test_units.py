@@ -41,7 +41,7 @@ def log() -> SensingLog:
 
     Their docks are twice as far from the center as wide.
     """
-    climb = ClimbParams(patience=1, settle=True)
+    climb = ClimbParams(patience=1, settle=1.0)
     params = TowerParams(force_threshold=1e9, climb=climb)
     history = grow(params, robots=12, seeds=[5000], robot=RobotGeometry(rho=2.0))[0]
     noise = SensingParams(

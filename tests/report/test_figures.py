@@ -190,7 +190,7 @@ def test_many_points_and_conditions_have_room(tmp_path):
     rows = [
         [f"0-{point},{condition}", "done", condition, f"{point}, {condition}", point, kind]
         for kind in ("tower", "cantilever")
-        for settle in ("false", "true")
+        for settle in ("0.0", "1.0")
         for point in [f"structure.kind={kind}, structure.climb.settle={settle}"]
         for condition in conditions
     ]
@@ -202,8 +202,8 @@ def test_many_points_and_conditions_have_room(tmp_path):
 
     assert png(figure)  # without a warning that axes have no room
     assert [axes.get_title() for axes in figure.axes] == [
-        "tower, settle=false", "tower, settle=true",
-        "cantilever, settle=false", "cantilever, settle=true",
+        "tower, settle=0.0", "tower, settle=1.0",
+        "cantilever, settle=0.0", "cantilever, settle=1.0",
     ]  # fmt: skip
     assert [text.get_text() for text in figure.legends[0].get_texts()] == conditions
     assert all(len(axes.lines) == 8 for axes in figure.axes)
@@ -317,12 +317,12 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
 def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
     """Few points have a figure each, many share one; values are those of the table."""
     rows = [
-        ["baseline", *point, by, low, low + 1, 4, 0.5, 1.0 + low]
+        ["baseline", *point, by, low, low + 1, 4, 0.5, 1.0 + low, "", ""]
         for point in ([[value] for value in points] or [[]])
         for by in PROFILED
         for low in (1, 2, 4)
     ]
-    header = "condition,swept,by,low,high,count,mean_error_R,rmse_R"
+    header = "condition,swept,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
     write_table(
         run_folder / "profiles.csv", header if points else header.replace("swept,", ""), rows
     )
@@ -339,11 +339,11 @@ def test_profiles_of_a_few_points_are_kept_apart(run_folder, points, names):
 def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
     """A point of one robot does not pull the line down; each point states its robots."""
     rows = [
-        ["baseline", by, low, low, robots, 0.5, rmse]
+        ["baseline", by, low, low, robots, 0.5, rmse, "", ""]
         for by in PROFILED
         for low, robots, rmse in [(1, 30, 2.0), (2, 6, 1.5), (8, 1, 0.0)]
     ]
-    header = "condition,by,low,high,count,mean_error_R,rmse_R"
+    header = "condition,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
     write_table(run_folder / "profiles.csv", header, rows)
 
     figure = profile_painters(load_run(run_folder))["profiles"](load_run(run_folder))
@@ -356,7 +356,7 @@ def test_profile_points_of_few_robots_are_open_and_apart(run_folder):
 
 
 def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
-    """A band covers most robots of each range; tables of earlier versions have none."""
+    """A band covers most robots of each range, where its quantiles are known."""
     rows = [
         ["baseline", by, low, low, 9, 1.0, *([0.1, 3.0] if by == "join" else ["", ""])]
         for by in PROFILED

@@ -162,7 +162,7 @@ def test_what_makes_results_wrong_is_apart_from_what_is_good_to_know():
 
 
 def test_cases_that_did_not_converge_are_named():
-    """Runs of older versions lack the columns of verdicts."""
+    """A run whose cases all failed lacks the columns of verdicts."""
     summary = pd.DataFrame({"case": ["0-a", "1-a", "2-b"], "series": ["a", "a", "b"]})
     summary = summary.assign(status="done", reason=None)
     lost = summary.assign(converged=[False, True, None], misfit_sd=[148.2, 0.3, None])

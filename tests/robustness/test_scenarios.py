@@ -37,7 +37,6 @@ def assert_one_line(message, path):
     assert len(message) <= 1000, said
 
 
-@pytest.mark.filterwarnings("ignore:.*this key is now:FutureWarning")
 def test_malformed_scenarios_are_refused_by_the_loader(trial, tmp_path):
     """A mistake is an InputError; nothing else is raised and nothing is written."""
     path = tmp_path / "scenario.yaml"
@@ -57,7 +56,6 @@ def test_malformed_scenarios_are_refused_by_the_loader(trial, tmp_path):
     assert set(trial.outcomes) == {"refused", "read"}
 
 
-@pytest.mark.filterwarnings("ignore:.*this key is now:FutureWarning")
 def test_malformed_scenarios_are_refused_by_the_command(trial, tmp_path, tiswarm):
     """The command says on standard error what the loader raises, ends with 2 and writes nothing."""
     path = tmp_path / "scenario.yaml"

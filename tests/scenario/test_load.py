@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from tiswarm.cli import main
 from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.scenario import validation
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams
@@ -57,65 +56,6 @@ def test_name_and_kind_are_enough(scenario):
     assert small.seed_list == (0,)
     assert small.conditions == {"baseline": {}}
     assert without_method.localization == VirtualForceParams(iterations=7)
-
-
-def test_run_folders_of_earlier_versions_load(scenario):
-    """Earlier versions wrote every default into the scenario of a run, also of removed keys."""
-    small = f"{SMALL}localization: {{method: least-squares}}\n"
-    old = f"{SMALL}localization: {{method: least-squares, optimizer: scipy}}\nscorecard: none\n"
-
-    assert load_scenario(scenario(old)) == load_scenario(scenario(small))
-
-
-@pytest.fixture
-def _renamed_key(monkeypatch):
-    """Let iterations have had another name in an earlier version."""
-    monkeypatch.setitem(validation.RENAMED, "localization.rounds", "localization.iterations")
-
-
-@pytest.mark.usefixtures("_renamed_key")
-@pytest.mark.parametrize(
-    ("text", "options", "iterations"),
-    [
-        ("localization: {rounds: 3}", [], [3]),
-        ("conditions: {a: {}, b: {localization.rounds: 4}}", [], [300, 4]),
-        ("sweep: {'robots, localization.rounds': [[5, 9], [6, 8]]}", [], [9, 8]),
-        ("sweep: {localization: [{rounds: 6}]}", [], [6]),
-        ("sweep: {localization.iterations: [1, 2]}", ["localization.rounds=8"], [8]),
-        ("localization: {iterations: 3}", ["localization={rounds: 9}"], [9]),
-        ("conditions: {a: {}}", ["conditions.a.localization.rounds=8"], [8]),
-    ],
-)
-def test_keys_of_earlier_versions_are_accepted(scenario, text, options, iterations):
-    """Scenarios and options may use the old name of a key."""
-    with pytest.warns(FutureWarning, match="now .*iterations"):
-        found = variants(load_scenario(scenario(SMALL + text), options))
-
-    assert [variant.settings.localization.iterations for variant in found] == iterations
-
-
-@pytest.mark.usefixtures("_renamed_key")
-@pytest.mark.filterwarnings("ignore:.*the old name still works:FutureWarning")
-def test_mistakes_in_old_keys_keep_their_line(scenario):
-    """The message names the key of today; one that a section has by both names is refused."""
-    path = scenario(f"{SMALL}localization:\n  z_correction: true\n  rounds: 0\n")
-
-    with pytest.raises(InputError, match=r":5: localization.iterations: 0 should be greater"):
-        load_scenario(path)
-    with pytest.raises(InputError, match=r"localization.rounds: unknown key"):
-        load_scenario(scenario(f"{SMALL}localization: {{rounds: 1, iterations: 2}}"))
-    assert localization_params("virtual-force", ["rounds=7"]).iterations == 7
-
-
-@pytest.mark.filterwarnings("ignore:.*the old name still works:FutureWarning")
-def test_old_names_of_the_settings_of_joint_load(scenario):
-    """Scenarios and run folders of earlier versions have them."""
-    old = "{method: joint, stretch: 1.0, start_tolerance: 0.5, end_tolerance: 0.02}"
-    now = "{method: joint, extension_prior: 1.0, start_sigma: 0.5, end_sigma: 0.02}"
-
-    loaded = [load_scenario(scenario(f"{SMALL}localization: {text}")) for text in (old, now)]
-
-    assert loaded[0] == loaded[1]
 
 
 def test_what_is_written_is_what_is_loaded(scenario):
@@ -196,18 +136,6 @@ REFUSED = [
     (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 should be greater than or equal to 0"),
     (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 occurs twice; give each value once"),
     (f"{SMALL}precision: f16", 3, "precision", "\"f16\" should be 'auto', 'f64' or 'f32'"),
-    (
-        f"{SMALL}scorecard: reactivebuild-laws",
-        3,
-        "scorecard",
-        "this key no longer exists; remove it and run python -m benchmarks.reactivebuild",
-    ),
-    (
-        f"{SMALL}localization:\n  method: least-squares\n  optimizer: gtsam",
-        5,
-        "localization.optimizer",
-        "this key no longer exists; remove it and run python -m benchmarks.least_squares LOG",
-    ),
     (
         "name: x\nstructure:\n  kind: tower\n  climb:\n    patiense: 3",
         5,
@@ -366,7 +294,6 @@ def test_a_sound_scenario_has_no_mistakes(scenario):
         ("robots=7", lambda s: s.robots, 7),
         ("structure.goal_height=1e1", lambda s: s.structure.goal_height, 10.0),
         ("structure.climb.patience=9", lambda s: s.structure.climb.patience, 9),
-        ("structure.climb.settle=true", lambda s: s.structure.climb.settle, 1.0),
         ("structure.climb.settle=0.3", lambda s: s.structure.climb.settle, 0.3),
         ("seeds=[3,4]", lambda s: s.seed_list, (3, 4)),
         ("description=a = b", lambda s: s.description, "a = b"),

@@ -23,7 +23,7 @@ TOWER, CANTILEVER = [1.64, 1.84, 2.36], [3.91, 5.26, 5.12]
     ("changed", "published"),
     [
         ("description=the same", [*TOWER, *TOWER[1:], *CANTILEVER, *CANTILEVER[1:]]),
-        ("structure.climb.settle=true", [1.64]),  # the paper leaves open how flips end
+        ("structure.climb.settle=1.0", [1.64]),  # the paper leaves open how flips end
         ("structure.anchor=1", [1.64]),
         ("robots=99", [np.nan]),
         ("structure.movers=2", [np.nan]),

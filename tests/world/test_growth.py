@@ -346,13 +346,6 @@ def test_settled_robots_touch_with_all_docks():
     assert find_fault(half, contact_gap=0.02) == find_fault(every, contact_gap=0.02) == ""
 
 
-@pytest.mark.parametrize("share", [0, 1])
-def test_a_share_of_none_or_all_is_what_the_switch_was(share):
-    """The key was true or false before it was a share, and may still be."""
-    assert ClimbParams(settle=bool(share)) == ClimbParams(settle=share)
-    assert _same(_settling(bool(share), 12), _settling(share, 12))
-
-
 def test_a_greater_share_settles_more_robots_and_the_same_ones():
     """Half of the robots settle, by a draw for each; up to the first that differs, all is alike."""
     none, half, every = (_settling(share, 20) for share in (0.0, 0.5, 1.0))

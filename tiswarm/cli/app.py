@@ -4,7 +4,6 @@ import contextlib
 import os
 import signal
 import sys
-import warnings
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,8 +22,6 @@ from tiswarm.params import AnyArch
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
 """Address space that the libraries of any command take."""
-
-_PYTHON = warnings.showwarning
 
 app = typer.Typer(
     add_completion=False,
@@ -113,16 +110,6 @@ def refuse(given: Mapping[str, object], reason: str) -> None:
             raise InputError(f"{reason}; leave it out", key=name)
 
 
-def _show_warning(
-    message: Warning | str, category: type[Warning], *place: object, **options: object
-) -> None:
-    """Print hints of tiswarm in one line, and warnings of libraries as Python does."""
-    if category is FutureWarning and str(message).endswith("the old name still works"):
-        sys.stderr.write(f"tiswarm: hint: {message}\n")
-    else:
-        _PYTHON(message, category, *place, **options)  # type: ignore[arg-type]
-
-
 def main() -> None:
     """Run the command line; errors that a user can fix are one line, not a traceback."""
     sys.exit(_status(sys.argv[1:]))
@@ -130,7 +117,6 @@ def main() -> None:
 
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
-    warnings.showwarning = _show_warning
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))

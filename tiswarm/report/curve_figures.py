@@ -124,7 +124,7 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
 
     All series share a figure if there are many points, or no sweep.
     """
-    numbers = ["low", "high", "rmse_R"]  # earlier versions wrote no quantiles
+    numbers = ["low", "high", "rmse_R", "p10_R", "p90_R"]
     table = run.table("profiles.csv", ["condition", "by"], numbers, after="by", optional=True)
     if table.empty:  # no case was finished
         return {}
@@ -152,8 +152,7 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
-    few_series = len(table[swept].drop_duplicates()) <= MOST_BANDS
-    bands = few_series and {"p10_R", "p90_R"} <= {*table}
+    bands = len(table[swept].drop_duplicates()) <= MOST_BANDS
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
         for place, (series, rows) in enumerate(part.groupby(swept, sort=False)):

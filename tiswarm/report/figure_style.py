@@ -155,7 +155,7 @@ def fit_axis(
 
 
 def shortened(name: str) -> str:
-    """Shorten the name of a sweep point to `tower, settle=true`: drop the sections of keys."""
+    """Shorten the name of a sweep point to `tower, settle=1.0`: drop the sections of keys."""
     return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name.replace("structure.kind=", ""))
 
 

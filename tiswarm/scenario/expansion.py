@@ -29,8 +29,6 @@ from tiswarm.scenario.validation import (
     Setting,
     find_culprit,
     parse_setting,
-    renamed,
-    renamed_path,
     set_key,
 )
 from tiswarm.scenario.yaml_source import YamlSource, read_yaml
@@ -98,9 +96,8 @@ def variants(scenario: Scenario) -> list[Variant]:
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
     path = find_scenario(path)
-    read = read_yaml(path)
-    data = renamed(read.data)
-    source = YamlSource(data, {renamed_path(at): place for at, place in read.places.items()})
+    source = read_yaml(path)
+    data = source.data
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
         raise InputError(problem, path=path, line=source.place_of(()).line)

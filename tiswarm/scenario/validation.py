@@ -3,7 +3,6 @@
 import itertools
 import json
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache
@@ -30,19 +29,6 @@ SAME_KEYS = ("sensing",)
 
 CONDITION_SECTIONS = ("localization", "sensing")
 """Sections that conditions change."""
-
-RENAMED = {
-    "localization.stretch": "localization.extension_prior",
-    "localization.start_tolerance": "localization.start_sigma",
-    "localization.end_tolerance": "localization.end_sigma",
-}
-"""New names of dotted keys of earlier versions, which scenarios and options may still use."""
-
-_REMOVED: dict[tuple[Part, ...], tuple[str, str]] = {
-    ("scorecard",): ("none", "benchmarks.reactivebuild SCENARIO"),
-    ("localization", "optimizer"): ("scipy", "benchmarks.least_squares LOG"),
-}
-"""Keys of earlier versions: their default, which run folders hold, and what to run instead."""
 
 _UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
@@ -102,7 +88,6 @@ _LOCALIZATION = TypeAdapter(_LocalizationSection)
 
 def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
     """Build an object from plain data, or list every mistake in it."""
-    data = _without_old_defaults(data)
     localization = data.get("localization")
     if isinstance(localization, dict):
         data = {**data, "localization": {"method": "virtual-force", **localization}}
@@ -111,41 +96,6 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         return adapter.validate_json(json.dumps(data))
     except ValidationError as found:
         return [_mistake(error, adapter) for error in found.errors(include_url=False)]
-
-
-def renamed(value: object, at: tuple[Part, ...] = ()) -> object:
-    """Replace the keys of earlier versions in plain data, which has a path in a scenario."""
-    if isinstance(value, list):
-        return [renamed(entry, (*at, n)) for n, entry in enumerate(value)]
-    if not isinstance(value, dict):
-        return value
-    names = {key: _new_name(at, key) for key in value}
-    return {  # a section that has both names keeps the old one, which is refused
-        key if names[key] in value else names[key]: renamed(inner, (*at, key))
-        for key, inner in value.items()
-    }
-
-
-def renamed_path(path: Sequence[Part]) -> tuple[Part, ...]:
-    """Replace the keys of earlier versions in a path in a scenario."""
-    return tuple(
-        part if isinstance(part, int) else _new_name(tuple(path[:n]), part)
-        for n, part in enumerate(path)
-    )
-
-
-def _new_name(at: tuple[Part, ...], key: str) -> str:
-    section = at[2:] if at[:1] == ("conditions",) else at
-    if at[:1] == ("sweep",):
-        section = (*at[1:2], *at[3:])
-    prefix = "".join(f"{part}." for part in section)
-    old = [part.strip() for part in key.split(",")]
-    new = [RENAMED.get(f"{prefix}{part}", f"{prefix}{part}").removeprefix(prefix) for part in old]
-    if new == old:
-        return key
-    name = ", ".join(new)
-    warnings.warn(f"{key}: this key is now {name}; the old name still works", FutureWarning, 2)
-    return name
 
 
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:
@@ -167,8 +117,7 @@ def parse_setting(text: str, *section: str) -> Setting:
         )
     try:
         path = (*section, *_setting_path(key.strip()))
-        data = renamed(parse_yaml(value).data, path)
-        return Setting(text, tuple(map(str, renamed_path(path))), data)
+        return Setting(text, path, parse_yaml(value).data)
     except InputError as error:
         raise InputError(error.problem, argument="overrides", key=text) from error
 
@@ -202,7 +151,7 @@ def localization_params(
     switches = {} if cues is None else _switches(method, cues)
     settings = [parse_setting(text, "localization") for text in overrides]
     section = {"method": method, **switches, **(values or {})}
-    data: Plain = {"localization": renamed(section, ("localization",))}
+    data: Plain = {"localization": section}
     for setting in settings:
         if problem := set_key(data, setting.path, setting.value):
             raise setting.error(problem)
@@ -266,9 +215,6 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         path = (path[0], *path[2:])
     if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         path = (path[0], DISCRIMINATORS[str(path[0])])
-    if path in _REMOVED:
-        problem = f"this key no longer exists; remove it and run python -m {_REMOVED[path][1]}"
-        return Mistake(path, problem, about_key=True)
     problem = explain(error, _allowed(error["loc"], adapter))
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
@@ -304,18 +250,6 @@ def _alternatives(section: str, adapter: TypeAdapter[Any]) -> dict[str, Plain]:
         name: schema["$defs"][place.rpartition("/")[2]].get("properties", {})
         for name, place in names.items()
     }
-
-
-def _without_old_defaults(data: Plain) -> Plain:
-    """Drop removed keys at their default: run folders of earlier versions still load."""
-    kept = deepcopy(data)
-    for (*sections, key), (default, _) in _REMOVED.items():
-        owner: Any = kept
-        for section in sections:
-            owner = owner.get(section) if isinstance(owner, dict) else None
-        if isinstance(owner, dict) and owner.get(key) == default:
-            del owner[key]
-    return kept
 
 
 def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ from tiswarm.world.history import History, read_history, write_history
 _COST = "cost.json"
 _STRUCTURES = "structures"
 _TABLES = ("robots", "convergence", "growth", "relative")
-"""Tables of a finished case; a case without one of them was stored by an older version."""
+"""Tables of a finished case."""
 
 _COST_KIND = TypeAdapter(Cost, config=STRICT)
 _COSTS_KIND = TypeAdapter(Mapping[str, Cost], config=STRICT)
@@ -61,10 +61,10 @@ class CaseRecord:
     distrust: str = ""  # why the estimate did not converge, or is not consistent
     scores: Mapping[str, float | int | bool | None] = field(default_factory=dict)  # None: unknown
     version: str = __version__  # version of the package that computed the case
-    method: str = ""  # localization method; older versions wrote none
-    code: str = ""  # digest of the code that computed the case
+    method: str  # localization method
+    code: str  # digest of the code that computed the case
     files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of all others but the cost
-    digest: str = ""  # SHA-256 of the record without it; older versions wrote none
+    digest: str = ""  # SHA-256 of the record without it
 
     @property
     def series(self) -> str:
@@ -157,9 +157,7 @@ class RunFolder:
         record = read_json(path, _RECORD_KIND)
         if record is None or record.case != name or folder.is_symlink():
             return None
-        if not record.method or not record.digest:
-            record = replace(record, code="")  # an older version stored it
-        elif record.digest != record.sealed().digest or path.read_bytes() != record.written():
+        if record.digest != record.sealed().digest or path.read_bytes() != record.written():
             return None
         complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
         intact = all(digest(folder / file) == sha for file, sha in record.files.items())

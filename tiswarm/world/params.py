@@ -4,7 +4,7 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from tiswarm.aliases import Reals
@@ -12,11 +12,6 @@ from tiswarm.params import STRICT
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world.mechanics import MechanicsParams
-
-
-def _share(value: object) -> object:
-    """Accept what `settle` was before it was a share."""
-    return float(value) if isinstance(value, bool) else value
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -43,9 +38,9 @@ class ClimbParams:
     """Steps in a row without a new best distance to the goal with which the robot gives up,
     walks back to its best stance and stays."""
 
-    settle: Annotated[float, Field(ge=0.0, le=1.0), BeforeValidator(_share)] = 0.0
+    settle: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """Share of the robots that settle: one that stays with two docks touching turns about these
-    until a third touches too. Drawn for each robot; true and false stand for 1 and 0."""
+    until a third touches too. Drawn for each robot."""
 
     max_flips: Annotated[int, Field(ge=1)] = 400
     """A walk is cut off after this many flips."""
