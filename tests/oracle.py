@@ -32,26 +32,26 @@ def matrix(wxyz):
 def localize(log, params):
     """Algorithm 1, line by line as the paper lists it; everything in units of the dock radius.
 
-    Beside the listing: the ramp and the capped step, robots without located neighbors, rounds of
-    back-propagation, and the torque.
+    Beside the listing: the ramp and the capped step, robots without located neighbors, and rounds
+    of back-propagation.
 
     Returns:
-        Positions, turns about the vertical [rad], and the number of steps of each robot.
+        Positions, and the number of steps of each robot.
     """
     turn = [matrix(q) for q in log.orientation_wxyz]
     dock = [[r @ b for b in log.dock_offset_body] for r in turn]
     connected = {tuple(row) for row in log.contacts}
     connected |= {(j, b, i, a) for i, a, j, b in connected}
     place = {0: np.array(log.anchor_position)}
-    yaw, steps = np.zeros(log.robot_count), np.zeros(log.robot_count, int)
+    steps = np.zeros(log.robot_count, int)
     rounds = params.back_propagation
     for r in range(1, log.robot_count):  # foreach new robot r joining the structure
         own_z = np.array([0, 0, 1.0]) if params.initial_offset_axis == "world" else turn[r][:, 2]
         around = [n for n in place if touches(connected, r, n)] or [0]
         place[r] = np.mean([place[n] for n in around], axis=0) + params.initial_offset * own_z
         for t in range(1, params.iterations + 1):  # repeat
-            force, torque = dock_forces(params, connected, place, dock, r, t / params.iterations)
-            update(log, params, place, dock, yaw, r, force, torque)
+            force = dock_forces(params, connected, place, dock, r, t / params.iterations)
+            update(log, params, place, dock, r, force)
             steps[r] = t
             if misfit(log, params, connected, place, dock, r) < params.stop_error:
                 break
@@ -60,10 +60,10 @@ def localize(log, params):
             for t in range(1, rounds.sweeps + 1):
                 ramp = 1 - rounds.repulsion_share * (1 - t / rounds.sweeps)
                 for i in recent:
-                    force, torque = dock_forces(params, connected, place, dock, i, ramp, taut=True)
-                    update(log, params, place, dock, yaw, i, force, torque, rounds.gain)
+                    force = dock_forces(params, connected, place, dock, i, ramp, taut=True)
+                    update(log, params, place, dock, i, force, rounds.gain)
                     steps[i] += i > 0
-    return np.array(list(place.values())), yaw, steps
+    return np.array(list(place.values())), steps
 
 
 def touches(connected, r, n):
@@ -72,12 +72,12 @@ def touches(connected, r, n):
 
 
 def dock_forces(params, connected, place, dock, r, ramp, *, taut=False):
-    """Force on robot r, and its torque about the vertical: foreach neighbor, foreach dock pair.
+    """Force on robot r: foreach neighbor, foreach dock pair.
 
     In rounds of back-propagation contacts are taut: docks that are too near part as firmly as
     attraction pulls.
     """
-    force, torque = np.zeros(3), 0.0
+    force = np.zeros(3)
     for n in place:
         if n == r:
             continue
@@ -98,11 +98,10 @@ def dock_forces(params, connected, place, dock, r, ramp, *, taut=False):
                 ):
                     push = dock_pair_force(offset, 0.0, params.repulsion_gain, 2.0, ramp)
                 force += push
-                torque += np.cross(dock[r][a], push)[2]
-    return force, torque
+    return force
 
 
-def update(log, params, place, dock, yaw, r, force, torque, share=1.0):
+def update(log, params, place, dock, r, force, share=1.0):
     """Update P_r by the cumulative forces, and then by the height; the anchor stays."""
     height = known_height(log, params, dock, r)
     missing = 0.0 if np.isnan(height) else params.height_gain * (height - place[r][2])
@@ -115,14 +114,6 @@ def update(log, params, place, dock, yaw, r, force, torque, share=1.0):
         place[r] = place[r] + step
     if r > 0 and params.height_order == "after-docks" and not np.isnan(height):
         place[r] = place[r] + [0, 0, share * params.height_gain * (height - place[r][2])]
-    law = params.virtual_torque
-    if law:
-        sd = np.radians(np.hypot(log.noise.yaw_deg, log.noise.yaw_bias_deg))
-        hold = params.attraction_gain * law.tolerance**2 / sd**2
-        angle = share * law.gain * (torque - hold * yaw[r]) / (1.0 + share * law.gain * hold)
-        angle = np.clip(angle, -np.radians(law.max_turn_deg), np.radians(law.max_turn_deg))
-        yaw[r] += angle
-        dock[r] = [turned(arm, np.array([0, 0, 1.0]), angle) for arm in dock[r]]
 
 
 def known_height(log, params, dock, r):

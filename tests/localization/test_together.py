@@ -11,7 +11,7 @@ from tests.oracle import swarm_step
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
-from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams, VirtualTorque
+from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.sensing_log import SensingLog
@@ -158,7 +158,6 @@ def test_threads_change_no_bit(robots):
     "change",
     [
         {"back_propagation": BackPropagation()},
-        {"virtual_torque": VirtualTorque()},
         {"stop_error": 0.1},
         {"height_order": "after-docks"},
         {"neighbor_repulsion": True},

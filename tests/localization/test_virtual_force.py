@@ -12,11 +12,11 @@ from tests import oracle
 from tests.strategies import rotations, vectors
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
-from tiswarm.compute.lang import Ints1, Ints2, Reals1, Reals2, Reals3, ti
+from tiswarm.compute.lang import Ints1, Ints2, Reals2, Reals3, ti
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
-from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams, VirtualTorque
+from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.localization.virtual_force_arrays import Gains, Robots
 from tiswarm.localization.virtual_force_kernels import _dock_at, _gains_of, _move
@@ -50,12 +50,6 @@ CUES = [
         height_order="after-docks",
         back_propagation=BackPropagation(every=5, sweeps=12, recent=4, repulsion_share=0.7),
     ),
-    dataclasses.replace(SHORT, virtual_torque=VirtualTorque(tolerance=0.03, max_turn_deg=0.3)),
-    dataclasses.replace(
-        SHORT,
-        back_propagation=BackPropagation(every=5, sweeps=12),
-        virtual_torque=VirtualTorque(tolerance=0.03),
-    ),
 ]
 
 
@@ -86,12 +80,9 @@ def test_algorithm_1_matches_the_paper_written_out_slowly(log, params):
     estimate = localize(log, params)
 
     # Docks that just overlap or just do not make rounding grow, to some 1e-8 by robot 11.
-    place, yaw, steps = oracle.localize(log, params)
+    place, steps = oracle.localize(log, params)
     np.testing.assert_allclose(estimate.position, place, atol=1e-6)
     np.testing.assert_array_equal(estimate.steps, steps)
-    if params.virtual_torque:
-        np.testing.assert_allclose(estimate.yaw, yaw, atol=1e-6)
-        assert np.abs(yaw).max() > 0.01
 
 
 def test_a_robot_without_located_neighbors_starts_from_the_anchor(log):
@@ -154,7 +145,7 @@ def test_turning_the_world_turns_the_estimate(log, turn):
 @settings(deadline=None, max_examples=10)
 @given(angle=st.floats(-4.0, 4.0))
 def test_turning_the_world_about_the_vertical_turns_all_robots_alike(log, angle):
-    """Docks, forces and torques turn with it; how far robots are turned does not change."""
+    """Docks and forces turn with it, those of back-propagation too."""
     rotation = Rotation.from_rotvec([0.0, 0.0, angle])
     orientation = rotation * Rotation.from_quat(log.orientation_wxyz, scalar_first=True)
     turned = dataclasses.replace(
@@ -169,22 +160,6 @@ def test_turning_the_world_about_the_vertical_turns_all_robots_alike(log, angle)
     np.testing.assert_allclose(
         rotation.inv().apply(estimate.position), expected.position, atol=1e-6
     )
-    np.testing.assert_allclose(estimate.yaw, expected.yaw, atol=1e-6)
-
-
-def test_robots_that_fit_are_not_turned():
-    """Where docks touch as they should there is no torque, even if the prior would allow one."""
-    params = VirtualForceParams(
-        initial_offset=2.0, virtual_torque=VirtualTorque(gain=1.0, tolerance=0.0)
-    )
-    noise = SensingNoise(tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=30.0)
-    fitting = dataclasses.replace(_pair(contacts=[[0, 1, 1, 1]]), noise=noise)
-    unfit = dataclasses.replace(_pair(contacts=[[0, 1, 1, 2]]), noise=noise)
-
-    assert localize(fitting, params).yaw.tolist() == [0.0, 0.0]
-    assert localize(unfit, params).yaw[1] != 0.0
-    silent = dataclasses.replace(unfit, noise=None)
-    assert localize(silent, params).yaw is None
 
 
 def test_company_and_threads_do_not_change_a_byte(towers):
@@ -237,16 +212,16 @@ def test_the_precision_of_the_device_changes_nothing(log):
 @ti.kernel
 def _step_once(
     gains_table: Reals2, step: Reals2, head: Ints2, following: Ints2, dock_offset: Reals3,
-    yaw: Reals1, position: Reals2, found: Ints1,
+    position: Reals2, found: Ints1,
 ):  # fmt: skip
     cells = ti.static(CellList(head, following))
-    robots = ti.static(Robots(dock_offset, yaw, position))
+    robots = ti.static(Robots(dock_offset, position))
     gains = _gains_of(gains_table, 0)
     ti.loop_config(serialize=True)
     for i in range(position.shape[0]):
         link(cells, 0, i, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing))
         move = ti.Vector([step[i, 0], step[i, 1], step[i, 2]])
-        _move(gains, i, 0, 0, move, 0.0, robots, cells)
+        _move(gains, i, 0, 0, move, robots, cells)
         item = first_item(cells, 0, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing), 13)
         while item >= 0:
             found[i] += item == i
@@ -263,9 +238,7 @@ def test_docks_that_rounding_moves_across_a_face_are_found_again():
     gains = np.array([[getattr(SHORT, name, 2.0) for name in Gains._fields]], float)
     found = np.zeros(len(place), np.int32)
 
-    _step_once(
-        gains, step, *CellList.allocate(1, len(place)), arm, np.zeros(len(place)), place, found
-    )
+    _step_once(gains, step, *CellList.allocate(1, len(place)), arm, place, found)
 
     assert len(place) > 100
     assert (found == 1).all()

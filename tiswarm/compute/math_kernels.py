@@ -48,6 +48,12 @@ def axis_rotation(axis, angle):
 
 
 @ti.func
+def with_torque(force, arm):
+    """Append to a force its torque about the vertical where it acts at `arm`."""
+    return ti.Vector([force[0], force[1], force[2], arm[0] * force[1] - arm[1] * force[0]])
+
+
+@ti.func
 def mixed(value):
     """Scatter the 32 low bits of a `ti.u64`, in a kernel.
 

@@ -29,7 +29,6 @@ LARGE = 3000
 
 _ONE_BY_ONE = (
     "back_propagation",
-    "virtual_torque",
     "stop_error",
     "height_order",
     "neighbor_repulsion",
@@ -62,25 +61,6 @@ class BackPropagation:
     repulsion_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.025
     """1 - alpha_t as a round begins; it falls to 0 linearly. At full strength repulsion would
     undo what is right already."""
-
-
-@dataclass(frozen=True, kw_only=True, config=STRICT)
-class VirtualTorque:
-    """How robots whose log states that their yaw is biased turn by the forces at their docks.
-
-    With t the sum of the forces' torques about the vertical, A the gain of Eq. (1), y how far a
-    robot has been turned, w the yaw's standard deviation that the log states and
-    h = A (tolerance / w)^2, an iteration turns it by gain (t - h y) / (1 + gain h).
-    """
-
-    gain: Annotated[float, Field(ge=0.0)] = 0.1
-    """Turn per torque [rad R^-2]."""
-
-    tolerance: Annotated[float, Field(ge=0.0)] = 0.5
-    """How far contacts may be stretched to turn a robot by its standard deviation [R]."""
-
-    max_turn_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 5.0
-    """A robot turns no farther than this in one iteration [deg]."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -145,9 +125,6 @@ class VirtualForceParams:
 
     back_propagation: BackPropagation | None = None
     """Correct earlier robots by later ones, the paper's proposal for future work; off if null."""
-
-    virtual_torque: VirtualTorque | None = None
-    """Turn robots whose yaw is biased, the paper's other proposal; off if null."""
 
     attraction_gain: Annotated[float, Field(ge=0.0)] = 0.84
     """A in Eq. (1): step per unit of stretch [1]."""

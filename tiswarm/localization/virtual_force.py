@@ -5,8 +5,8 @@ linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step i
 that the paper's loop tests is what a robot misses its measurements by, since its true error is
 unknown to it; a robot that touches no earlier one starts from the anchor; planar robots, see
 `tiswarm.measurements.cues.in_plane`, stay at the anchor's y. The paper says only that
-back-propagation would revisit recent robots every ten joins, and that a virtual torque would align
-yaw by dock geometry and neighbors.
+back-propagation would revisit recent robots every ten joins. Its virtual torque gained nothing in
+our trials, see `docs/yaw.md`.
 
 `localize_batch` places the robots of whole logs, `Localizer` each robot as it joins. Under the
 schedule `together` all robots step at once; `tiswarm.localization.together` does that.
@@ -25,12 +25,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
 from tiswarm.localization import together
 from tiswarm.localization.assessment import assess
-from tiswarm.localization.params import (
-    BackPropagation,
-    LocalizationParams,
-    VirtualForceParams,
-    VirtualTorque,
-)
+from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force_arrays import (
     ALL_DOCKS,
     DOCKS_OF_NEIGHBORS,
@@ -48,11 +43,10 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
 from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
-from tiswarm.records.sensing_log import SensingLog, SensingNoise
+from tiswarm.records.sensing_log import SensingLog
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
 _NO_SWEEPS = BackPropagation(sweeps=0)
-_NO_TORQUE = VirtualTorque(gain=0.0)
 
 Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as the value of its JSON."""
@@ -97,12 +91,12 @@ def localize_batch(
     ]
     placed = _robots(np.concatenate(offsets))
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
-    trace = Trace.allocate(len(frames), len(placed.yaw), np.float64)
-    recent = rounds.recent or len(placed.yaw)
+    trace = Trace.allocate(len(frames), len(placed.position), np.float64)
+    recent = rounds.recent or len(placed.position)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
     localize_in_join_order(
         iterations, rounds.every, rounds.sweeps, recent, every,
-        np.array([_gains(p, log.noise) for log, p in both]), start,
+        np.array(list(map(_gains, params))), start,
         np.zeros(len(logs), np.int32), *measured, *CellList.allocate(len(logs), docks), *placed,
         *trace,
     )  # fmt: skip
@@ -116,15 +110,13 @@ def localize_batch(
         trace.step_length[frames > iterations, older] = 0.0
         scaled = trace.position[:, a:b] * log.dock_radius
         steps = trace.step_length[:, a:b] * log.dock_radius
-        yaw = placed.yaw[a:b] if _torque(p, log.noise).gain else None
         untied = disconnected(measure(log, ["contacts"]))
-        found = assess(log, p.cues, trace.position[-1, a:b], is_guess=untied, yaw=yaw)
+        found = assess(log, p.cues, trace.position[-1, a:b], is_guess=untied)
         estimates.append(
             Estimate(
                 robot_id=log.robot_id,
                 position=scaled[-1],
                 disconnected=untied,
-                yaw=yaw,
                 **found._asdict(),
                 iteration=frames,
                 trace=scaled,
@@ -277,7 +269,7 @@ class Localizer:
         trace = Trace.allocate(2, capacity, np.float64)
         backend.processor()
         localize_in_join_order(
-            every, 1, 0, capacity, every, np.array([_gains(self._params, self._head.noise)]),
+            every, 1, 0, capacity, every, np.array([_gains(self._params)]),
             np.array([0, count + 1], np.int32), np.array([count], np.int32), *measured,
             *self._cells, *self._robots, *trace,
         )  # fmt: skip
@@ -287,19 +279,11 @@ class Localizer:
 
 def _robots(dock_offset: Reals) -> Robots:
     """Reserve robots that have not been placed."""
-    robots, _, axes = dock_offset.shape
-    return Robots(dock_offset, np.zeros(robots), np.full((robots, axes), np.nan))
+    return Robots(dock_offset, np.full((len(dock_offset), 3), np.nan))
 
 
-def _torque(params: VirtualForceParams, noise: SensingNoise | None) -> VirtualTorque:
-    """Choose how robots turn; they turn only where the log states a bias of yaw."""
-    is_biased = noise is not None and noise.yaw_bias_deg
-    return params.virtual_torque or _NO_TORQUE if is_biased else _NO_TORQUE
-
-
-def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
-    rounds, torque = params.back_propagation or _NO_SWEEPS, _torque(params, noise)
-    yaw = 1.0 if noise is None else np.radians(np.hypot(noise.yaw_deg, noise.yaw_bias_deg or 0.0))
+def _gains(params: VirtualForceParams) -> Gains:
+    rounds = params.back_propagation or _NO_SWEEPS
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
     return Gains(
         attraction_gain=params.attraction_gain,
@@ -311,9 +295,6 @@ def _gains(params: VirtualForceParams, noise: SensingNoise | None) -> Gains:
         sweep_repulsion=rounds.repulsion_share,
         spacing=2.0,
         undocked=float(ALL_DOCKS if params.undocked_repulsion else undocked),
-        torque_gain=torque.gain,
-        hold=params.attraction_gain * (torque.tolerance / yaw) ** 2 if torque.gain else 0.0,
-        max_turn=float(np.radians(torque.max_turn_deg)),
         height_last=float(params.height_order == "after-docks"),
         stop_error=params.stop_error,
     )

@@ -41,15 +41,6 @@ class Gains(NamedTuple):
     undocked: float
     """NO_DOCKS, DOCKS_OF_NEIGHBORS or ALL_DOCKS."""
 
-    torque_gain: float
-    """Turn per unit of torque [rad / R^2]."""
-
-    hold: float
-    """Torque back to the sensed yaw [R^2 / rad]."""
-
-    max_turn: float
-    """Largest turn of a robot in a step [rad]."""
-
     height_last: float
     """1 where Eq. (3) is a step of its own, after that of the docks."""
 
@@ -77,13 +68,10 @@ class LogArrays(NamedTuple):
 
 
 class Robots(NamedTuple):
-    """Estimated poses of N robots."""
+    """Estimated positions of N robots."""
 
     dock_offset: Reals3
-    """Center to dock, world frame [R], turned with the robots, shape (N, docks, 3)."""
-
-    yaw: Reals1
-    """Turn of each robot from its sensed orientation [rad], shape (N,)."""
+    """Center to dock, world frame [R], shape (N, docks, 3)."""
 
     position: Reals2
     """Centers [R], shape (N, 3); those of anchors and of robots placed before are read."""

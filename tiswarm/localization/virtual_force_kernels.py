@@ -31,31 +31,14 @@ def _dock_at(robots: Ref, robot, k):
 
 
 @ti.func
-def turn_dock(turn, robot, k, dock_offset: Ref):
-    """Turn dock `k` of a robot about the vertical through its center."""
-    if turn != 0.0:
-        c, s = ti.cos(turn), ti.sin(turn)
-        x, y = dock_offset[robot, k, 0], dock_offset[robot, k, 1]
-        dock_offset[robot, k, 0] = c * x - s * y
-        dock_offset[robot, k, 1] = s * x + c * y
-
-
-@ti.func
-def with_torque(force, arm):
-    """Append to a force its torque about the vertical where it acts at `arm`."""
-    return ti.Vector([force[0], force[1], force[2], arm[0] * force[1] - arm[1] * force[0]])
-
-
-@ti.func
 def _connected_force(
     gains: Ref, robot, base, placed, ramp, attract_inward, measured: Ref, robots: Ref
 ):
-    """Sum Eq. (1) over the robot's contacts with the first `placed` robots, with its torque.
+    """Sum Eq. (1) over the robot's contacts with the first `placed` robots.
 
     Where `attract_inward` is 1, attraction also parts docks nearer than D.
     """
-    here = vector_at(robots.position, robot)
-    force = with_torque(0.0 * here, here)
+    force = 0.0 * vector_at(robots.position, robot)
     for row in range(measured.contact_start[robot], measured.contact_start[robot + 1]):
         partner = measured.contact[row, 1]
         if partner < placed:
@@ -66,7 +49,7 @@ def _connected_force(
             )
             stiffness = gains.attraction_gain * ramp
             pull += attract_inward * parting(other - own, stiffness, gains.spacing)
-            force += with_torque(pull, own - here)
+            force += pull
     return force
 
 
@@ -81,8 +64,7 @@ def _undocked_force(
     """
     docks = robots.dock_offset.shape[1]
     first, last = measured.contact_start[robot], measured.contact_start[robot + 1]
-    here = vector_at(robots.position, robot)
-    force = with_torque(0.0 * here, here)
+    force = 0.0 * vector_at(robots.position, robot)
     for k in range(docks):
         own = _dock_at(robots, robot, k)
         cube = cube_of(own, 1.0 / gains.spacing)
@@ -103,7 +85,7 @@ def _undocked_force(
                         push = dock_pair_force(
                             offset, 0.0, gains.repulsion_gain, gains.spacing, ramp
                         )
-                        force += with_torque(push, own - here)
+                        force += push
                 item = cells.following[structure, item]
     return force
 
@@ -113,10 +95,7 @@ def _virtual_force(
     gains: Ref, robot, base, structure, placed, ramp, attract_inward, measured: Ref, robots: Ref,
     cells: Ref,
 ):  # fmt: skip
-    """Sum Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure.
-
-    Each force acts at a dock; the fourth component is their torque about the vertical.
-    """
+    """Sum Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure."""
     force = _connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
     if gains.undocked != NO_DOCKS:
         force += _undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
@@ -199,7 +178,7 @@ def _record(trace: Ref, frame, robot, place, moved):
 @ti.func
 def _step_of(gains: Ref, robot, force, share, measured: Ref, robots: Ref):
     """Step by a share of a force, no farther than the longest step; then lift, if that is last."""
-    step = capped(share * ti.Vector([force[0], force[1], force[2]]), gains.max_step)
+    step = capped(share * force, gains.max_step)
     if gains.height_last == 1.0:
         missing = _height_missing(measured, robot, robots.position[robot, 2] + step[2])
         step[2] += share * gains.height_gain * missing
@@ -207,25 +186,15 @@ def _step_of(gains: Ref, robot, force, share, measured: Ref, robots: Ref):
 
 
 @ti.func
-def _turn_of(gains: Ref, torque, share, turned):
-    """Compute a robot's turn [rad]: by a share of the torque, and back to the sensed yaw."""
-    pace = share * gains.torque_gain
-    turn = pace * (torque - gains.hold * turned) / (1.0 + pace * gains.hold)
-    return ti.min(ti.max(turn, -gains.max_turn), gains.max_turn)
-
-
-@ti.func
-def _move(gains: Ref, robot, base, structure, step, turn, robots: Ref, cells: Ref):
+def _move(gains: Ref, robot, base, structure, step, robots: Ref, cells: Ref):
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     docks = robots.dock_offset.shape[1]
     there = vector_at(robots.position, robot) + step  # as rounded, so that docks are found again
     for k in range(docks):
         item = (robot - base) * docks + k
         old = cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing)
-        turn_dock(turn, robot, k, robots.dock_offset)
         new = cube_of(there + vector_in(robots.dock_offset, robot, k), 1.0 / gains.spacing)
         relink(cells, structure, item, old, new)
-    robots.yaw[robot] += turn
     _write_position(robots, robot, there)
 
 
@@ -237,7 +206,7 @@ def localize_in_join_order(
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
     is_planar: Ints1,
     head: Ints2, following: Ints2,  # CellList of the robots placed before
-    dock_offset: Reals3, yaw: Reals1, position: Reals2,  # Robots, read and written
+    dock_offset: Reals3, position: Reals2,  # Robots, whose positions are written
     trace_position: Reals3, step_length: Reals2, steps: Ints1,  # Trace, written
 ):  # fmt: skip
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
@@ -253,13 +222,13 @@ def localize_in_join_order(
         recent: Robots that a round moves, those that joined last.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 14).
+        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 11).
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
     measured = ti.static(LogArrays(contact_start, contact, initial_direction, height, is_planar))
     cells = ti.static(CellList(head, following))
-    robots = ti.static(Robots(dock_offset, yaw, position))
+    robots = ti.static(Robots(dock_offset, position))
     trace = ti.static(Trace(trace_position, step_length, steps))
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:
@@ -289,12 +258,8 @@ def localize_in_join_order(
                             measured, robots, cells,
                         )  # fmt: skip
                         step = _step_of(gains, robot, force, 1.0, measured, robots)
-                        turn = _turn_of(gains, force[3], 1.0, yaw[robot])
                         moved = step.norm()
                         here += step
-                        yaw[robot] += turn
-                        for k in range(dock_offset.shape[1]):
-                            turn_dock(turn, robot, k, dock_offset)
                 steps[robot] = taken
                 for k in range(dock_offset.shape[1]):
                     item = (robot - base) * dock_offset.shape[1] + k
@@ -310,8 +275,7 @@ def localize_in_join_order(
                             )
                             share = ti.select(j > base, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
-                            turn = _turn_of(gains, force[3], gains.sweep_gain, yaw[j])
-                            _move(gains, j, base, s, step, turn, robots, cells)
+                            _move(gains, j, base, s, step, robots, cells)
                             there = vector_at(position, j)
                             _record(trace, frame + sweep // trace_every, j, there, step.norm())
                             steps[j] += j > base

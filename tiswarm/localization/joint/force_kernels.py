@@ -12,7 +12,7 @@ center.
 """
 
 from tiswarm.compute.lang import Ref, Static, ti
-from tiswarm.compute.math_kernels import vector_at
+from tiswarm.compute.math_kernels import vector_at, with_torque
 from tiswarm.localization.joint.arrays import (
     ACROSS,
     CROWD,
@@ -32,7 +32,6 @@ from tiswarm.localization.joint.arrays import (
     WALK,
     YAW_PRECISION,
 )
-from tiswarm.localization.virtual_force_kernels import with_torque
 from tiswarm.measurements.rows import SPACING
 
 _MOST_STIFFNESS = 1.2

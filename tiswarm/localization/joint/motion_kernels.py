@@ -20,7 +20,6 @@ from tiswarm.localization.joint.arrays import (
     YAW_PRECISION,
 )
 from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
-from tiswarm.localization.virtual_force_kernels import turn_dock
 
 _STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
@@ -58,6 +57,16 @@ def _moved(velocity: Ref, i, axis, force, mass, sigma, kick):
 
 
 @ti.func
+def _turn_dock(turn, r, k, arm: Ref):
+    """Turn dock `k` of copy r of a robot about the vertical through its center."""
+    if turn != 0.0:
+        c, s = ti.cos(turn), ti.sin(turn)
+        x, y = arm[r, k, 0], arm[r, k, 1]
+        arm[r, k, 0] = c * x - s * y
+        arm[r, k, 1] = s * x + c * y
+
+
+@ti.func
 def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     """Turn copy r of a robot, its docks with it."""
     count = robots.label.shape[0]
@@ -68,7 +77,7 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     heading[r, COS] = ti.cos(heading[r, YAW])
     heading[r, SIN] = ti.sin(heading[r, YAW])
     for k in range(swarm.arm.shape[1]):
-        turn_dock(turn, r, k, swarm.arm)
+        _turn_dock(turn, r, k, swarm.arm)
     if step.is_averaged:
         heading[r, TOTAL] += heading[r, YAW]
 
