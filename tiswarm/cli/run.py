@@ -1,8 +1,8 @@
-"""Commands on scenarios: run all cases, fit gains."""
+"""The command that runs all cases of a scenario."""
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
@@ -103,44 +103,3 @@ def _shard(text: str) -> tuple[int, int]:
     if not 1 <= number <= count:
         raise InputError(f"invalid shard {text}: use I/N with 1 <= I <= N")
     return number, count
-
-
-@app.command(epilog="Example: tiswarm tune scenarios/paper.yaml --trials 200 --out fit.json")
-def tune(
-    scenario: ScenarioFile,
-    overrides: Overrides = [],  # noqa: B006 - typer never changes it
-    trials: Annotated[
-        int, Option(min=1, help="Trials, including those already in the record.")
-    ] = 200,
-    training_seeds: Annotated[
-        int, Option(min=1, help="Structures at each sweep point, from seed 1000 on.")
-    ] = 25,
-    condition: Annotated[
-        list[str], Option(help="Condition to include (repeatable; default: all).")
-    ] = [],  # noqa: B006 - typer never changes it
-    objective: Annotated[
-        Literal["sse", "rmse"], Option(help="Error to minimize, in the mean over structures.")
-    ] = "sse",
-    out: Annotated[Path, Option(help="Record of the fit to write or continue.")] = Path("fit.json"),
-    threads: Threads = None,
-    *,
-    quiet: Quiet = False,
-) -> None:
-    """Fit the gains of virtual-force on training structures.
-
-    None of them is a structure of the scenario. An interrupted fit continues where it stopped.
-    """
-    from tiswarm import study
-    from tiswarm.scenario.expansion import load_scenario
-
-    record = study.tune(
-        load_scenario(scenario, overrides), out,
-        trials=trials, training_seeds=training_seeds, conditions=condition,
-        progress=ConsoleProgress(quiet=quiet), objective=objective, threads=threads,
-    )  # fmt: skip
-    if not quiet:
-        for name in ("best", "chosen"):
-            gains = {key: value for key, value in record[name].items() if key in record["ranges"]}
-            text = ", ".join(f"{key} {value:.3g}" for key, value in gains.items())
-            typer.echo(f"{name}: RMSE {record[name]['rmse_R']:.3f} R with {text}")
-        typer.echo(f"record in {out}")

@@ -90,7 +90,7 @@ class VirtualForceParams:
     """Gains of Eqs. (1)-(3) and the schedule that applies them.
 
     Gains must not be fitted on the runs they are reported on. The defaults are those of
-    `docs/fits/virtual-force.json`, to two digits: found by `tiswarm tune` on towers and
+    `docs/fits/virtual-force.json`, to two digits: found by `benchmarks.tuning` on towers and
     cantilevers of the seeds 1000 to 1011, under all conditions of `scenarios/paper.yaml`.
     """
 

@@ -8,6 +8,5 @@ from tiswarm.study.comparison import compare
 from tiswarm.study.executors import Execution
 from tiswarm.study.provenance import forecast
 from tiswarm.study.run import open_folder, run, tabulate
-from tiswarm.study.tuning import tune
 
-__all__ = ["Execution", "compare", "forecast", "open_folder", "plan", "run", "tabulate", "tune"]
+__all__ = ["Execution", "compare", "forecast", "open_folder", "plan", "run", "tabulate"]

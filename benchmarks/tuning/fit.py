@@ -229,10 +229,10 @@ def _with_gains(params: VirtualForceParams, values: Mapping[str, float]) -> Virt
 
 def _optuna_version() -> str:
     try:
-        import cmaes  # noqa: F401, PLC0415 - slow to import, and an extra
+        import cmaes  # noqa: F401, PLC0415 - slow to import, and of the extra
         import optuna  # noqa: PLC0415
     except ImportError as error:
-        msg = f"{error.name} is not installed; pip install 'tiswarm[tune]'"
+        msg = f"{error.name} is not installed; pip install '.[bench]'"
         raise EnvironmentTroubleError(msg) from error
     return str(optuna.__version__)
 

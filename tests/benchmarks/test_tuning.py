@@ -5,24 +5,24 @@ import re
 
 import pytest
 
+from benchmarks.tuning.fit import GAINS, tune
+from tests.benchmarks.commands import call
 from tests.runs import REPOSITORY
 from tiswarm.errors import InputError
 from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import tune
-from tiswarm.study.tuning import GAINS
 
 PAPER = REPOSITORY / "scenarios" / "paper.yaml"
 SMALL = ("--set", "robots=8", "--training-seeds", "2")
 
 
 @pytest.fixture(scope="module")
-def record(tiswarm, tmp_path_factory):
+def record(tmp_path_factory):
     """Path of the record of a fit of three trials."""
     path = tmp_path_factory.mktemp("fits") / "fit.json"
-    done = tiswarm("tune", PAPER, *SMALL, "--trials", 3, "--out", path)
+    done = call("tuning", PAPER, *SMALL, "--trials", 3, "--out", path)
     assert done.returncode == 0, done.stderr
     return path
 
@@ -40,13 +40,13 @@ def test_the_first_trial_is_what_the_scenario_says(record):
     assert fit["trials"][0]["rmse_R"] == pytest.approx(sum(errors) / len(errors), abs=1e-4)
 
 
-def test_a_fit_goes_on_as_if_it_had_never_been_left(tiswarm, tmp_path, record):
+def test_a_fit_goes_on_as_if_it_had_never_been_left(tmp_path, record):
     """A record cut short after one trial, as by a kill, ends in the same bytes."""
     whole = json.loads(record.read_text())
     cut = tmp_path / "fit.json"
     cut.write_text(json.dumps(whole | {"trials": whole["trials"][:1]}))
 
-    done = tiswarm("tune", PAPER, *SMALL, "--trials", 3, "--out", cut)
+    done = call("tuning", PAPER, *SMALL, "--trials", 3, "--out", cut)
 
     assert done.returncode == 0, done.stderr
     assert cut.read_bytes() == record.read_bytes()
@@ -79,7 +79,7 @@ def test_a_fit_that_would_mislead_is_refused(record, robots, seeds, conditions, 
     assert record.read_bytes() == before
 
 
-def test_a_record_of_an_older_version_is_not_continued(tmp_path):
+def test_a_record_of_other_code_is_not_continued(tmp_path):
     """The shipped record has no digest of its code, so other code may have made its trials."""
     record = tmp_path / "virtual-force.json"
     record.write_bytes((REPOSITORY / "docs" / "fits" / record.name).read_bytes())
