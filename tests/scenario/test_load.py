@@ -364,14 +364,14 @@ def test_an_option_replaces_the_sweep_of_its_key(scenario):
             "sweep: {'robots, structure.movers': [[30, 1], [40, 2]], precision: [f32]}",
             "robots=20",
             (
-                "has no effect: the sweep sets robots together with structure.movers; add --set "
+                "has no effect: the sweep sets robots, structure.movers; add --set "
                 """'sweep={"precision": ["f32"]}'"""
             ),
         ),
         (
             "sweep: {structure: [{kind: tower}, {kind: chain}]}",
             "structure.movers=3",
-            "has no effect: the sweep sets structure as a whole; add --set 'sweep={}'",
+            "has no effect: the sweep sets structure; add --set 'sweep={}'",
         ),
         (
             "conditions: {a: {localization.iterations: 5}, b: {localization.iterations: 6}}",

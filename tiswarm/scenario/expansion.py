@@ -109,38 +109,33 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, lis
         if isinstance(sweep := data.get("sweep"), dict):  # the option replaces it
             for key in setting.values:
                 sweep.pop(key, None)
-    for setting in settings:
-        if problem := _overridden(data, setting) or _missing_keys(data, setting, settings, source):
-            raise setting.error(problem)
     outcome = from_plain(data)
+    for setting in settings:
+        problem = _missing_keys(data, setting, settings, source)
+        if not problem and isinstance(outcome, Scenario):
+            problem = _overridden(outcome, setting)
+        if problem:
+            raise setting.error(problem)
     mistakes = _mistakes(data) or ([] if swept else _swept_over(data))
     errors = [_placed(mistake, path, source, settings) for mistake in mistakes]
     errors.sort(key=lambda error: (error.line is None, error.line))
     return (outcome if isinstance(outcome, Scenario) else None), errors
 
 
-def _overridden(data: Plain, setting: Setting) -> str:
-    """Return what makes an option have no effect and the way out, or nothing."""
-    sweep, conditions = data.get("sweep", {}), data.get("conditions", {})
-    leaves = {k: v for k, v in setting.values.items() if not isinstance(v, dict) or not v}
-    if not (isinstance(sweep, dict) and isinstance(conditions, dict)):
-        return ""
-    for entry in sweep:
-        keys = swept_keys(entry)
-        for key in keys:
-            if any(_covers(key, leaf) for leaf in leaves):
-                others = ", ".join(other for other in keys if other != key)
-                how = f"{key} together with {others}" if others else f"{key} as a whole"
-                rest = {other: values for other, values in sweep.items() if other != entry}
-                return f"has no effect: the sweep sets {how}; add {_option('sweep', rest)}"
-    each = [entries if isinstance(entries, dict) else {} for entries in conditions.values()]
-    for leaf, value in leaves.items():
-        covering = [next((k for k in entries if _covers(k, leaf)), "") for entries in each]
-        if covering and all(covering) and any(entries.get(leaf, ...) != value for entries in each):
-            option = _option(f"conditions.{next(iter(conditions))}.{leaf}", value)
-            return (
-                f"has no effect: every condition sets {covering[0]}; set it there, as in {option}"
-            )
+def _overridden(scenario: Scenario, setting: Setting) -> str:
+    """Return what replaces the value of an option in every case and the way out, or nothing."""
+    each = scenario.conditions.values()
+    for leaf, value in setting.values.items():
+        if isinstance(value, dict) and value:
+            continue  # its own values follow
+        for entry in scenario.sweep:
+            if any(_covers(key, leaf) for key in swept_keys(entry)):
+                rest = {other: values for other, values in scenario.sweep.items() if other != entry}
+                return f"has no effect: the sweep sets {entry}; add {_option('sweep', rest)}"
+        covering = [next((key for key in entries if _covers(key, leaf)), "") for entries in each]
+        if all(covering) and any(entries.get(leaf, ...) != value for entries in each):
+            how = _option(f"conditions.{next(iter(scenario.conditions))}.{leaf}", value)
+            return f"has no effect: every condition sets {covering[0]}; set it there, as in {how}"
     return ""
 
 
