@@ -85,7 +85,10 @@ def test_joint_reports_while_it_anneals(towers):
     np.testing.assert_array_equal(found.position, localize(log, params).position)
 
 
-WRONG = "name: x\nrobots: 5\nstructure: {kind: tower, goal_height: tall}\nseedz: 3\n"
+WRONG = (
+    "name: x\nrobots: 5\nstructure: {kind: tower, goal_height: tall}\nseedz: 3\n"
+    "localization: {method: joint}\n"
+)
 
 
 @pytest.fixture

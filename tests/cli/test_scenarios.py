@@ -39,7 +39,7 @@ def test_a_folder_of_that_name_hides_nothing(tmp_path):
 def test_of_two_files_of_a_name_neither_is_taken(tmp_path):
     """Nobody's file is passed over, and none hides the shipped one: the path decides."""
     mine = tmp_path / "tower"
-    mine.write_text("name: mine\nstructure: {kind: tower}\n")
+    mine.write_text("name: mine\nstructure: {kind: tower}\nlocalization: {method: joint}\n")
 
     with pytest.raises(InputError, match="both a file here and a scenario of tiswarm's; name "):
         load_scenario(Path("tower"))

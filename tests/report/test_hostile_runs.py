@@ -35,7 +35,9 @@ ALIASES = "".join(f"{b}: &{b} [{9 * f'*{a}, '}]\n" for a, b in pairwise("abcdefg
 @pytest.fixture
 def run(run_folder):
     """A whole run with a figure."""
-    (run_folder / "scenario.yaml").write_text("name: odd\nstructure: {kind: tower}\n")
+    (run_folder / "scenario.yaml").write_text(
+        "name: odd\nstructure: {kind: tower}\nlocalization: {method: joint}\n"
+    )
     write_table(run_folder / "table.csv", TABLE, [["baseline", 2, 1.0, 0.1, 0.5, 0.2, "", ""]])
     header = "condition,against,measure,structures,difference_mean,smaller,wilcoxon_p"
     write_table(run_folder / "paired.csv", header, [["no-z", "baseline", "rmse_R", 2, 0.1, 1, 0.5]])

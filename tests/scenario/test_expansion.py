@@ -18,7 +18,8 @@ from tiswarm.world.params import TowerParams
 
 def scenario(**settings):
     """Make a scenario in Python rather than from a file."""
-    return Scenario(name="tower", structure=TowerParams(), **settings)
+    method = {"localization": VirtualForceParams()}
+    return Scenario(name="tower", structure=TowerParams(), **method | settings)
 
 
 def labels(**settings):
@@ -93,7 +94,9 @@ def test_keys_of_one_entry_change_together():
 def test_rows_that_do_not_fit_are_reported_with_their_line(tmp_path, sweep, problem):
     """So are a key in two places, and a value that is wrong in itself."""
     path = tmp_path / "rows.yaml"
-    path.write_text(f"name: rows\nstructure: {{kind: tower}}\nsweep: {sweep}\n")
+    path.write_text(
+        f"name: rows\nstructure: {{kind: tower}}\nsweep: {sweep}\nlocalization: {{method: joint}}\n"
+    )
 
     (mistake,) = find_mistakes(path)
 
@@ -222,7 +225,7 @@ def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
     """A condition that would drop settings of another method is refused at its line."""
     path = tmp_path / "scenario.yaml"
     path.write_text(
-        "name: x\nstructure: {kind: tower}\nlocalization: {iterations: 5}\n"
+        "name: x\nstructure: {kind: tower}\nlocalization: {method: virtual-force, iterations: 5}\n"
         "conditions:\n  new:\n    localization.method: other\n"
     )
 
@@ -237,7 +240,7 @@ def test_settings_are_not_dropped_unseen(two_methods, tmp_path):
 
 def test_whole_sections_can_be_swept(two_methods):
     """Every method with its own settings, side by side."""
-    sections = ({"iterations": 5}, {"method": "other", "iterations": 6})
+    sections = ({"method": "virtual-force", "iterations": 5}, {"method": "other", "iterations": 6})
 
     first, second = variants(replace(two_methods, sweep={"localization": sections}))
 

@@ -1,5 +1,6 @@
 """Scenarios load with defaults, or are refused with file, line, key and a way out."""
 
+import re
 import shlex
 import sys
 
@@ -14,6 +15,7 @@ from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams
 
+ALGORITHM_1 = "{method: virtual-force}"
 SMALL = "name: tower\nstructure: {kind: tower}\n"
 FULL = """\
 name: tower
@@ -26,7 +28,7 @@ structure:
   climb: {patience: 3}
 sensing:
   tilt_noise_deg: 1e-1
-localization: {z_correction: true}
+localization: {method: virtual-force, z_correction: true}
 conditions:
   baseline: {}
   no-z: {localization.z_correction: false}
@@ -37,25 +39,42 @@ sweep:
 
 @pytest.fixture
 def scenario(tmp_path):
-    """Write a scenario and return its path."""
+    """Write a scenario, by Algorithm 1 unless it says otherwise, and return its path."""
     path = tmp_path / "scenario.yaml"
 
     def write(text):
-        path.write_text(text)
+        is_whole = re.search("^localization:", text, re.MULTILINE) or not re.match(r"\w+:", text)
+        path.write_text(text if is_whole else f"{text}\nlocalization: {ALGORITHM_1}\n")
         return path
 
     return write
 
 
-def test_name_and_kind_are_enough(scenario):
-    """Everything else has a default, also the method of a section that does not name it."""
-    small = load_scenario(scenario(SMALL))
-    without_method = load_scenario(scenario(f"{SMALL}localization: {{iterations: 7}}\n"))
+def test_name_kind_and_method_are_enough(scenario):
+    """Everything else has a default."""
+    small = load_scenario(scenario(f"{SMALL}localization: {ALGORITHM_1}\n"))
 
     assert small.robots == 100
     assert small.seed_list == (0,)
     assert small.conditions == {"baseline": {}}
-    assert without_method.localization == VirtualForceParams(iterations=7)
+    assert small.localization == VirtualForceParams()
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("", 1), ("localization: {}\n", 3), ("localization:\n  seed: 1\n", 3)]
+)
+def test_a_scenario_names_its_method(tmp_path, text, line):
+    """No default decides what a study is of; the message shows what to write."""
+    path = tmp_path / "scenario.yaml"
+    path.write_text(SMALL + text)
+
+    with pytest.raises(InputError) as refusal:
+        load_scenario(path)
+
+    assert str(refusal.value) == (
+        f"{path}:{line}: localization.method: is missing; write it like localization: "
+        "{method: joint}, one of hop-by-hop, joint, least-squares, virtual-force"
+    )
 
 
 def test_what_is_written_is_what_is_loaded(scenario):
@@ -161,7 +180,7 @@ REFUSED = [
         "should be a finite number",
     ),
     (
-        f"{SMALL}localization: {{z_correction: no}}",
+        f"{SMALL}localization: {{method: virtual-force, z_correction: no}}",
         3,
         "localization.z_correction",
         "should be a valid bool",
@@ -297,7 +316,11 @@ def test_a_sound_scenario_has_no_mistakes(scenario):
         ("structure.climb.settle=0.3", lambda s: s.structure.climb.settle, 0.3),
         ("seeds=[3,4]", lambda s: s.seed_list, (3, 4)),
         ("description=a = b", lambda s: s.description, "a = b"),
-        ("localization={iterations: 5}", lambda s: s.localization.iterations, 5),
+        (
+            "localization={method: virtual-force, iterations: 5}",
+            lambda s: s.localization.iterations,
+            5,
+        ),
         ("sensing.yaw_noise_deg=2", lambda s: s.sensing.yaw_noise_deg, 2.0),
         ("sweep={}", lambda s: s.sweep, {}),
         ("sweep.structure.goal_height=[5]", lambda s: s.sweep["structure.goal_height"], (5,)),
@@ -383,7 +406,7 @@ def test_an_option_replaces_the_sweep_of_its_key(scenario):
         ),
         (
             "conditions: {a: {localization.back_propagation: {}}}",
-            "localization={back_propagation: {every: 3}}",
+            "localization={method: virtual-force, back_propagation: {every: 3}}",
             (
                 "has no effect: every condition sets localization.back_propagation; set it there, "
                 "as in --set conditions.a.localization.back_propagation.every=3"

@@ -95,7 +95,12 @@ def test_the_text_is_plain_yaml_with_every_default():
     """Other readers understand it too; equal values are written out, not referred to."""
     shared = {"localization.iterations": 5}
     text = dump_scenario(
-        Scenario(name="x", structure=TowerParams(), conditions={"a": shared, "b": shared})
+        Scenario(
+            name="x",
+            structure=TowerParams(),
+            localization=VirtualForceParams(),
+            conditions={"a": shared, "b": shared},
+        )
     )
 
     data = yaml.safe_load(text)
@@ -109,11 +114,14 @@ def test_the_text_is_plain_yaml_with_every_default():
 def test_the_hash_ignores_how_a_scenario_is_written(tmp_path):
     """Order, comments, description and defaults written out make no difference."""
     path = tmp_path / "scenario.yaml"
-    path.write_text("name: x\nstructure: {kind: tower, goal_height: 65}\nrobots: 30\n")
+    path.write_text(
+        "name: x\nstructure: {kind: tower, goal_height: 65}\nrobots: 30\n"
+        "localization: {method: joint}\n"
+    )
     one = load_scenario(path)
     path.write_text(
         "# a comment\nrobots: 30\nstructure:\n  goal_height: 65.0\n  kind: tower\n"
-        "name: x\ndescription: other words\nsensing: {}\n"
+        "localization:\n  method: joint\nname: x\ndescription: other words\nsensing: {}\n"
     )
 
     other = load_scenario(path)
@@ -126,7 +134,9 @@ def test_the_hash_ignores_how_a_scenario_is_written(tmp_path):
 def test_different_scenarios_have_different_hashes(tmp_path, option):
     """Whatever changes the study changes its hash."""
     path = tmp_path / "scenario.yaml"
-    path.write_text("name: x\nstructure: {kind: tower}\nrobots: 30\n")
+    path.write_text(
+        "name: x\nstructure: {kind: tower}\nrobots: 30\nlocalization: {method: joint}\n"
+    )
 
     assert scenario_hash(load_scenario(path)) != scenario_hash(load_scenario(path, [option]))
 
@@ -143,4 +153,4 @@ def test_the_schema_describes_every_key():
 
     assert "2020-12" in schema["$schema"]
     assert all(field.get("description") for field in _fields(schema))
-    assert set(schema["required"]) == {"name", "structure"}
+    assert set(schema["required"]) == {"name", "structure", "localization"}

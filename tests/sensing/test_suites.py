@@ -111,7 +111,7 @@ def test_a_suite_sets_defaults_that_keys_override(tmp_path):
     """In a scenario, in a condition, and where a condition chooses another suite."""
     path = tmp_path / "scenario.yaml"
     path.write_text(
-        "name: suites\nstructure: {kind: tower}\n"
+        "name: suites\nstructure: {kind: tower}\nlocalization: {method: joint}\n"
         "sensing: {suite: zooids, tilt_noise_deg: 1.0, beacons: [[0, 0, 99]]}\n"
         "conditions:\n  own: {}\n  wide: {sensing.fix_noise: 2.0}\n"
         "  kilobot: {sensing.suite: kilobot, sensing.touch: true}\n"
@@ -150,7 +150,10 @@ def test_a_suite_sets_defaults_that_keys_override(tmp_path):
 def test_mistakes_are_named(tmp_path, settings, key, problem):
     """The message has the key and what to do."""
     path = tmp_path / "scenario.yaml"
-    path.write_text(f"name: suites\nstructure: {{kind: tower}}\nsensing: {settings}\n")
+    path.write_text(
+        f"name: suites\nstructure: {{kind: tower}}\nsensing: {settings}\n"
+        "localization: {method: joint}\n"
+    )
 
     with pytest.raises(Exception, match="sensing") as raised:
         load_scenario(path)

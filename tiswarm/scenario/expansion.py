@@ -38,8 +38,12 @@ _MAX_VARIANTS = 10_000
 
 _Sweep = Mapping[str, Sequence[Any]]
 
-_MINIMAL: Plain = {"name": "minimal", "structure": {"kind": "tower"}}
-"""A scenario of defaults only."""
+_MINIMAL: Plain = {
+    "name": "minimal",
+    "structure": {"kind": "tower"},
+    "localization": {"method": "virtual-force"},
+}
+"""A scenario of what is required only."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
-from tiswarm.localization.params import LocalizationParams, VirtualForceParams
+from tiswarm.localization.params import LocalizationParams
 from tiswarm.params import STRICT
 from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, validate
@@ -113,7 +113,7 @@ class Scenario:
     sensing: SensingParams = SensingParams()
     """What the robots sense, with which noise."""
 
-    localization: LocalizationParams = VirtualForceParams()
+    localization: LocalizationParams
     """Localization method and its settings."""
 
     conditions: Annotated[dict[_Slug, _Overrides], Field(min_length=1)] = field(

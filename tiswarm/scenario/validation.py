@@ -33,6 +33,8 @@ CONDITION_SECTIONS = ("localization", "sensing")
 _UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 """Keys whose path in an error of pydantic continues with the alternative it tried."""
 
+_METHOD = ("localization", DISCRIMINATORS["localization"])
+
 _CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+))?")
 _Checked = TypeVar("_Checked")
 
@@ -88,9 +90,6 @@ _LOCALIZATION = TypeAdapter(_LocalizationSection)
 
 def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mistake]:
     """Build an object from plain data, or list every mistake in it."""
-    localization = data.get("localization")
-    if isinstance(localization, dict):
-        data = {**data, "localization": {"method": "virtual-force", **localization}}
     try:
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
@@ -215,6 +214,12 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         path = (path[0], *path[2:])
     if error["type"] in {"union_tag_invalid", "union_tag_not_found"}:
         path = (path[0], DISCRIMINATORS[str(path[0])])
+    if error["type"] in {"missing", "missing_keyword_only_argument"} and path == ("localization",):
+        path = _METHOD
+    if path == _METHOD and error["type"] != "union_tag_invalid":
+        methods = ", ".join(_alternatives("localization", adapter))
+        problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
+        return Mistake(path, problem)
     problem = explain(error, _allowed(error["loc"], adapter))
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
