@@ -1,10 +1,15 @@
 """Constants of the joint method, each with its unit, its reason and where its value is from.
 
-"Fitted" values were found on training structures, of seeds that no result is reported on; see
-`docs/notes/`. Lengths in R.
+They are read from the classes, whose fields no instance can change. A class says where its values
+are from, a field where its own is from elsewhere. "Chosen" values gave the least error among a few
+tried, "fitted" ones minimize a misfit; both were found on training structures, of seeds that no
+result is reported on; see `docs/notes/`. Lengths in R.
 """
 
+from dataclasses import dataclass
 
+
+@dataclass(frozen=True, kw_only=True)
 class AnnealSchedule:
     """How chains are annealed, beside what `JointParams` sets. Chosen on training structures."""
 
@@ -13,20 +18,23 @@ class AnnealSchedule:
     end temperature separates solutions that miss measurements by little."""
 
     warmest: float = 0.025
-    """The same where they are not [R]: colder chains sample less of what is not measured."""
+    """Square root of the end temperature where measurements are neither [R]: colder chains sample
+    less of what is not measured."""
 
     underdetermined: float = 0.05
-    """Underdetermination from which on to end at `warmest` [1]."""
+    """Underdetermination from which on to end at `warmest` [1]: too little is measured to gain from
+    colder chains."""
 
     ranged: float = 2.0
-    """Least square root of the start temperature where ranges alone tie robots to each other [R].
-    Chosen on training structures, see `docs/notes/ranges.md`."""
+    """Least square root of the start temperature where ranges alone tie robots to each other [R]:
+    they leave more minima to escape from. See `docs/notes/ranges.md`."""
 
     outlier_sd: float = 3.0
-    """Width of the robust loss, in standard deviations: where a contact begins to give way."""
+    """Width of the robust loss [standard deviations]: where a contact begins to give way."""
 
     growing: float = 0.1
-    """Share of the steps in which docks grow to their full size [1]."""
+    """Share of the steps in which docks grow to their full size [1], so that robots pass through
+    each other at first."""
 
     reinitialize_from: float = 0.4
     """Share of the steps after which lost robots are initialized anew [1]."""
@@ -36,50 +44,52 @@ class AnnealSchedule:
     longer find each other."""
 
     lost_sd: float = 3.0
-    """A contact is lost only if it is missed by this many standard deviations, too."""
+    """Least miss of a lost contact [standard deviations]: uncertain ones may be missed by more than
+    `lost`."""
 
     frames: int = 24
-    """Frames of the trace."""
+    """Frames of the trace [1], between which lost robots are looked for."""
 
     launch: int = 3000
-    """Kernel-launch overhead, in robot steps; measured."""
+    """Kernel-launch overhead [robot steps], by which work is divided among threads. Measured."""
 
     restarts: int = 2
-    """How often a chain that failed is annealed again, each time in steps half as long."""
+    """Times that a chain that failed is annealed again [1], each time in steps half as long."""
 
     join_memory: float = 5.0
     """Decay length of the join-location prior [joins]: robots join near the last ones that did."""
 
     trilateration: int = 30
-    """Steps in which the first guess of a robot meets its ranges."""
+    """Steps in which the initial guess of a robot meets its ranges [1]."""
 
     join_window: int = 200
-    """Joins that the prior looks back on; the rest has no weight left."""
+    """Joins that the prior looks back on [joins]: 40 decay lengths. The rest has no weight."""
 
     join_variance: float = 3.0
-    """Mean square error of a robot placed by this prior, in variances of the prior. Fitted."""
+    """Mean square error of a robot placed by this prior [variances of the prior]. Fitted."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class ConvergenceTest:
     """Which chains count and whether they meet the measurements. Chosen on generated structures."""
 
     chance_sd: float = 5.0
-    """Standard deviations of a chi-square that chance explains. A chain whose chi-square exceeds
-    the best one's by more is trapped."""
+    """Excess of a chi-square that chance explains [standard deviations of a chi-square]. A chain
+    whose chi-square exceeds the best one's by more is trapped."""
 
     outlier_sd: float = 5.0
-    """Standard deviations beyond which a measurement is an outlier, if every converged chain misses
-    it by as much."""
+    """Miss from which on a measurement is an outlier [standard deviations], if every converged
+    chain misses it by as much."""
 
     jury: int = 3
-    """Chains at least that must agree on an outlier, where there are so many: a single chain tears
+    """Least chains that must agree on an outlier [1], where there are so many: a single chain tears
     contacts that are right."""
 
     most_torn: float = 0.005
     """Share of contacts, beside outliers, that may be missed by `outlier_sd` [1]."""
 
     torn_anyway: int = 2
-    """Such contacts that any structure may have."""
+    """Such contacts that a structure of any size may have [1]: a share of few contacts is none."""
 
     most_outliers: float = 0.2
     """Share of contacts that can be outliers [1]; where more are, the chains failed."""
@@ -88,37 +98,40 @@ class ConvergenceTest:
     """Share of the chains that must miss a contact before it bounds no distance [1]."""
 
     runaway: float = 2.0
-    """Kinetic temperature, relative to its target, from which on a chain failed [1]."""
+    """Kinetic temperature, relative to its target, from which on a chain failed [1]: its steps
+    diverge."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class MixtureSettings:
     """How ends of chains are ranked and mixed. Chosen on training structures."""
 
     tempered: float = 2.0
     """Standard deviation by which measurements may be missed as chains are ranked, in that of their
-    end temperature [1]."""
+    end temperature [1]: chains end in the heat, strained."""
 
     tepid: float = 0.5
-    """The same as solutions are refined: less than the search leaves as strain."""
+    """Standard deviation by which they may be missed as solutions are refined, in the same unit
+    [1]: less than the search leaves as strain."""
 
     rounds: int = 3
-    """Rounds in which the end of a chain is moved to a minimum."""
+    """Rounds in which the end of a chain is moved to a minimum [1]."""
 
     unfolding: float = 0.1
     """Standard deviation by which measurements may be missed at first where a start is not the end
-    of a chain, in the median of measured distances [1]."""
+    of a chain, in the median of measured distances [1]: such starts are far from a minimum."""
 
     warm_rounds: int = 15
-    """Rounds at that temperature."""
+    """Rounds at the temperature of `unfolding` [1]."""
 
     fewest: float = 6.0
-    """Effective number of ends that the mixture is to have, if their costs are alike."""
+    """Effective number of ends that the mixture is to have, if their costs are alike [1]."""
 
     chance: float = 4.0
-    """Width of a chi-square, in the largest divisor of costs [1]."""
+    """Width of a chi-square, in the largest divisor of costs [1]: that much is chance."""
 
     heats: int = 6
-    """Divisors that are tried."""
+    """Divisors that are tried [1], from 1 to the largest one."""
 
     alike: float = 2.0
     """Excess of a cost over the least one up to which both count as the same, in widths of a
@@ -132,6 +145,7 @@ class MixtureSettings:
     """Weight below which an end does not count [1]."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class SdCalibration:
     """From the variance of chains to `sd`.
 
@@ -139,58 +153,63 @@ class SdCalibration:
     """
 
     thermal_variance: float = 40.0
-    """Within-chain variance due to temperature alone, in units of T."""
+    """Within-chain variance due to temperature alone [T], which is no error."""
 
     sharp: float = 0.61
     """Standard deviations of an error per one of a chain, without noise [1]."""
 
     sharp_power: float = 0.15
-    """Power of sigma / `AnnealSchedule.warmest` that these go with."""
+    """Power of sigma / `AnnealSchedule.warmest` by which `sharp` changes [1]."""
 
     shared_noise_power: float = 0.193
+    """Power of the ratio by which deviations approach `shared_noise_at` sigma, where measurements
+    are nothing but noise [1]: noise of a walk's early stances is in many of them at once, which
+    chains do not know."""
+
     shared_noise_at: float = 11.4
-    """Power by which deviations below so many sigma are raised, and larger ones lowered, where
-    measurements are nothing but noise: noise of a walk's early stances is in many of them at once,
-    which chains do not know."""
+    """Deviation below which deviations are raised by that power, and above which they are lowered
+    [sigma]."""
 
     underdetermined: float = 1.0
-    """Relative increase of errors where nothing is measured: chains sample less of it than there
-    is."""
+    """Relative increase of errors where nothing is measured [1]: chains sample less of it than
+    there is."""
 
     shared: float = 4.0
-    """Weight of the displacement that a robot shares with all others, beside its own. Few contacts,
-    those of the anchor, decide where the whole structure is, and chains agree on that more often
-    than they are right."""
+    """Weight of the displacement that a robot shares with all others, beside its own [1]. Few
+    contacts, those of the anchor, decide where the whole structure is, and chains agree on that
+    more often than they are right."""
 
     hinged: float = 0.3
-    """Share of the variance if contacts were hinges, beside that of the chains [1]."""
+    """Share of the variance if contacts were hinges, beside that of the chains [1]: chains sample
+    long arms of hinges too little."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class RefineSettings:
     """Generalized least squares from where the chains ended. Chosen on training structures."""
 
     rounds: int = 4
-    """Linear problems solved at most, each at where the last one led."""
+    """Linear problems solved at most [1], each at where the last one led."""
 
     prior_sd: float = 1.2
-    """Prior width around the chain mean, in chain sd; multiplied by sqrt(N), since all robots may
+    """Prior width around the chain mean [chain sd]; multiplied by sqrt(N), since all robots may
     share an error and move together."""
 
     least_prior: float = 0.05
     """Least prior width [R]."""
 
     sd_scale: float = 0.97
-    """Standard deviations of an error per one of the draws. Fitted."""
+    """Standard deviations of an error per one of the linear problem [1]. Fitted."""
 
     most_yaw_bias: float = 0.2
-    """Largest standard deviation of a yaw bias [rad] with which measurements hold robots: chains
+    """Largest standard deviation of a yaw bias with which measurements hold robots [rad]: chains
     that are farther off end in different minima."""
 
     open_sd: float = 2.0
-    """A robot that the linear problem leaves more uncertain than so many chain sd stays where its
-    chains put it: overlaps and the extension prior hold it, which chains know and the linear
-    problem does not."""
+    """Uncertainty by the linear problem above which a robot stays where its chains put it [chain
+    sd]: overlaps and the extension prior hold it, which chains know and the linear problem does
+    not."""
 
     linear_sd: float = 0.3
-    """The same holds only for robots that it leaves more uncertain than this [R]: in motions that
-    small, neither matters, and chains agree more often than they are right."""
+    """Uncertainty up to which that does not hold [R]: motions so small are linear, and chains
+    agree about them more often than they are right. Training suites without compasses."""
