@@ -1,7 +1,9 @@
-"""`docs/architecture.md` tells the truth about the repository."""
+"""`docs/architecture.md` tells the truth about the repository, and each class has its own name."""
 
+import ast
 import re
 import sys
+from collections import Counter
 from pathlib import Path
 
 if sys.version_info >= (3, 11):
@@ -55,3 +57,19 @@ def test_dependencies_have_a_reason_on_the_page():
     explained = set(re.findall(r"`([^`]+)`", " ".join(first_cells)))
 
     assert explained == _distributions()
+
+
+SHARED = {"Connections", "Swarm"}
+"""Names that two classes still have: arrays of a kernel and what they are made of."""
+
+
+def test_a_class_name_has_one_meaning():
+    """A reader who knows a name from one room is not misled in another one."""
+    names = Counter(
+        node.name.lstrip("_")
+        for file in (REPOSITORY / "tiswarm").rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    )
+
+    assert {name for name, count in names.items() if count > 1} == SHARED

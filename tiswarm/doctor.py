@@ -23,7 +23,7 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.params import ARCHS, Arch
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
-from tiswarm.report.render.scene import Look, Robots, build_scene
+from tiswarm.report.render.scene import DrawnRobots, Look, build_scene
 from tiswarm.robot import RobotGeometry
 
 _PROBE_SECONDS = 60
@@ -138,7 +138,7 @@ def draw_test_picture(renderer: str) -> str:
     begin = time.perf_counter()
     center = np.array([[0.0, 0.0, 1.0]])
     dock = center + RobotGeometry().dock_offset_body[None]
-    robots = Robots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
+    robots = DrawnRobots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
     draw_scenes([build_scene(robots, Terrain()).shrunk(10)], renderer)
     return f"drew a test picture in {time.perf_counter() - begin:.1f} s"
 

@@ -20,7 +20,7 @@ from tiswarm import study
 from tiswarm.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, render
-from tiswarm.report.page_tables import Table, case_table
+from tiswarm.report.page_tables import PageTable, case_table
 from tiswarm.report.run_data import RunData
 from tiswarm.report.space import build_view
 from tiswarm.study.store import CaseRecord
@@ -107,7 +107,7 @@ class _LiveRun:
         return Page(
             name=name,
             result="" if self._known[name][1].is_done else "The case failed.",
-            headline=Table(frame=quantities, words=["quantity"], title="Case"),
+            headline=PageTable(frame=quantities, words=["quantity"], title="Case"),
             view=build_view(RunData(self._folder.path, of_case)),
         ).html()
 

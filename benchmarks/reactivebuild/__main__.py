@@ -25,7 +25,7 @@ from benchmarks.reactivebuild.structures import read_structures
 from tiswarm.errors import TiswarmError
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, show_pictures
-from tiswarm.report.page_tables import Table
+from tiswarm.report.page_tables import PageTable
 
 SCENARIO = Path("scenarios/reactivebuild-laws.yaml")
 
@@ -80,13 +80,13 @@ def compare(folder: Path) -> str:
     return f"results in {place}\nlaws.csv: {summary}"
 
 
-def _verdicts(table: pd.DataFrame) -> Table:
+def _verdicts(table: pd.DataFrame) -> PageTable:
     """Format the scorecard, verdicts first."""
     words = table[WORDS].fillna("").astype(str)
     numbers = table[["ours", "r2", "structures"]].astype(float)
     cells = numbers.map(lambda value: "" if math.isnan(value) else f"{value:.4g}")
     shown = ["verdict", "law", "quantity", "ours", "published", "band", "fit", "r2", "structures"]
-    return Table(frame=words.join(cells)[shown], words=WORDS, title="Verdicts")
+    return PageTable(frame=words.join(cells)[shown], words=WORDS, title="Verdicts")
 
 
 def _run(scenario: Path, options: argparse.Namespace) -> Path:

@@ -18,7 +18,7 @@ from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.localization.virtual_force_arrays import Gains, Robots
+from tiswarm.localization.virtual_force_arrays import PlacedRobots, VirtualForceGains
 from tiswarm.localization.virtual_force_kernels import _dock_at, _gains_of, _move
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
@@ -215,7 +215,7 @@ def _step_once(
     position: Reals2, found: Ints1,
 ):  # fmt: skip
     cells = ti.static(CellList(head, following))
-    robots = ti.static(Robots(dock_offset, position))
+    robots = ti.static(PlacedRobots(dock_offset, position))
     gains = _gains_of(gains_table, 0)
     ti.loop_config(serialize=True)
     for i in range(position.shape[0]):
@@ -235,7 +235,7 @@ def test_docks_that_rounding_moves_across_a_face_are_found_again():
     across = np.floor((place + arm + step) / 2.0) != np.floor((place + step + arm) / 2.0)
     at_face = across.any(axis=1)
     place, arm, step = place[at_face], arm[at_face, None], step[at_face]
-    gains = np.array([[getattr(SHORT, name, 2.0) for name in Gains._fields]], float)
+    gains = np.array([[getattr(SHORT, name, 2.0) for name in VirtualForceGains._fields]], float)
     found = np.zeros(len(place), np.int32)
 
     _step_once(gains, step, *CellList.allocate(1, len(place)), arm, place, found)

@@ -15,7 +15,7 @@ from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.measurements.rigidity import FloppyMotions, further_rows, weld
-from tiswarm.measurements.rows import Distances, Places
+from tiswarm.measurements.rows import Coordinates, Distances
 from tiswarm.records.sensing_log import canonical_contacts
 from tiswarm.sensing import SensingParams, observe
 
@@ -267,7 +267,7 @@ def test_determined_are_those_of_bodies_welded_anew(swarm):
         else:
             axes = np.eye(3)[2 if found.kind == "height" else 0 :]
             at, none = np.repeat(stance, len(axes)), np.full(len(axes), CENTER)
-            places = [Places.of(at, none, axes, axes @ center[found.robot], variance=1e-4)]
+            places = [Coordinates.of(at, none, axes, axes @ center[found.robot], variance=1e-4)]
         one = Measurements.gather(walks, distances, places)
         joined = Measurements.gather(
             walks, [rows.distances, *distances], [rows.places, *places], [rows.offsets]

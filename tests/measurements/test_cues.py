@@ -7,7 +7,7 @@ from tiswarm.localization.registry import localize
 from tiswarm.measurements import cues
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.odometry import CENTER
-from tiswarm.measurements.rows import Places
+from tiswarm.measurements.rows import Coordinates
 from tiswarm.sensing import SensingParams, observe
 
 
@@ -22,7 +22,7 @@ def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
         robot = np.arange(1, log.robot_count, 2)
         x = history.position[robot, 0]
         dock = np.full(len(robot), CENTER)
-        return Places.of(odometry.final[robot], dock, np.eye(3)[0], x, variance=0.05**2)
+        return Coordinates.of(odometry.final[robot], dock, np.eye(3)[0], x, variance=0.05**2)
 
     monkeypatch.setattr(cues, "CUES", [*cues.CUES, (("wall",), wall)])
 

@@ -65,8 +65,8 @@ class Gains(NamedTuple):
     """Share of its last step that a robot takes again, in a guided swarm [1]."""
 
 
-class Robots(NamedTuple):
-    """N robots with M docks in all."""
+class SwarmState(NamedTuple):
+    """What the swarm step reads and writes of N robots with M docks in all."""
 
     position: Reals2
     """Centers [R or units], shape (N, 3)."""
@@ -238,7 +238,7 @@ def step_robots(
     stray_limit: Float, unit: Float, first_t: I32, ramp: Reals1,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
-    mobility: Reals2, last_step: Reals2,  # Robots
+    mobility: Reals2, last_step: Reals2,  # SwarmState
     control: Ints1, largest_move: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
@@ -261,7 +261,7 @@ def step_robots(
         largest_move: Written: longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
-    robots = ti.static(Robots(position, reference, height, arm, dock, mobility, last_step))
+    robots = ti.static(SwarmState(position, reference, height, arm, dock, mobility, last_step))
     gains = ti.static(Gains(
         attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
     ))  # fmt: skip
@@ -326,9 +326,9 @@ def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, do
     Args:
         unit: As for `step_robots`.
         structure: Number of each robot's structure, shape (N,).
-        position: Centers, as `Robots` describes them.
+        position: Centers, as `SwarmState` describes them.
         arm: Center to dock, world frame [R], shape (M, 3).
-        dock: Written, as `Robots` describes it.
+        dock: Written, as `SwarmState` describes it.
     """
     docks = arm.shape[0] // position.shape[0]
     for m in range(arm.shape[0]):

@@ -10,7 +10,7 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_list import NeighborList, morton_order
 from tiswarm.engine import kernels
-from tiswarm.engine.kernels import Gains, Robots
+from tiswarm.engine.kernels import Gains, SwarmState
 from tiswarm.engine.places import Places
 from tiswarm.engine.structure_kernels import relax_structures
 from tiswarm.engine.swarm import Swarm
@@ -48,7 +48,7 @@ class Stepper:
     places: Places
     """Numbers that centers have on the device."""
 
-    robots: Robots
+    robots: SwarmState
     """State of the robots."""
 
     structure: DeviceArray
@@ -87,7 +87,7 @@ class Stepper:
         )  # fmt: skip
         numbers = memory.reals if places.unit is None else memory.ints
         share = np.ones((1, 1)) if swarm.mobility is None else swarm.mobility[order]
-        self.robots = Robots(
+        self.robots = SwarmState(
             position=numbers(robots, 3),
             reference=numbers(robots, 3),
             height=numbers(len(self.target)),

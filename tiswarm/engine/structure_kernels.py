@@ -3,7 +3,7 @@
 from tiswarm.compute.lang import GRAIN, I32, Float, Ints1, Ints2, Reals1, Reals2, Static, ti
 from tiswarm.compute.neighbor_kernels import Connections, Rows, list_structure
 from tiswarm.compute.sorting_kernels import Cells
-from tiswarm.engine.kernels import Gains, Robots, step_robot
+from tiswarm.engine.kernels import Gains, SwarmState, step_robot
 
 
 @ti.kernel
@@ -17,7 +17,7 @@ def relax_structures(
     connection_start: Ints1, connection: Ints1,  # Connections
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
-    mobility: Reals2, last_step: Reals2,  # Robots
+    mobility: Reals2, last_step: Reals2,  # SwarmState
     builds: Ints1, longest: Ints1, largest_move: Reals2,
 ):  # fmt: skip
     """Take every step of small structures, each on one thread.
@@ -38,7 +38,7 @@ def relax_structures(
     cells = ti.static(Cells(begin, sorted_dock, sorted_place))
     connections = ti.static(Connections(connection_start, connection))
     rows = ti.static(Rows(entry, row_first, row_count))
-    robots = ti.static(Robots(position, reference, height, arm, dock, mobility, last_step))
+    robots = ti.static(SwarmState(position, reference, height, arm, dock, mobility, last_step))
     gains = ti.static(Gains(
         attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
     ))  # fmt: skip

@@ -23,7 +23,7 @@ from tiswarm.records.sensing_file import log_entries
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import ERROR_COLORS, colors_from_zero
 from tiswarm.report.render.mesh import mesh_capsules
-from tiswarm.report.render.scene import TRUE_SIZE, Robots, build_scene, capsule_normals
+from tiswarm.report.render.scene import TRUE_SIZE, DrawnRobots, build_scene, capsule_normals
 from tiswarm.report.swarm_view import POSE, SwarmView
 
 _SIDES = 10  # of a dock sphere's equator: a compromise of roundness and file size
@@ -89,7 +89,7 @@ def _shapes(view: SwarmView, *, gamma: float = 1.0) -> dict[str, Any]:
     return shapes
 
 
-def _solid(robots: Robots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, imported late
+def _solid(robots: DrawnRobots, gamma: float) -> Any:  # noqa: ANN401 - Trimesh, imported late
     """Mesh robots with colors and normals."""
     from trimesh import Trimesh  # noqa: PLC0415 - slow to import
 

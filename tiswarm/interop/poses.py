@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.errors import InputError
-from tiswarm.records.io import Table
+from tiswarm.records.io import CsvFile
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
 from tiswarm.records.sensing_log import FARTHEST
 
@@ -54,7 +54,7 @@ def read_poses(path: Path, *, dock_radius: float, shape_error: float) -> dict[st
     Raises:
         InputError: the table is malformed.
     """
-    text = Table(path)
+    text = CsvFile(path)
     columns, unit = _columns(text.columns, path)
     numbers = {
         name: text.integers(column) if name in _WHOLE else text.numbers(column)
@@ -80,7 +80,7 @@ def read_dock_offsets(path: Path) -> Reals:
     Raises:
         InputError: the table is malformed.
     """
-    table = Table(path)
+    table = CsvFile(path)
     if {*table.columns} != {"dock", *"xyz"}:
         problem = "the columns are not dock,x,y,z, in the unit of the poses; rename them"
         raise InputError(problem, path=path, line=1)
@@ -102,7 +102,7 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
     Raises:
         InputError: the table is malformed, or a robot or dock does not exist.
     """
-    table, columns = Table(path), ["robot", "dock", "other", "other_dock"]
+    table, columns = CsvFile(path), ["robot", "dock", "other", "other_dock"]
     if {*table.columns} != {*columns}:
         problem = f"the columns are not {','.join(columns)}; rename them"
         raise InputError(problem, path=path, line=1)
@@ -125,7 +125,7 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
     return np.unique(rows, axis=0)
 
 
-def _runs(text: Table) -> list[str]:
+def _runs(text: CsvFile) -> list[str]:
     """Read the structure of each row; its name becomes that of a folder."""
     if "run" not in text.columns:
         return [""] * len(text.rows)

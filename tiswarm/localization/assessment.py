@@ -42,7 +42,7 @@ class Assessment(NamedTuple):
     outlier_places: Ints | None
 
 
-class _Minimum(NamedTuple):
+class _NearestMinimum(NamedTuple):
     """The least chi-square near an estimate."""
 
     position: Reals
@@ -140,13 +140,13 @@ def assess(
     return Assessment(verdicts, misfit, np.unique(outliers.sensed_contacts, axis=0), places)
 
 
-def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _Minimum:
+def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
     """Take an estimate for the minimum."""
     square = rows.residual(*estimate) ** 2 / rows.variance()
     outlier = square > ConvergenceTest.outlier_sd**2
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
-    return _Minimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
+    return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
 
 
 def _minimum(
@@ -156,7 +156,7 @@ def _minimum(
     rows: Measurements,
     estimate: tuple[Reals, Reals],
     is_guess: Bools,
-) -> _Minimum:
+) -> _NearestMinimum:
     """Search for the least chi-square from an estimate on: first robust, then without outliers."""
 
     def cost(rows: Measurements, robust_sd: float | None) -> Cost:
@@ -177,7 +177,7 @@ def _minimum(
     square[~outlier] = linear.square
     excess = own.chi_square - least.chi_square
     moved = np.where(is_guess[:, None], estimate[0], state.position)
-    return _Minimum(moved, excess, outlier, linear.chi_square, linear.freedom(), square)
+    return _NearestMinimum(moved, excess, outlier, linear.chi_square, linear.freedom(), square)
 
 
 def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:

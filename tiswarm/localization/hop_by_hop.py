@@ -126,7 +126,9 @@ def place(
     log: SensingLog, rows: Measurements, *, non_overlap: bool, in_join_order: bool = False
 ) -> Placed:
     """Place the robots of a log by its rows."""
-    swarm = _Swarm(rows.averaged(), log, non_overlap=non_overlap, is_earlier_only=in_join_order)
+    swarm = _HopByHopSwarm(
+        rows.averaged(), log, non_overlap=non_overlap, is_earlier_only=in_join_order
+    )
     if in_join_order:
         swarm.place_in_join_order()
     else:
@@ -138,7 +140,7 @@ def place(
     )
 
 
-class _Swarm:
+class _HopByHopSwarm:
     """N robots, some of them placed, and last in each array the world."""
 
     def __init__(

@@ -30,10 +30,10 @@ from tiswarm.localization.virtual_force_arrays import (
     ALL_DOCKS,
     DOCKS_OF_NEIGHBORS,
     NO_DOCKS,
-    Gains,
     LogArrays,
-    Robots,
+    PlacedRobots,
     Trace,
+    VirtualForceGains,
 )
 from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
@@ -277,15 +277,15 @@ class Localizer:
             raise backend.faulty_driver()
 
 
-def _robots(dock_offset: Reals) -> Robots:
+def _robots(dock_offset: Reals) -> PlacedRobots:
     """Reserve robots that have not been placed."""
-    return Robots(dock_offset, np.full((len(dock_offset), 3), np.nan))
+    return PlacedRobots(dock_offset, np.full((len(dock_offset), 3), np.nan))
 
 
-def _gains(params: VirtualForceParams) -> Gains:
+def _gains(params: VirtualForceParams) -> VirtualForceGains:
     rounds = params.back_propagation or _NO_SWEEPS
     undocked = DOCKS_OF_NEIGHBORS if params.neighbor_repulsion else NO_DOCKS
-    return Gains(
+    return VirtualForceGains(
         attraction_gain=params.attraction_gain,
         repulsion_gain=params.repulsion_gain,
         height_gain=params.height_gain,

@@ -11,7 +11,7 @@ NO_DOCKS, DOCKS_OF_NEIGHBORS, ALL_DOCKS = 0, 1, 2
 """Docks that repel each other where they overlap without being connected."""
 
 
-class Gains(NamedTuple):
+class VirtualForceGains(NamedTuple):
     """Columns of the kernel's `gains`; see `VirtualForceParams`."""
 
     attraction_gain: float
@@ -67,7 +67,7 @@ class LogArrays(NamedTuple):
     """Whether each robot stays at the anchor's y, shape (N,)."""
 
 
-class Robots(NamedTuple):
+class PlacedRobots(NamedTuple):
     """Estimated positions of N robots."""
 
     dock_offset: Reals3

@@ -11,17 +11,19 @@ from tiswarm.engine.kernels import capped, dock_pair_force, parting
 from tiswarm.localization.virtual_force_arrays import (
     ALL_DOCKS,
     NO_DOCKS,
-    Gains,
     LogArrays,
-    Robots,
+    PlacedRobots,
     Trace,
+    VirtualForceGains,
 )
 
 
 @ti.func
 def _gains_of(gains: Ref, structure):
-    """Read the gains of a structure, columns in the order of `Gains`."""
-    return ti.Struct({name: gains[structure, c] for c, name in ti.static(enumerate(Gains._fields))})
+    """Read the gains of a structure, columns in the order of `VirtualForceGains`."""
+    return ti.Struct(
+        {name: gains[structure, c] for c, name in ti.static(enumerate(VirtualForceGains._fields))}
+    )
 
 
 @ti.func
@@ -206,7 +208,7 @@ def localize_in_join_order(
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
     is_planar: Ints1,
     head: Ints2, following: Ints2,  # CellList of the robots placed before
-    dock_offset: Reals3, position: Reals2,  # Robots, whose positions are written
+    dock_offset: Reals3, position: Reals2,  # PlacedRobots, whose positions are written
     trace_position: Reals3, step_length: Reals2, steps: Ints1,  # Trace, written
 ):  # fmt: skip
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
@@ -222,13 +224,13 @@ def localize_in_join_order(
         recent: Robots that a round moves, those that joined last.
         trace_every: Steps between recorded frames: those of T from the start on, then those of
             the last round.
-        gains_table: One row a structure, columns in the order of `Gains`, shape (S, 11).
+        gains_table: One row a structure, columns as in `VirtualForceGains`, shape (S, 11).
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
     measured = ti.static(LogArrays(contact_start, contact, initial_direction, height, is_planar))
     cells = ti.static(CellList(head, following))
-    robots = ti.static(Robots(dock_offset, position))
+    robots = ti.static(PlacedRobots(dock_offset, position))
     trace = ti.static(Trace(trace_position, step_length, steps))
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:

@@ -33,7 +33,7 @@ from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.measurements.rigidity import floppy_motions, further_rows, weld
-from tiswarm.measurements.rows import SPACING, Distances, Places
+from tiswarm.measurements.rows import SPACING, Coordinates, Distances
 from tiswarm.records.estimate import Solution
 from tiswarm.records.sensing_log import SensingLog
 
@@ -226,7 +226,7 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
     kinds: list[tuple[Kind, Reals]] = [("height", np.eye(3)[2:]), ("position", np.eye(3))]
     for kind, axes in kinds:
         stance = np.repeat(final[1:], len(axes))
-        places = Places.of(
+        places = Coordinates.of(
             stance,
             np.full_like(stance, CENTER),
             np.tile(axes, (len(final) - 1, 1)),

@@ -16,7 +16,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.orientations import LINK_SD, with_orientations
-from tiswarm.measurements.rows import SPACING, Distances, Offsets, Places
+from tiswarm.measurements.rows import SPACING, Coordinates, Distances, Offsets
 from tiswarm.records.sensing_log import SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -37,7 +37,7 @@ class Precision(NamedTuple):
     """Deviation of each coordinate of a spawn position whose log states none."""
 
 
-_Rows = Distances | Offsets | Places
+_Rows = Distances | Offsets | Coordinates
 _Producer = Callable[[SensingLog, Odometry, Precision], _Rows]
 
 
@@ -56,20 +56,20 @@ def _walk_contacts(log: SensingLog, odometry: Odometry, precision: Precision) ->
     return Distances.of(at, b, final[i], a, length=SPACING, sd=precision.contact)
 
 
-def _ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A dock on flat ground is one dock radius above it."""
     robot, dock = log.ground_docks.T
     return _on_ground(log, odometry.final[robot], dock, precision)
 
 
-def _walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _walk_ground(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A dock that stood on flat ground at an earlier stance was one dock radius above it."""
     rows = np.empty((0, 2), np.int64) if log.stances is None else log.stances.ground_docks
     stance, dock = rows.T
     return _on_ground(log, odometry.row[stance], dock, precision)
 
 
-def _height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _height(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A center is as high as its flips from the ground imply."""
     first = odometry.first
     variance = precision.height**2
@@ -77,15 +77,15 @@ def _height(log: SensingLog, odometry: Odometry, precision: Precision) -> Places
         reach = np.linalg.norm(log.dock_offset_body, axis=1).max() / log.dock_radius
         variance += _FLIPS_ASSUMED * (2.0 * reach * odometry.tilt) ** 2
     value = log.flip_height / log.dock_radius + odometry.shift[first, 2]
-    return Places.of(first, np.full_like(first, CENTER), _UP, value, variance=variance)
+    return Coordinates.of(first, np.full_like(first, CENTER), _UP, value, variance=variance)
 
 
-def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A robot that knows where it started went as far as its flips say."""
     stated = None if log.noise is None else log.noise.spawn
     sd = precision.spawn if stated is None else stated / log.dock_radius
     first = np.repeat(odometry.first, 3)
-    return Places.of(
+    return Coordinates.of(
         first,
         np.full_like(first, CENTER),
         np.tile(np.eye(3), (log.robot_count, 1)),
@@ -94,13 +94,13 @@ def _odometry_from_spawn(log: SensingLog, odometry: Odometry, precision: Precisi
     )
 
 
-def _plane(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _plane(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """The center of a planar robot is in the vertical plane y = const of the anchor."""
     plane = log.fixes[in_plane(log)]
     return _coordinates(replace(log, fixes=plane, stances=None), odometry, precision)
 
 
-def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:
+def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A center was found along given directions, at the end or at an earlier stance."""
     return _coordinates(replace(log, fixes=log.fixes[~in_plane(log)]), odometry, precision)
 
@@ -121,11 +121,11 @@ def in_plane(log: SensingLog) -> Bools:
     return chosen
 
 
-def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Places:  # noqa: ARG001
+def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:  # noqa: ARG001
     stance, rows = _of_all_stances("fixes", log, odometry)
     length = np.linalg.norm(rows[:, :3], axis=1)
     value, sd = rows[:, 3:5].T / length / log.dock_radius
-    return Places.of(
+    return Coordinates.of(
         stance, np.full_like(stance, CENTER), rows[:, :3] / length[:, None], value,
         variance=sd**2, source=rows[:, 5].astype(np.int64),
     )  # fmt: skip
@@ -173,10 +173,10 @@ def _of_all_stances(key: str, log: SensingLog, odometry: Odometry) -> tuple[Ints
     return np.concatenate(stance), np.concatenate([final, earlier])[:, 1:]
 
 
-def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Places:
+def _on_ground(log: SensingLog, stance: Ints, dock: AnyInts, precision: Precision) -> Coordinates:
     level = np.nan if log.ground_z is None else log.ground_z / log.dock_radius + 1.0
     value = np.full(len(stance), level)
-    return Places.of(stance, dock, _UP, value, variance=precision.height**2)
+    return Coordinates.of(stance, dock, _UP, value, variance=precision.height**2)
 
 
 CUES: list[tuple[tuple[str, ...], _Producer]] = [
@@ -224,7 +224,7 @@ def measure(
     ]
     distances = [row for row in rows if isinstance(row, Distances)]
     offsets = [row for row in rows if isinstance(row, Offsets)]
-    places = [row for row in rows if isinstance(row, Places)]
+    places = [row for row in rows if isinstance(row, Coordinates)]
     shared_sd = log.source_sd / log.dock_radius
     every = Measurements.gather(walks, distances, places, offsets, shared_sd=shared_sd)
     return _once_each(every, log)
@@ -264,7 +264,7 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     return Measurements.gather(
         walks,
         [Distances._make(column[order] for column in d)],
-        [Places._make(column[placed] for column in p)],
+        [Coordinates._make(column[placed] for column in p)],
         [Offsets._make(column[directed] for column in o)],
         shared_sd=rows.shared_sd,
     )

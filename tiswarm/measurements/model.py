@@ -4,7 +4,7 @@
 |---|---|
 | `Distances` | |p_i + T_i a - p_j - T_j b| = length |
 | `Offsets` | T_i n . (p_i + T_i (a + v) - p_j - T_j b) = 0 |
-| `Places` | n . (p + T a) = value |
+| `Coordinates` | n . (p + T a) = value |
 
 p are the final centers, a and b arms from them to docks in the world frame, as sensed, and T turns
 an arm about the vertical by the robot's yaw correction. Lengths in R.
@@ -26,13 +26,13 @@ from scipy.sparse import csc_array
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.rows import (
+    NO_COORDINATES,
     NO_DISTANCES,
     NO_OFFSETS,
-    NO_PLACES,
     NO_SOURCES,
+    Coordinates,
     Distances,
     Offsets,
-    Places,
     ends,
     other_ends,
     weighted_means,
@@ -53,7 +53,7 @@ class Measurements:
 
     distances: Distances
     offsets: Offsets
-    places: Places
+    places: Coordinates
 
     robot: Ints
     """Robot of each row, shape (E,)."""
@@ -75,7 +75,7 @@ class Measurements:
         cls,
         odometry: Odometry,
         distances: Sequence[Distances] = (),
-        places: Sequence[Places] = (),
+        places: Sequence[Coordinates] = (),
         offsets: Sequence[Offsets] = (),
         *,
         shared_sd: Reals = NO_SOURCES,
@@ -87,7 +87,7 @@ class Measurements:
         """
         d = Distances(*map(np.concatenate, zip(NO_DISTANCES, *distances, strict=True)))
         o = Offsets(*map(np.concatenate, zip(NO_OFFSETS, *offsets, strict=True)))
-        p = Places(*map(np.concatenate, zip(NO_PLACES, *places, strict=True)))
+        p = Coordinates(*map(np.concatenate, zip(NO_COORDINATES, *places, strict=True)))
         stance, dock, beyond = ends(d, o, p)
         other_stance, other_dock = other_ends(d, o)
         if np.concatenate([d.source, p.source]).max(initial=-1) >= len(shared_sd):
@@ -177,7 +177,7 @@ class Measurements:
             self,
             distances=Distances._make(column[distance] for column in self.distances),
             offsets=Offsets._make(column[offset] for column in self.offsets),
-            places=Places._make(column[place] for column in self.places),
+            places=Coordinates._make(column[place] for column in self.places),
             robot=self.robot[chosen],
             other=self.other[pair],
             arm=self.arm[chosen],
@@ -196,7 +196,7 @@ class Measurements:
         distances = Distances._make(column[one] for column in d)
         along = [p.stance, p.dock, *p.direction.T, p.source]
         first, value, spread = weighted_means(along, p.value, p.own_variance)
-        places = Places._make(column[first] for column in p)
+        places = Coordinates._make(column[first] for column in p)
         return Measurements.gather(
             self.odometry,
             [distances._replace(length=length, own_variance=variance)],

@@ -135,7 +135,7 @@ class Offsets(NamedTuple):
         )
 
 
-class Places(NamedTuple):
+class Coordinates(NamedTuple):
     """K measured coordinates of docks or centers."""
 
     stance: Ints
@@ -167,7 +167,7 @@ class Places(NamedTuple):
         *,
         variance: float | Reals,
         source: int | AnyInts = -1,
-    ) -> "Places":
+    ) -> "Coordinates":
         """Make rows with own variance [R^2] and source; a value that is not finite makes none."""
         is_known = np.isfinite(value)
         every = cls(
@@ -193,11 +193,11 @@ _NONE = np.empty(0, np.int64)
 _NO_VECTOR = np.empty((0, _AXES))
 NO_DISTANCES = Distances.of(_NONE, _NONE, _NONE, _NONE, length=SPACING, sd=0.0)
 NO_OFFSETS = Offsets.of(_NONE, _NONE, _NONE, _NONE, _NO_VECTOR, along_sd=0.0, across_sd=0.0)
-NO_PLACES = Places.of(_NONE, _NONE, np.eye(_AXES)[2], np.empty(0), variance=0.0)
+NO_COORDINATES = Coordinates.of(_NONE, _NONE, np.eye(_AXES)[2], np.empty(0), variance=0.0)
 NO_SOURCES = np.empty(0)
 
 
-def ends(d: Distances, o: Offsets, p: Places = NO_PLACES) -> tuple[Ints, Ints, Reals]:
+def ends(d: Distances, o: Offsets, p: Coordinates = NO_COORDINATES) -> tuple[Ints, Ints, Reals]:
     """Stance and dock where the arm of each row begins, and its vector beyond the dock [R]."""
     stance = np.concatenate([d.stance, o.stance, p.stance])
     dock = np.concatenate([d.dock, o.dock, p.dock])

@@ -150,7 +150,7 @@ def at_line(path: Path, line: int) -> Iterator[None]:
         raise InputError(error.problem, path=path, line=line, key=error.key) from error
 
 
-class Table:
+class CsvFile:
     """A CSV file whose cells stay text until a column is read; a bad line raises InputError.
 
     Cells are separated by commas, or as in the header by semicolons or tabs. Lines that start with

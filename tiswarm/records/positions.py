@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints, Reals
 from tiswarm.errors import InputError
 from tiswarm.records.estimate import Estimate, Observability, position_columns
-from tiswarm.records.io import Table, write_text
+from tiswarm.records.io import CsvFile, write_text
 from tiswarm.records.sensing_log import SensingLog
 
 _WORDS = {
@@ -137,7 +137,7 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
 
 def _read(path: Path, length_unit: str) -> tuple[Ints, Reals, dict[str, NDArray[Any]]]:
     """Read names, positions and, by name, the further columns of a table of positions."""
-    table = Table(path)
+    table = CsvFile(path)
     columns = _header(length_unit)
     required, optional = columns[:4], columns[4:]
     if table.columns != [name for name in columns if name in {*required, *table.columns}]:
@@ -181,7 +181,7 @@ def read_length_unit(path: Path) -> str:
     Raises:
         InputError: the table cannot be read or its columns name no unit.
     """
-    axis, _, unit = [*Table(path).columns, "", ""][1].partition("_")
+    axis, _, unit = [*CsvFile(path).columns, "", ""][1].partition("_")
     if axis != "x" or not unit:
         problem = "the columns name no unit of length; write them like robot,x_R,y_R,z_R"
         raise InputError(problem, path=path, line=1)

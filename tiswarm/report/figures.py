@@ -28,7 +28,7 @@ from tiswarm.report.figure_style import (
     png,
     shortened,
 )
-from tiswarm.report.run_data import Case, RunData, Series
+from tiswarm.report.run_data import RunData, Series, StoredCase
 from tiswarm.report.suite_figure import draw_suites
 from tiswarm.report.table_figures import draw_accuracy, draw_shape
 
@@ -176,7 +176,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
     return top
 
 
-def _traces(cases: list[Case]) -> tuple[Reals, Reals]:
+def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
     """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
     names = ["iteration", "rmse_R"]
     tables = [case.columns("convergence.csv", names, empty=True) for case in cases]
@@ -251,12 +251,12 @@ def _first_by_kind(series: Series) -> Series:
     return kinds if few and kinds.keys() <= _GROWS.keys() else {}
 
 
-def _way(cases: list[Case]) -> tuple[str, str]:
+def _way(cases: list[StoredCase]) -> tuple[str, str]:
     """Return the column along which structures of a series grow, and the axis label."""
     return _GROWS.get(cases[0].kind, _HEIGHT)
 
 
-def _errors_at(cases: list[Case], column: str) -> Reals:
+def _errors_at(cases: list[StoredCase], column: str) -> Reals:
     """Gather a column, error and join index of all robots with an error, shape (robots, 3)."""
     names = [column, "error_R"]
     tables = [case.columns("robots.csv", names, gaps=names) for case in cases]

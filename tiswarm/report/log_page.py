@@ -14,7 +14,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.page import Page
-from tiswarm.report.page_tables import MOST_ROWS, Table
+from tiswarm.report.page_tables import MOST_ROWS, PageTable
 from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
 from tiswarm.verdicts import distrust, headline, verdict
@@ -98,7 +98,7 @@ def _tied_sd(view: SwarmView, estimate: Estimate) -> Reals:
     return known
 
 
-def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> Table:
+def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -> PageTable:
     """Tabulate sizes, uncertainty and, where the truth is known, accuracy."""
     unit = view.log.length_unit
     rows = {"robots": str(len(view.robot)), "contacts": str(len(view.log.contacts))}
@@ -111,12 +111,12 @@ def _summary(view: SwarmView, estimate: Estimate, scores: Mapping[str, float]) -
         rows[name if "disparity" in name else f"{name} [{unit}]"] = f"{value:.3g}"
     frame = pd.DataFrame(rows.items(), columns=["quantity", "value"])
     note = "sd: standard deviation of the position of a robot that is tied to the anchor"
-    return Table(
+    return PageTable(
         frame=frame, words=["quantity"], title="Summary", note=f"{note}." if len(sd) else ""
     )
 
 
-def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[Table]:
+def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[PageTable]:
     """Tabulate the solutions that the method found, if there are several."""
     log, found = view.log, estimate.solutions
     if len(found) < 2:  # noqa: PLR2004
@@ -141,10 +141,10 @@ def _solutions(view: SwarmView, estimate: Estimate) -> Iterator[Table]:
         "leave a tenth of the weight, where solutions are equally precise. The 3D view shows each."
     )
     frame = frame.loc[:, (frame != "").any()]
-    yield Table(frame=frame, words=[], title="Solutions", note=note)
+    yield PageTable(frame=frame, words=[], title="Solutions", note=note)
 
 
-def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[Table]:
+def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
     """Tabulate further measurements that would help."""
     if rows:
         words = ["further measurement", "robots determined"]
@@ -154,7 +154,9 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[Table]:
                 " Images apart: difference of the measurement between solutions 1 and 2, in "
                 "standard deviations of what is expected; 5 or more exclude one of them."
             )
-        yield Table(frame=pd.DataFrame(rows), words=words, title="What to measure next", note=note)
+        yield PageTable(
+            frame=pd.DataFrame(rows), words=words, title="What to measure next", note=note
+        )
 
 
 def _space(view: SwarmView, estimate: Estimate) -> View:
@@ -190,7 +192,7 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
     )
 
 
-def _robots(view: SwarmView, estimate: Estimate) -> Table:
+def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     """Tabulate each robot in join order."""
     log, unit, size = view.log, view.log.length_unit, view.log.dock_radius
     digits = max(0, math.ceil(2.0 - math.log10(size)))
@@ -215,6 +217,6 @@ def _robots(view: SwarmView, estimate: Estimate) -> Table:
         "anchor."
     )
     note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
-    return Table(
+    return PageTable(
         frame=pd.DataFrame(columns).head(MOST_ROWS), words=["known"], title="Robots", note=note
     )

@@ -21,7 +21,7 @@ from tiswarm.report.captions import caption_of
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, TRUE_BLUE
 from tiswarm.report.headline import result_of
 from tiswarm.report.page_tables import (
-    Table,
+    PageTable,
     case_table,
     headline_table,
     machine_table,
@@ -65,7 +65,7 @@ class _Reproduction(NamedTuple):
 
     version: str
     command: str
-    machine: Table
+    machine: PageTable
     scenario: str
 
 
@@ -77,14 +77,14 @@ class Page:
     result: str  # one sentence
     what: str = ""  # one line: what was computed
     description: str = ""
-    headline: Table | None = None  # beside the 3D view
+    headline: PageTable | None = None  # beside the 3D view
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
-    tables: Sequence[Table] = ()
+    tables: Sequence[PageTable] = ()
     view: View | None = None
     figures: Sequence[_Shown] = ()
     renders: Sequence[_Shown] = ()
-    rows: Table | None = None  # a row for each case or robot, which readers filter
+    rows: PageTable | None = None  # a row for each case or robot, which readers filter
     rows_example: str = ""  # words that a reader may filter the rows by
     reproduction: _Reproduction | None = None
 

@@ -80,7 +80,7 @@ _Column = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class PageTable:
     """A table of the page."""
 
     frame: pd.DataFrame  # formatted cells, all of them text
@@ -89,7 +89,7 @@ class Table:
     note: str = ""
 
 
-def headline_table(table: pd.DataFrame) -> Table:
+def headline_table(table: pd.DataFrame) -> PageTable:
     """Format the accuracy of each condition, the best one of each sweep point first."""
     swept = swept_columns(table)[1:]
     point = table.groupby(swept, sort=False).ngroup() if swept else 0
@@ -118,7 +118,7 @@ def headline_table(table: pd.DataFrame) -> Table:
 
 def result_tables(
     table: pd.DataFrame, paired: pd.DataFrame, suites: pd.DataFrame | None = None
-) -> list[Table]:
+) -> list[PageTable]:
     """Format the other results of a run; `paired` and `suites` may be empty."""
     words = swept_words(table)
     tables = []
@@ -169,7 +169,7 @@ def result_tables(
     return tables
 
 
-def _measured_suites(suites: pd.DataFrame) -> Table:
+def _measured_suites(suites: pd.DataFrame) -> PageTable:
     """Format prices of sensor suites beside what robots achieve with them."""
     note = (
         "Prices [USD] are those of the paper's Table I: of the sensors of so many robots, touch "
@@ -195,7 +195,7 @@ def _once(frame: pd.DataFrame) -> pd.DataFrame:
     return shared if len(shared) * frame["condition"].nunique() == len(frame) else frame
 
 
-def _beside_the_paper(table: pd.DataFrame) -> Table:
+def _beside_the_paper(table: pd.DataFrame) -> PageTable:
     """Format the rows of the paper's settings beside its numbers."""
     rows = table[table["paper_rmse_radii"].notna()]
     note = (
@@ -212,7 +212,7 @@ def _beside_the_paper(table: pd.DataFrame) -> Table:
     return _labeled(swept_words(rows), columns, "Beside the paper", note)
 
 
-def _differences(paired: pd.DataFrame) -> Table:
+def _differences(paired: pd.DataFrame) -> PageTable:
     """Format differences between conditions on the same structures."""
     first = paired["against"] == paired["against"].iloc[0]
     rows = paired[first & paired["measure"].isin(list(_MEASURES))]
@@ -230,7 +230,7 @@ def _differences(paired: pd.DataFrame) -> Table:
     return _labeled(words, columns, "Differences on the same structures", note)
 
 
-def case_table(summary: pd.DataFrame) -> Table:
+def case_table(summary: pd.DataFrame) -> PageTable:
     """Format a row for each case."""
     shown = summary.head(MOST_ROWS)
     words = shown[["case", "status"]].fillna("").astype(str)
@@ -242,7 +242,7 @@ def case_table(summary: pd.DataFrame) -> Table:
     return replace(_labeled(words, numbers | reason, "Cases", note), words=[*words, *reason])
 
 
-def machine_table(manifest: Manifest) -> Table:
+def machine_table(manifest: Manifest) -> PageTable:
     """Format the machine, the versions and the computing times."""
     facts = {
         **manifest.machine,
@@ -261,13 +261,15 @@ def machine_table(manifest: Manifest) -> Table:
         if value not in {"", None}
     ]
     frame = pd.DataFrame(rows, columns=["item", "value"])
-    return Table(frame=frame, words=["item", "value"], title="Machine and versions")
+    return PageTable(frame=frame, words=["item", "value"], title="Machine and versions")
 
 
-def _labeled(words: pd.DataFrame, columns: dict[str, pd.Series], title: str, note: str) -> Table:
+def _labeled(
+    words: pd.DataFrame, columns: dict[str, pd.Series], title: str, note: str
+) -> PageTable:
     """Put columns of words beside columns of formatted numbers."""
     frame = pd.concat([words, pd.DataFrame(columns, index=words.index)], axis=1)
-    return Table(frame=frame, words=words.columns.astype(str), title=title, note=note)
+    return PageTable(frame=frame, words=words.columns.astype(str), title=title, note=note)
 
 
 def _means(table: pd.DataFrame, columns: Sequence[_Column]) -> dict[str, pd.Series]:

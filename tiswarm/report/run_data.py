@@ -19,8 +19,8 @@ from tiswarm.records.terrain import NO_EDGE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
-    """One row of `summary.csv`."""
+class StoredCase:
+    """A case in the folder of a run, and its row of `summary.csv`."""
 
     name: str  # of its folder
     folder: Path
@@ -48,7 +48,7 @@ class Case:
 _WORDS = ["case", "series", "condition", "point", "kind", "status", "reason"]
 """Columns of text that a summary has."""
 
-Series = dict[str, list[Case]]
+Series = dict[str, list[StoredCase]]
 """Cases that are done, by the name of their series."""
 
 
@@ -60,13 +60,13 @@ class RunData:
     summary: pd.DataFrame  # all cases, `summary.csv`
 
     @cached_property
-    def cases(self) -> list[Case]:
+    def cases(self) -> list[StoredCase]:
         """All cases, in the order of the summary."""
         unknown = {"robots": 0, "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
         table = self.summary.reindex(columns=[*_WORDS, *unknown])
         table = table.fillna(unknown | dict.fromkeys(_WORDS, ""))
         return [
-            Case(
+            StoredCase(
                 name=row["case"],
                 folder=case_folder(self.folder, row["case"]),
                 done=row["status"] == "done",
@@ -106,7 +106,7 @@ class RunData:
         notes += [f"{lost} of {count} cases have disconnected robots"] * (lost > 0)
         return "; ".join(notes)
 
-    def choose(self, name: str | None) -> Case:
+    def choose(self, name: str | None) -> StoredCase:
         """Find a case that is done by its name; the first of those with most robots if None.
 
         Raises:

@@ -18,8 +18,8 @@ from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
-from tiswarm.report.render.scene import Look, Robots
-from tiswarm.report.run_data import Case
+from tiswarm.report.render.scene import DrawnRobots, Look
+from tiswarm.report.run_data import StoredCase
 
 POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
 _ESTIMATED_POSE = [
@@ -73,7 +73,7 @@ class SwarmView:
         """Color of each robot by its join index, shape (N, 3)."""
         return colors_along(np.linspace(0.0, 1.0, len(self.pose)), JOIN_COLORS)
 
-    def robots(self, pose: Reals, color: Reals, look: Look) -> Robots:
+    def robots(self, pose: Reals, color: Reals, look: Look) -> DrawnRobots:
         """Place the docks of the robots whose pose (N, 7) is known, and leave out the others.
 
         `color` is red, green, blue of each robot, shape (N, 3), or of all, shape (3,).
@@ -82,10 +82,10 @@ class SwarmView:
         center = pose[known, :3]
         dock = center[:, None] + dock_offsets(pose[known, 3:], self.dock_offset_body)
         color = np.broadcast_to(color, (len(pose), 3))[known]
-        return Robots(center=center, dock=dock, color=color, look=look)
+        return DrawnRobots(center=center, dock=dock, color=color, look=look)
 
 
-def read_case_view(case: Case) -> SwarmView:
+def read_case_view(case: StoredCase) -> SwarmView:
     """Read the poses, errors and forces of a case."""
     gaps = [*_ESTIMATED_POSE, "error_R", "sensed_force"]
     table = case.columns("robots.csv", [*POSE, *gaps, "robot"], gaps=gaps)
@@ -123,7 +123,7 @@ def read_case_view(case: Case) -> SwarmView:
     )
 
 
-def _standard_deviation(case: Case, robots: int) -> Reals:
+def _standard_deviation(case: StoredCase, robots: int) -> Reals:
     """Read the standard deviations of robots that are tied to the anchor [R], NaN of others."""
     path = case.folder / "estimate.csv"
     table = read_frame(path)

@@ -72,12 +72,12 @@ class Setting(NamedTuple):
         return InputError(problem, argument="overrides", key=self.text)
 
 
-class _Change(Protocol):
+class _HasPath(Protocol):
     @property
     def path(self) -> tuple[str, ...]: ...
 
 
-_AnyChange = TypeVar("_AnyChange", bound=_Change)
+_AnyChange = TypeVar("_AnyChange", bound=_HasPath)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -23,7 +23,7 @@ from tiswarm.report.figure_style import (
     rgb,
 )
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import TRUE_SIZE, Look, Robots, Scene, build_scene
+from tiswarm.report.render.scene import TRUE_SIZE, DrawnRobots, Look, Scene, build_scene
 from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
 from tiswarm.report.run_data import RunData
 from tiswarm.report.swarm_view import SwarmView, read_case_view
@@ -102,7 +102,7 @@ def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
     center = view.best_pose[:, :3]
-    nodes = Robots(center=center, dock=center[:, None], color=color, look=_NODE)
+    nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
     rods = center[view.log.contacts[:, [0, 2]]]
     scene = build_scene(nodes, view.terrain, rods=rods, around=around)
     return Picture(scene, Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}"))

@@ -95,7 +95,7 @@ class Scene:
         width, height = self.camera.width // times, self.camera.height // times
         return self.seen_by(replace(self.camera, width=width, height=height))
 
-    def painted(self, robots: "Robots") -> "Scene":
+    def painted(self, robots: "DrawnRobots") -> "Scene":
         """Return a scene of robots alone in their present colors."""
         parts = _capsules(robots)
         return replace(self, color=np.concatenate([part[3] for part in parts]).astype(np.float32))
@@ -125,7 +125,7 @@ TRUE_SIZE = Look(0.45, 0.3, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robots:
+class DrawnRobots:
     """N robots to draw."""
 
     center: Reals  # centers [R], shape (N, 3)
@@ -135,10 +135,10 @@ class Robots:
 
 
 def build_scene(
-    robots: Robots,
+    robots: DrawnRobots,
     terrain: Terrain | None,
     *,
-    ghosts: Robots | None = None,
+    ghosts: DrawnRobots | None = None,
     rods: Reals | None = None,
     around: Reals | None = None,
 ) -> Scene:
@@ -170,7 +170,7 @@ def build_scene(
     return replace(_light(parts, robots, camera), ground=ground, ghost=ghost)
 
 
-def _light(parts: list[tuple[Reals, ...]], robots: Robots, camera: Camera) -> Scene:
+def _light(parts: list[tuple[Reals, ...]], robots: DrawnRobots, camera: Camera) -> Scene:
     """Put capsules, shaded by robots, in front of a camera."""
     start, end, radius, color = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Scene(
@@ -184,13 +184,13 @@ def _light(parts: list[tuple[Reals, ...]], robots: Robots, camera: Camera) -> Sc
     )
 
 
-def _blockers(robots: Robots) -> Reals:
+def _blockers(robots: DrawnRobots) -> Reals:
     """Stand in for each robot, as to light, with a sphere: center and radius, shape (N, 4)."""
     radius = np.full(len(robots.center), _BLOCKER_RADIUS * robots.look.dock)
     return np.column_stack([robots.center, radius])
 
 
-def _capsules(robots: Robots) -> list[tuple[Reals, ...]]:
+def _capsules(robots: DrawnRobots) -> list[tuple[Reals, ...]]:
     """Make start, end, radius and color of hubs, arms and docks."""
     docks, look = robots.dock.shape[1], robots.look
     hub, dock = robots.center, robots.dock.reshape(-1, 3)

@@ -13,7 +13,7 @@ from tiswarm.records.messages import counted, three_digits
 from tiswarm.report.figure_style import ERROR_COLORS, colors_along
 from tiswarm.report.render.raycast import Picture, draw_scenes
 from tiswarm.report.render.scene import TRUE_SIZE, Camera, Scene, build_scene
-from tiswarm.report.run_data import Case, RunData
+from tiswarm.report.run_data import RunData, StoredCase
 from tiswarm.report.swarm_view import SwarmView, read_case_view
 
 _MOST_SIZES = 8
@@ -32,12 +32,12 @@ class Tile(NamedTuple):
     label: str
 
 
-def build_sizes(run: RunData, like: Case) -> tuple[list[Tile], float]:
+def build_sizes(run: RunData, like: StoredCase) -> tuple[list[Tile], float]:
     """Build a tile for each size of a kind and condition, colored by error, and the greatest error.
 
     There are none unless a study swept the size.
     """
-    cases: dict[int, Case] = {}
+    cases: dict[int, StoredCase] = {}
     for case in run.cases if run.sweeps_robots else []:
         if case.done and (case.kind, case.condition) == (like.kind, like.condition):
             cases.setdefault(case.robots, case)
