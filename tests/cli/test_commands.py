@@ -107,7 +107,8 @@ def test_bad_commands_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, 
 def test_a_mistake_in_a_scenario_is_reported_with_its_line(tiswarm, tmp_path):
     """File, line and key of the mistake come first."""
     scenario = tmp_path / "bad.yaml"
-    scenario.write_text("name: bad\nstructure:\n  kind: tower\n  goal_heigth: 3\n")
+    text = "name: bad\nstructure:\n  kind: tower\n  goal_heigth: 3\nlocalization: {method: joint}\n"
+    scenario.write_text(text)
 
     done = tiswarm("run", scenario, cwd=tmp_path, PYTHONPATH=str(REPOSITORY))
 
