@@ -85,10 +85,10 @@ def localize(
         log: Sensing log, or its file.
         method: Name of the method.
         cues: Cues to use; the method's own choice if None.
-        arch: Compute device of `joint`; other methods run on the processor. `auto` takes a
-            graphics card if one works.
+        arch: Compute device of `joint`, and of `virtual-force` under the schedule `together`;
+            other methods run on the processor. `auto` takes a graphics card if one works.
         threads: CPU threads; all that this process may use if None.
-        precision: Floating-point type of `joint`; `auto` takes f64 where the device computes it at
+        precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
         settings: Settings of the method by name, nested ones as dictionaries.
 
@@ -102,7 +102,7 @@ def localize(
     """
     params = localization_params(method, cues=cues, values=_plain(settings))
     sensed = log if isinstance(log, SensingLog) else read_log(log)
-    registry.start_device([params.method], arch, threads=threads, precision=precision)
+    registry.start_device([registry.title(params)], arch, threads=threads, precision=precision)
     estimate = registry.localize(sensed, params)
     if warning := distrust(sensed, estimate):
         warnings.warn(warning, stacklevel=2)
@@ -128,7 +128,7 @@ def run(
         scenario: YAML file, or the name of a shipped scenario.
         overrides: Values by dotted key that replace the file's.
         out: Parent of the run folder.
-        arch: Compute device of `joint`, as for `localize`.
+        arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
         pictures: Whether to draw figures, renders and report.html.

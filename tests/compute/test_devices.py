@@ -17,7 +17,7 @@ from tiswarm.localization import registry
 from tiswarm.localization.joint import annealing
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.params import JointParams
+from tiswarm.localization.params import JointParams, VirtualForceParams
 from tiswarm.records.positions import write_estimate
 from tiswarm.sensing import SensingParams, observe
 
@@ -119,15 +119,49 @@ def test_a_device_anneals_as_the_processor_does(library):
     assert deviation < 1e-4
 
 
+_TOGETHER = """
+import numpy as np, sys
+from tests.devices import ARCH
+from tiswarm.compute import backend
+from tiswarm.localization.params import Together, VirtualForceParams
+from tiswarm.localization.registry import localize, localize_many
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
+params = VirtualForceParams(schedule="together", together=Together(steps=12))
+towers = grow(TowerParams(), robots=20, seeds=[0, 1], robot=RobotGeometry())
+logs = [observe(tower, SensingParams(tilt_noise_deg=1.0)) for tower in towers]
+right = localize_many(logs, [params] * 2)
+running = backend.start(ARCH)
+found = localize_many(logs, [params] * 2)
+assert backend.current() == running
+assert [e.trace.tobytes() for e in found] == [localize(log, params).trace.tobytes() for log in logs]
+away = [np.abs(a.trace - b.trace).max() for a, b in zip(found, right, strict=True)]
+assert running.precision == "f64" or min(away) > 0.0
+print(max(away))
+"""
+
+
+@on_each_library
+def test_a_device_moves_all_robots_together_as_the_processor_does(library):
+    """Twelve steps of two towers; each has the bytes that it has alone."""
+    deviation = float(run_child(_TOGETHER, **device_environment(library)))
+
+    assert deviation < 1e-4
+
+
 _JOINT_BRIEFLY = "{method: joint, chains: 2, steps: 10, hold_steps: 5, refine: false}"
+_TOGETHER_BRIEFLY = "{method: virtual-force, schedule: together, together: {steps: 10}}"
 _CONDITIONS = (
     f"{{annealed: {{localization: {_JOINT_BRIEFLY}}}, "
+    f"at-once: {{localization: {_TOGETHER_BRIEFLY}}}, "
     "algorithm-1: {localization: {method: virtual-force}}}"
 )
 
 
 @on_each_library
-def test_a_study_uses_the_device_for_joint_alone(tmp_path, library):
+def test_a_study_uses_the_device_for_joint_and_together_alone(tmp_path, library):
     """Its manifest says so, and the other method gives the bytes of the processor."""
     done = runs.call(
         "run", "scenarios/tower.yaml", "--arch", ARCH, "--no-pictures", "--out", tmp_path,
@@ -136,10 +170,11 @@ def test_a_study_uses_the_device_for_joint_alone(tmp_path, library):
     )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
-    assert f"joint computes on {ARCH}" in done.stderr
+    assert f"joint and virtual-force together compute on {ARCH}" in done.stderr
     [run] = tmp_path.iterdir()
     manifest = json.loads((run / "manifest.json").read_text())
-    assert manifest["devices"].pop("localize by joint").startswith(ARCH)
+    for title in ("joint", "virtual-force together"):
+        assert manifest["devices"].pop(f"localize by {title}").startswith(ARCH)
     assert manifest["devices"] == dict.fromkeys(["grow", "localize by virtual-force"], "cpu in f64")
     assert 0.0 < manifest["force_error"] < 1e-3
     case = run / "cases" / "0-algorithm-1"
@@ -153,7 +188,7 @@ def test_a_study_uses_the_device_for_joint_alone(tmp_path, library):
 def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
     """Before it is looked for; the message names the method that uses one."""
     log = observe(towers[0], SensingParams())
-    with pytest.raises(InputError, match=f"{method} always computes on cpu in f64; .* joint"):
+    with pytest.raises(InputError, match=f"{method} always computes on cpu in f64; .* together"):
         tiswarm.localize(log, method, arch="metal")
     with pytest.raises(InputError, match=r"precision: f32 has no use"):
         tiswarm.localize(log, method, precision="f32")
@@ -170,8 +205,9 @@ def test_stages_change_the_device_and_back():
 
     assert str(backend.processor()) == "cpu in f64"
     assert str(backend.device()) == "cpu in f32"
-    assert registry.start_for("virtual-force").precision == "f64"
-    assert registry.start_for("joint").precision == "f32"
+    assert registry.start_for(VirtualForceParams()).precision == "f64"
+    assert registry.start_for(VirtualForceParams(schedule="together")).precision == "f32"
+    assert registry.start_for(JointParams()).precision == "f32"
     assert backend.current().threads == 1
 
 

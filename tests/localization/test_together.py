@@ -127,6 +127,20 @@ def test_company_does_not_change_a_byte(towers, monkeypatch):
     assert sum(shares) == pytest.approx(2 * len(logs))
 
 
+def test_company_does_not_change_a_byte_in_f32(towers):
+    """Nor where a structure of the batch is so far away that it has a coarser unit."""
+    logs = [observe(history, SensingParams()) for history in towers[:2]]
+    height = np.where(np.arange(logs[1].robot_count) == 9, 5_000.0, logs[1].flip_height)
+    logs[1] = dataclasses.replace(logs[1], flip_height=height)
+    in_f64 = localize(logs[0], SHORT)
+    backend.start(precision="f32")
+
+    batch = localize_many(logs, [SHORT] * 2)
+
+    assert batch[0].trace.tobytes() == localize(logs[0], SHORT).trace.tobytes()
+    assert 0.0 < np.abs(batch[0].trace - in_f64.trace).max() < 1e-4
+
+
 @pytest.mark.parametrize("robots", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_threads_change_no_bit(robots):
     """One structure, on one thread and on two."""

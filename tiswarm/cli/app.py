@@ -35,7 +35,12 @@ Overrides = Annotated[
     list[str], Option("--set", metavar="KEY=VALUE", help="Override a key (repeatable).")
 ]
 OneArch = Annotated[
-    AnyArch, Option("--arch", help="Compute device of joint; fails if unavailable.")
+    AnyArch,
+    Option(
+        "--arch",
+        help="Compute device of joint, and of virtual-force with schedule together; "
+        "fails if unavailable.",
+    ),
 ]
 Threads = Annotated[
     int | None, Option(help="CPU threads (default: all cores).", show_default=False)

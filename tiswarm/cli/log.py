@@ -82,9 +82,10 @@ def localize(
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     params = localization_params(method, overrides, cues=names, values=values)
     sensed, progress = read_sensing_log(log), ConsoleProgress(quiet=quiet)
-    running = registry.start_device([params.method], arch, threads=threads, precision=precision)
+    titles = [registry.title(params)]
+    running = registry.start_device(titles, arch, threads=threads, precision=precision)
     if arch != "cpu":
-        progress.info(f"{params.method} computes on {running}")
+        progress.info(registry.where(titles, running))
     estimate = _localized(sensed, params, progress)
     chosen = ""
     if solution is not None:

@@ -1,6 +1,6 @@
 """Start of the compute backend, its device, precision and threads, and arrays on it.
 
-Parallel stages (the swarm step, the annealing of `joint`) run on the device that a user chooses.
+Parallel stages (steps of a whole swarm, the annealing of `joint`) run on the device that a user chooses.
 All others run on the processor in f64: they walk along few chains of dependent steps, in which a
 card is slower, and need functions that some cards lack in f64. One backend runs at a time, so a
 stage first calls `device` or `processor`.

@@ -1,6 +1,6 @@
 """Every localization method, by name."""
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import replace
 from types import ModuleType
 
@@ -12,7 +12,7 @@ from tiswarm.compute.backend import Backend
 from tiswarm.errors import InputError
 from tiswarm.localization import hop_by_hop, least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
-from tiswarm.localization.params import LocalizationParams
+from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.params import AnyArch, AnyPrecision
@@ -33,12 +33,38 @@ share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
 
-PARALLEL = frozenset({"joint"})
-"""Methods that run on the device that a user chooses; others run on the processor in f64."""
+PARALLEL = frozenset({"joint", "virtual-force together"})
+"""Titles of methods that run on the device that a user chooses; others run on the processor in
+f64."""
+
+
+def title(params: LocalizationParams) -> str:
+    """Name a method, and its schedule unless robots move in join order."""
+    if isinstance(params, VirtualForceParams) and params.schedule != "join-order":
+        return f"{params.method} {params.schedule}"
+    return params.method
+
+
+def require_use(titles: Collection[str], arch: AnyArch, precision: AnyPrecision = "auto") -> None:
+    """Refuse a device or f32 that none of these methods can use.
+
+    Raises:
+        InputError: none of them is parallel, and a device or f32 was named.
+    """
+    if not PARALLEL.isdisjoint(titles):
+        return
+    problem = (
+        f"has no use: {' and '.join(sorted(set(titles)))} always computes on cpu in f64; "
+        "choose method joint, or virtual-force with schedule together, or leave this out"
+    )
+    if arch not in {"cpu", "auto"}:
+        raise InputError(f"{arch} {problem}", argument="arch")
+    if precision == "f32":
+        raise InputError(f"f32 {problem}", key="precision")
 
 
 def start_device(
-    methods: Iterable[str],
+    titles: Collection[str],
     arch: AnyArch,
     *,
     threads: int | None = None,
@@ -50,22 +76,24 @@ def start_device(
         InputError: none of the methods is parallel, and a device or f32 was named.
         EnvironmentTroubleError: the machine lacks the device.
     """
-    if not PARALLEL.isdisjoint(methods):
-        return backend.start(arch, threads=threads, precision=precision)
-    problem = (
-        f"has no use: {' and '.join(sorted(set(methods)))} always computes on cpu in f64; "
-        "choose method joint, or leave this out"
-    )
-    if arch not in {"cpu", "auto"}:
-        raise InputError(f"{arch} {problem}", argument="arch")
-    if precision == "f32":
-        raise InputError(f"f32 {problem}", key="precision")
-    return backend.start("cpu", threads=threads)
+    require_use(titles, arch, precision)
+    if PARALLEL.isdisjoint(titles):
+        return backend.start("cpu", threads=threads)
+    return backend.start(arch, threads=threads, precision=precision)
 
 
-def start_for(method: str) -> Backend:
-    """Start the device of a method, unless it runs."""
-    return backend.device() if method in PARALLEL else backend.processor()
+def start_for(params: LocalizationParams) -> Backend:
+    """Start the device of a method with its settings, unless it runs."""
+    return backend.device() if title(params) in PARALLEL else backend.processor()
+
+
+def where(titles: Collection[str], running: Backend) -> str:
+    """Say in a line on what these methods compute, `running` being what the parallel ones use."""
+    parallel = sorted(PARALLEL.intersection(titles))
+    if not parallel:
+        return f"all stages compute on {running}"
+    compute = "computes" if len(parallel) == 1 else "compute"
+    return f"{' and '.join(parallel)} {compute} on {running}, all other stages on cpu in f64"
 
 
 def localize(
@@ -106,7 +134,7 @@ def localize_many(
     estimates: dict[int, Estimate] = {}
     for members in batches.values():
         method = METHODS[params[members[0]].method]
-        start_for(params[members[0]].method)
+        start_for(params[members[0]])
         centered = [_centered(logs[n]) for n in members]
         report = by_share(on_progress, len(members))
         batch = method.localize_batch(centered, [params[n] for n in members], report)

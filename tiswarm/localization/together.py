@@ -6,8 +6,9 @@ overlap, heights pull. Inertia carries robots over obstacles and spreads what on
 robots many contacts away. Repulsion acts first and ends at 0, as in Algorithm 1. The anchor
 is fixed, planar robots stay at its y.
 
-Structures that one thread steps through by itself share a batch; larger ones use all threads, one
-after the other.
+Robots step on the device that a user chooses. On a processor in f64, structures that one thread
+steps through by itself share a batch. All others step one after the other, each by all threads of
+the device.
 """
 
 from collections.abc import Callable, Hashable, Sequence
@@ -69,7 +70,10 @@ def localize_batch(
     Returns:
         One estimate a log. The residual is the root mean square step of the robots.
     """
-    share = 1 if logs[0].robot_count <= SMALL else len(logs)
+    running = backend.device()
+    # In f32 the unit of places, and on a card the age of rows, would depend on the company.
+    is_shared = not running.on_card and running.precision == "f64"
+    share = 1 if is_shared and logs[0].robot_count <= SMALL else len(logs)
     estimates: list[Estimate] = []
     for group in np.array_split(np.arange(len(logs)), share):
         done = len(estimates)
@@ -108,7 +112,7 @@ def _step(
         height=np.concatenate(heights),
         mobility=along,
         structure=np.repeat(np.arange(len(logs)), np.diff(start)),
-        running=backend.processor(),
+        running=backend.device(),
     )  # fmt: skip
     every = -(-chosen.steps // _FRAMES)
     frames = np.array([*range(0, chosen.steps, every), chosen.steps])

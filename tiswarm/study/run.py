@@ -14,7 +14,7 @@ from tiswarm.errors import (
     OutOfMemoryError,
     TiswarmError,
 )
-from tiswarm.localization.registry import start_device
+from tiswarm.localization import registry
 from tiswarm.params import AnyArch, Arch
 from tiswarm.progress import Progress
 from tiswarm.records.frames import write_frame
@@ -68,7 +68,7 @@ def run(
         scenario: What to compute.
         parent: Folder that holds the run's folder.
         progress: Receives progress reports.
-        arch: Device of `joint`; other stages run on the processor.
+        arch: Device of methods that are `registry.PARALLEL`; other stages run on the processor.
         threads: CPU threads; all if None.
         execution: Where cases are computed, and which.
 
@@ -135,15 +135,16 @@ def _start_device(
     On a cluster, only its workers can start it.
     """
     points = [variant.settings for variant in variants(scenario)]
+    titles = {registry.title(settings.localization) for settings in points}
     if execution.scheduler is not None:
         if arch == "auto":
             raise InputError("auto cannot see the workers; name their device", argument="arch")
+        registry.require_use(titles, arch)
         return arch
-    methods = {settings.localization.method for settings in points}
     for precision in sorted({settings.precision for settings in points}):
-        running = start_device(methods, arch, threads=threads, precision=precision)
+        running = registry.start_device(titles, arch, threads=threads, precision=precision)
     if arch != "cpu":
-        progress.info(f"joint computes on {running}")
+        progress.info(registry.where(titles, running))
     return running.arch
 
 

@@ -13,8 +13,8 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
-from tiswarm.localization.params import JointParams, LocalizationParams, VirtualForceParams
-from tiswarm.localization.registry import localize_many, start_for
+from tiswarm.localization.params import JointParams, LocalizationParams
+from tiswarm.localization.registry import localize_many, start_for, title
 from tiswarm.memory import naming_shortage
 from tiswarm.params import AnyPrecision, Arch
 from tiswarm.progress import Advance, Progress
@@ -136,7 +136,7 @@ class _CaseRunner:
         self._choose_device(_precision(cases[0]))
         for settings in [case.settings for case in cases]:
             method = repr(settings.localization)
-            running = start_for(settings.localization.method)
+            running = start_for(settings.localization)
             if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
                     log = observe(self._sample, settings.sensing)
@@ -206,13 +206,13 @@ class _CaseRunner:
         with self._stage("localize", cases) as advance:
             methods = [case.settings.localization for case in cases]
             estimates = localize_many(logs, methods, with_observability=True, on_progress=advance)
-        running = start_for(methods[0].method)
+        running = start_for(methods[0])
         farthest = [
             np.abs(estimate.position - log.anchor_position).max() / log.dock_radius
             for estimate, log in zip(estimates, logs, strict=True)
         ]
         error = running.force_error(max(farthest))
-        self.used.add(Used(f"localize by {methods[0].method}", running, error))
+        self.used.add(Used(f"localize by {title(methods[0])}", running, error))
         return estimates
 
     def _store(
@@ -254,14 +254,12 @@ def _precision(case: Case) -> AnyPrecision:
     return case.settings.precision
 
 
-def _method(case: Case) -> tuple[str, str, AnyPrecision]:
+def _method(case: Case) -> tuple[str, AnyPrecision]:
     """Return method, schedule and precision: cases that share them are localized side by side.
 
     They also share the cost of it, which schedules differ in.
     """
-    way = case.settings.localization
-    schedule = way.schedule if isinstance(way, VirtualForceParams) else ""
-    return way.method, schedule, case.settings.precision
+    return title(case.settings.localization), case.settings.precision
 
 
 def _record(
