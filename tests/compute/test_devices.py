@@ -9,6 +9,7 @@ import tiswarm
 from tests import runs
 from tests.devices import ARCH, LIBRARIES, device_environment, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tiswarm import study
 from tiswarm.compute import backend
 from tiswarm.engine import kernels
 from tiswarm.engine.relax import PreparedSwarm
@@ -18,8 +19,12 @@ from tiswarm.localization.joint import annealing
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.progress import Progress
 from tiswarm.records.positions import write_estimate
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
+
+TOWER = runs.REPOSITORY / "tests" / "tower.yaml"
 
 BATCH = np.repeat(np.arange(10), 100)
 """Structures of the scene `batch`."""
@@ -195,7 +200,11 @@ def test_a_device_that_no_stage_uses_is_refused(towers, tmp_path, method):
     assert registry.start_device([method], "auto").arch == "cpu"
 
     with pytest.raises(InputError, match="vulkan has no use"):
-        tiswarm.run("tests/tower.yaml", {"robots": 4}, out=tmp_path, arch="vulkan", quiet=True)
+        tiswarm.run(TOWER, {"robots": 4}, out=tmp_path, arch="vulkan", quiet=True)
+    changed = [f"localization={{method: {method}}}", "conditions={baseline: {}}"]
+    plan, elsewhere = load_scenario(TOWER, changed), study.Execution(scheduler="tcp://here:1")
+    with pytest.raises(InputError, match="cuda has no use"):
+        study.run(plan, tmp_path, progress=Progress(), arch="cuda", execution=elsewhere)
     assert list(tmp_path.iterdir()) == []
 
 

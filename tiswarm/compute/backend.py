@@ -1,9 +1,9 @@
 """Start of the compute backend, its device, precision and threads, and arrays on it.
 
-Parallel stages (steps of a whole swarm, the annealing of `joint`) run on the device that a user chooses.
-All others run on the processor in f64: they walk along few chains of dependent steps, in which a
-card is slower, and need functions that some cards lack in f64. One backend runs at a time, so a
-stage first calls `device` or `processor`.
+Parallel stages (steps of a whole swarm, the annealing of `joint`) run on the device that a user
+chooses. All others run on the processor in f64: they walk along few chains of dependent steps, in
+which a card is slower, and need functions that some cards lack in f64. One backend runs at a time,
+so a stage first calls `device` or `processor`.
 
 A device that is not there is an error, never a silent
 change of device.

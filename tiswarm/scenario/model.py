@@ -101,9 +101,9 @@ class Scenario:
     """Random seeds, one structure each: a list, or a number n for 0 to n - 1."""
 
     precision: Literal["auto", "f64", "f32"] = "auto"
-    """Floating-point type of `joint`, and of `virtual-force` under the schedule `together`; all else
-    computes in f64. `auto` takes f64 on processors and on cards that compute it at half the rate of
-    f32, else f32."""
+    """Floating-point type of `joint`, and of `virtual-force` under the schedule `together`; all
+    else computes in f64. `auto` takes f64 on processors and on cards that compute it at half the
+    rate of f32, else f32."""
 
     robot: RobotGeometry = RobotGeometry()
     """Geometry of a robot."""

@@ -139,7 +139,8 @@ def _start_device(
     if execution.scheduler is not None:
         if arch == "auto":
             raise InputError("auto cannot see the workers; name their device", argument="arch")
-        registry.require_use(titles, arch)
+        for settings in points:
+            registry.require_use(titles, arch, settings.precision)
         return arch
     for precision in sorted({settings.precision for settings in points}):
         running = registry.start_device(titles, arch, threads=threads, precision=precision)
