@@ -116,11 +116,20 @@ def test_every_dependency_is_pinned():
     assert _names(wanted) <= _names(PINS)
 
 
-def test_everything_that_dependencies_bring_is_pinned():
-    """A fresh environment has what this one was tested with, as far as this one has it."""
+def _pinned_for(environment: dict[str, str]) -> dict[str, list[str]]:
+    """Return the versions that are pinned in such an environment, by name: one, if all is well."""
+    pins: dict[str, list[str]] = {}
+    for pin in map(Requirement, PINS):
+        if pin.marker is None or pin.marker.evaluate(environment):
+            pins.setdefault(_normal(pin.name), []).append(str(pin.specifier).removeprefix("=="))
+    return pins
+
+
+def _brought() -> dict[str, str]:
+    """List what dependencies and extras bring as far as it is installed: versions by name."""
     wanted = sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"])
     waiting, seen = [*map(Requirement, wanted)], set[tuple[str, str]]()
-    unpinned = set()
+    found = {}
     while waiting:
         needed = waiting.pop()
         for extra in ("", *needed.extras):
@@ -132,14 +141,29 @@ def test_everything_that_dependencies_bring_is_pinned():
                 brought = metadata.requires(needed.name) or []
             except metadata.PackageNotFoundError:  # an extra that this machine lacks
                 continue
-            unpinned |= {key[0]} - _names(PINS) - {"tiswarm"}
+            found[key[0]] = metadata.version(needed.name)
             waiting += [
                 Requirement(f"{each.name}[{','.join(each.extras)}]" if each.extras else each.name)
                 for each in map(Requirement, brought)
                 if each.marker is None or each.marker.evaluate({"extra": extra})
             ]
+    return {name: version for name, version in found.items() if name != "tiswarm"}
 
-    assert unpinned == set()
+
+def test_everything_that_dependencies_bring_is_pinned():
+    """A fresh environment has what this one was tested with, as far as this one has it."""
+    assert _brought().keys() - _names(PINS) == set()
+
+
+def test_an_environment_that_make_installed_has_the_pinned_versions():
+    """All that dependencies brought, too; `make` installs again once pins change."""
+    if not Path(sys.prefix, ".installed-dev").exists():
+        pytest.skip("make did not install this environment")
+    pins = _pinned_for({})
+
+    assert {name: [version] for name, version in _brought().items()} == {
+        name: pins.get(name) for name in _brought()
+    }
 
 
 @pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13", "3.14"])
@@ -147,10 +171,7 @@ def test_everything_that_dependencies_bring_is_pinned():
 def test_each_python_has_one_pin_that_fits(version, machine):
     """Whatever an installation asks for, one version is pinned, and the requirement allows it."""
     here = {"python_version": version, "platform_machine": machine, "platform_system": "Linux"}
-    pins: dict[str, list[str]] = {}
-    for pin in map(Requirement, PINS):
-        if pin.marker is None or pin.marker.evaluate(here):
-            pins.setdefault(_normal(pin.name), []).append(str(pin.specifier).removeprefix("=="))
+    pins = _pinned_for(here)
     wanted = sum(PROJECT["optional-dependencies"].values(), PROJECT["dependencies"])
     needed = [
         each
