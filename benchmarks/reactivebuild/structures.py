@@ -129,7 +129,7 @@ def read_structures(folder: Path) -> Structures:
         InputError: if `folder` is not a run folder.
     """
     try:
-        summary = pd.read_csv(folder / "summary.csv", float_precision="round_trip")
+        summary = pd.read_csv(folder / "summary.csv")
         summary = summary.set_index("case")
         summary["robots"] = summary["joined"]  # the laws are about robots that joined
     except OSError as error:
