@@ -142,6 +142,18 @@ def test_rows_that_are_too_short_are_made_longer():
     np.testing.assert_allclose(result.position, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.usefixtures("_way")
+def test_rows_are_made_anew_once_a_robot_strayed_half_their_skin():
+    """A quarter of R: not earlier, which costs time alone, wherever the robot is."""
+    place, level = np.array([[30.0, -40.0, 0.0]]), [[1, 0, 0, 0]]
+    rise = {"height": [9.0], "height_gain": 1.0, "max_step": 0.1}
+
+    result = relax(place, level, [], robot=ROBOT, ramp=0.5, steps=12, **GAINS | rise)
+
+    np.testing.assert_allclose(result.largest_move, 0.1, rtol=1e-6)
+    assert result.list_builds == 12 / 3
+
+
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 10**6), robots=st.integers(2, 40))
 def test_other_names_and_another_place_change_nothing(seed, robots):
