@@ -5,14 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tiswarm.localization.joint.chains import deviation
 from tiswarm.localization.joint.ends import _weights
 from tiswarm.localization.joint.settings import AnnealSchedule, MixtureSettings, SdCalibration
-
-COSTS = st.lists(st.floats(0.0, 400.0) | st.just(math.inf), max_size=12)
 
 
 def _weighed(cost, heat):
@@ -32,14 +28,21 @@ def _weights_slowly(cost, measurements):
     return [c / sum(counted) for c in counted]
 
 
-@given(others=COSTS, least=st.floats(0.0, 1e4), measurements=st.integers(0, 5000))
-def test_weights_are_those_of_the_coldest_mixture_with_enough_ends(others, least, measurements):
-    """Costs count in units of a temperature, which rises until enough ends have weight."""
-    cost = [least, *(least + other for other in others)]
+def test_weights_are_those_of_the_coldest_mixture_with_enough_ends():
+    """Costs count in units of a temperature, which rises until enough ends have weight.
 
-    weight = _weights(np.array(cost), measurements)
+    Some chains failed. In one case of seven a temperature between the extremes is the first.
+    """
+    draw = np.random.default_rng(0)
+    for _ in range(400):
+        excess = 10.0 ** draw.uniform(-1.0, 3.0) * draw.random(draw.integers(1, 17))
+        cost = np.append(1000.0 + excess, np.full(draw.integers(3), math.inf))
+        measurements = int(draw.integers(5000))
 
-    np.testing.assert_allclose(weight, _weights_slowly(cost, measurements), rtol=1e-6, atol=1e-9)
+        weight = _weights(cost, measurements)
+
+        slow = _weights_slowly(cost, measurements)
+        np.testing.assert_allclose(weight, slow, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("measurements", [50, 200, 1000, 5000])
