@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tiswarm.localization.trilateration import INDEPENDENT, POINTS, Ties, Trilateration
+from tiswarm.localization.trilateration import INDEPENDENT, POINTS, Ties, Trilateration, unit
 
 WORLD = 8
 """Number of the world, after eight robots."""
@@ -60,36 +60,65 @@ class Scene:
             return np.linalg.norm(away) - reach, away / np.linalg.norm(away)
         return normal @ away - reach, normal
 
+    def equations(self, robot, origin):
+        """Coefficients and right sides of a robot's rows, linear in x and |x|^2 / 2 R.
+
+        Divided by the radius of a sphere, but no less than 2 R, what is left is a distance.
+        """
+        row, value = [], []
+        for _, partner, shift, normal, reach, _, is_sphere in self.of(robot):
+            middle = self.position[partner] + shift - origin
+            radius = max(reach, 2.0)
+            row.append([*(-middle / radius), 1.0 / radius] if is_sphere else [*normal, 0.0])
+            square = 0.5 * (reach**2 - middle @ middle)
+            value.append(square / radius if is_sphere else reach + normal @ middle)
+        return np.array(row), np.array(value)
+
 
 SCENES = [(3, 0), (4, 0), (0, 3), (2, 2), (5, 3)]
 
 
-@pytest.mark.parametrize("counts", SCENES)
+@pytest.mark.parametrize("counts", [(1, 0), (0, 1), (2, 0), (1, 1), *SCENES])
 @pytest.mark.parametrize("seed", range(3))
-def test_rows_are_linear_equations_of_a_point_and_its_square(counts, seed):
-    """Where the robot is, all hold; their coefficients are those of rows that are distances."""
+def test_the_rank_counts_independent_equations(counts, seed):
+    """By the singular values of unit rows, about the mean of the middles of spheres."""
     scene = Scene(*counts, seed)
-    solver = scene.solver
 
-    row, value = solver._linear()
+    rank = scene.solver.rank()
 
-    offset = scene.truth - solver.origin
-    solution = np.column_stack([offset, (offset**2).sum(axis=1) / 2.0])
-    left = (row * solution[solver.of]).sum(axis=1)
-    np.testing.assert_allclose(left, value, atol=1e-12)
     for k, robot in enumerate((6, 7)):
-        spheres = [r for r in scene.of(robot) if r[6]]
-        middles = [scene.position[r[1]] + r[2] for r in spheres] or [np.zeros(3)]
-        np.testing.assert_allclose(solver.origin[k], np.mean(middles, axis=0), atol=1e-12)
-        slow = [
-            [*(solver.origin[k] - scene.position[r[1]] - r[2]), 1.0] / np.maximum(r[4], 2.0)
-            if r[6]
-            else [*r[3], 0.0]
-            for r in scene.of(robot)
-        ]
-        np.testing.assert_allclose(row[solver.of == k][:-1], slow, atol=1e-12)
-        rank = (np.linalg.svd(np.array(slow))[1] > INDEPENDENT).sum()
-        assert solver.rank()[k] == rank
+        origin = scene.solver.origin[k]
+        middles = [scene.position[r[1]] + r[2] for r in scene.of(robot) if r[6]]
+        np.testing.assert_allclose(origin, np.mean(middles or [np.zeros(3)], axis=0), atol=1e-12)
+        assert rank[k] == (np.linalg.svd(scene.equations(robot, origin)[0])[1] > INDEPENDENT).sum()
+
+
+@pytest.mark.parametrize("counts", [(3, 0), (4, 0), (2, 2), (5, 3)])
+@pytest.mark.parametrize("seed", range(4))
+def test_crossings_are_where_the_line_that_rows_determine_best_meets_the_paraboloid(counts, seed):
+    """With rows that contradict each other a little; the upper point is first."""
+    scene = Scene(*counts, seed, off=0.05)
+
+    points = scene.solver.crossings()
+
+    for k, robot in enumerate((6, 7)):
+        origin = scene.solver.origin[k]
+        row, value = scene.equations(robot, origin)
+        root = np.sqrt([scene.precision(each) for each in scene.of(robot)])
+        left, size, axis = np.linalg.svd(root[:, None] * row)
+        foot = axis[:3].T @ ((left.T @ (root * value))[:3] / size[:3])
+        along = axis[3]
+        roots = np.roots([
+            along[:3] @ along[:3],
+            2.0 * foot[:3] @ along[:3] - 2.0 * along[3],
+            foot[:3] @ foot[:3] - 2.0 * foot[3],
+        ])  # fmt: skip
+        if np.isreal(roots).all():
+            slow = [origin + foot[:3] + step * along[:3] for step in roots.real]
+            slow.sort(key=lambda point: -point[2])
+            np.testing.assert_allclose(points[k], slow, atol=1e-6)
+        else:
+            np.testing.assert_array_equal(points[k, 0], points[k, 1])
 
 
 @pytest.mark.parametrize("counts", SCENES)
@@ -133,23 +162,19 @@ def test_rows_weigh_by_their_variance_and_that_of_partners(counts):
         assert misfit[k, 0] == pytest.approx(2.0 * best.cost, rel=1e-6)
 
 
-def test_steps_are_no_longer_than_rows_reach():
-    """Beyond the farthest row, in the least angle that counts as independent."""
+def test_points_are_no_farther_than_rows_reach():
+    """The farthest row, in the least angle that counts as independent."""
     scene = Scene(2, 2)
-    solver = scene.solver
 
-    bound = solver.bound[:, 0, 0]
-    far, near = solver._bounded(np.full((2, 1, 3), 1e9)), solver._bounded(np.full((2, 1, 3), 1.0))
+    bound = scene.solver.bound[:, 0, 0]
 
     for k, robot in enumerate((6, 7)):
-        reach = [
-            np.linalg.norm(scene.position[r[1]] + r[2] - solver.origin[k]) + abs(r[4])
-            for r in scene.of(robot)
-        ]
-        from_world = np.linalg.norm(solver.origin[k])  # the row of infinite variance
-        assert bound[k] == pytest.approx((max([from_world, *reach]) + 2.0) / INDEPENDENT)
-    np.testing.assert_allclose(np.linalg.norm(far, axis=2)[:, 0], bound)
-    np.testing.assert_array_equal(near, 1.0)
+        origin = scene.solver.origin[k]
+        reach = [np.linalg.norm(origin)]  # of the row of infinite variance, from the world
+        for row in scene.of(robot):
+            away = scene.position[row[1]] + row[2] - origin
+            reach.append(np.linalg.norm(away) + abs(row[4]))
+        assert bound[k] == pytest.approx((max(reach) + 2.0) / INDEPENDENT)
 
 
 @pytest.mark.parametrize("counts", SCENES)
@@ -197,3 +222,13 @@ def test_axes_are_open_where_rows_say_less_than_asked_for(least):
             is_open[0] |= scene.solver.rank()[k] < POINTS
             slow = (axis**2)[:, is_open].sum(axis=1) > INDEPENDENT**2
             np.testing.assert_array_equal(found[k], slow)
+
+
+def test_unit_vectors_are_of_length_one_however_short_they_were():
+    """Only 0 has no direction, and stays."""
+    vector = np.array([[3e-9, 0.0, 4e-9], [0.3, -0.4, 0.0], [30.0, 0.0, 40.0], [0.0, 0.0, 0.0]])
+
+    found = unit(vector)
+
+    expected = [[0.6, 0.0, 0.8], [0.6, -0.8, 0.0], [0.6, 0.0, 0.8], [0.0, 0.0, 0.0]]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

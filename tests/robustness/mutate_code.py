@@ -5,8 +5,9 @@
 A mutant is a copy of the code with one small mistake: another sign, operator, constant, comparison,
 function or index. First all tests of the numerical rooms run once, which notes how long each takes
 and what lines it executes. Then each mutant is given the tests that execute its line, the quickest
-first, until one fails. What no test notices is equal in effect, only slower, or a hole of the tests:
-a person has to look.
+first, until one fails. The table `mutants.csv` has a row for each: number, file, line, the line
+before and after, outcome, and the test that noticed it. What no test notices is equal in effect,
+only slower, or a hole of the tests: a person has to look.
 
 The mistakes are in functions. Constants of modules and defaults of parameters are choices, of which
 others would be as right; texts of errors and annotations compute nothing.
@@ -24,14 +25,13 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 from coverage import Coverage, CoverageData
 
 REPOSITORY = Path(__file__).parents[2]
-LEFT_OUT = (".*", "mutants", "reports", "build")
+LEFT_OUT = (".*", "reports", "build")
 """What a copy of the repository does not need."""
 
 ROOMS = {
@@ -134,57 +134,72 @@ def mutant(root: Path, site: Site, random: random.Random) -> Mutant:
 
 
 def _spans(source: bytes) -> Iterator[tuple[int, int, tuple[str, ...]]]:
+    """Yield the start and end of what can be mistaken, and the mistakes."""
     starts = [0]
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
-
-    def start(node: ast.expr) -> int:
-        return starts[node.lineno - 1] + node.col_offset
-
-    def end(node: ast.expr) -> int:
-        return starts[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
-
     for node in _computed(ast.parse(source)):
-        match node:
-            case ast.BinOp(left, op, right) | ast.Compare(left, [op], [right]):
-                operands = [(left, op, right)]
-            case ast.BoolOp(op, values):
-                operands = [(a, op, b) for a, b in pairwise(values)]
-            case _:
-                operands = []
-        for left, op, right in operands:
-            if type(op) in OPERATORS:
-                sign, others = OPERATORS[type(op)]
-                at = source.index(sign.encode(), end(left))
-                assert at < start(right)
-                yield at, at + len(sign), others
-        match node:
-            case ast.UnaryOp(ast.Not()):
-                yield start(node), start(node) + len("not"), ("",)
-            case ast.UnaryOp(ast.USub()):
-                yield start(node), start(node) + len("-"), ("",)
-            case ast.Constant(float(value)):
-                yield start(node), end(node), (repr(1.1 * value or 1.0), f"(-{value or 1.0!r})")
-            case ast.Constant(int(value)) if not isinstance(value, bool):
-                yield start(node), end(node), (str(value + 1), str(abs(value - 1)))
-            case ast.Name(name) if name in FUNCTIONS:
-                yield start(node), end(node), (FUNCTIONS[name],)
-            case ast.Attribute(_, name) if name in FUNCTIONS | ARRAYS:
-                yield end(node) - len(name), end(node), ((FUNCTIONS | ARRAYS)[name],)
+        start = starts[node.lineno - 1] + node.col_offset
+        end = starts[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
+        yield from ((start, start + size, others) for size, others in _signs(node))
+        yield from ((end - size, end, others) for size, others in _words(node))
+        for left, operator in _operators(node):
+            sign, others = OPERATORS[type(operator)]
+            at = starts[(left.end_lineno or 0) - 1] + (left.end_col_offset or 0)
+            at = source.index(sign.encode(), at)
+            yield at, at + len(sign), others
 
 
-def _computed(tree: ast.Module) -> Iterator[ast.AST]:
-    """Yield the nodes of functions that compute something."""
+def _signs(node: ast.expr) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Yield the length of a sign before an operand, which can be left out."""
+    match node:
+        case ast.UnaryOp(ast.Not()):
+            yield len("not"), ("",)
+        case ast.UnaryOp(ast.USub()):
+            yield len("-"), ("",)
+
+
+def _words(node: ast.expr) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Yield the length of a number or of the last name of an expression, and others."""
+    match node:
+        case ast.Constant(bool()):
+            pass
+        case ast.Constant(float(value)):
+            others = repr(1.1 * value or 1.0), f"(-{value or 1.0!r})"
+            yield (node.end_col_offset or 0) - node.col_offset, others
+        case ast.Constant(int(value)):
+            others = str(value + 1), str(abs(value - 1))
+            yield (node.end_col_offset or 0) - node.col_offset, others
+        case ast.Name(name) if name in FUNCTIONS:
+            yield len(name), (FUNCTIONS[name],)
+        case ast.Attribute(_, name) if name in FUNCTIONS | ARRAYS:
+            yield len(name), ((FUNCTIONS | ARRAYS)[name],)
+
+
+def _operators(node: ast.expr) -> Iterator[tuple[ast.expr, ast.AST]]:
+    """Yield the left operand of each operator that can be mistaken, and the operator."""
+    match node:
+        case ast.BinOp(left, operator, _) | ast.Compare(left, [operator], _):
+            found: list[tuple[ast.expr, ast.AST]] = [(left, operator)]
+        case ast.BoolOp(operator, values):
+            found = [(left, operator) for left in values[:-1]]
+        case _:
+            found = []
+    yield from (each for each in found if type(each[1]) in OPERATORS)
+
+
+def _computed(tree: ast.Module) -> Iterator[ast.expr]:
+    """Yield the expressions of functions that compute something."""
     for function in ast.walk(tree):
-        if isinstance(function, ast.FunctionDef):
-            waiting: list[ast.AST] = [*function.body]
-            while waiting:
-                node = waiting.pop(0)
-                if isinstance(node, ast.Raise | ast.JoinedStr | ast.FunctionDef):
-                    continue
+        waiting: list[ast.AST] = [*function.body] if isinstance(function, ast.FunctionDef) else []
+        while waiting:
+            node = waiting.pop(0)
+            if isinstance(node, ast.Raise | ast.JoinedStr | ast.FunctionDef):
+                continue
+            if isinstance(node, ast.expr):
                 yield node
-                ignored = getattr(node, "annotation", None)
-                waiting += [each for each in ast.iter_child_nodes(node) if each is not ignored]
+            ignored = getattr(node, "annotation", None)
+            waiting += [each for each in ast.iter_child_nodes(node) if each is not ignored]
 
 
 # --- what tests do without mistakes ----------------------------------------------------------
@@ -328,7 +343,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first to try")
-    parser.add_argument("--folder", type=Path, default=Path("mutants"), help="for the results")
+    parser.add_argument("--folder", type=Path, default=Path("reports/mutants"))
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
     folder = asked.folder.resolve()
@@ -337,11 +352,12 @@ def main() -> None:
         shutil.copytree(REPOSITORY, root, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_OUT))
     recorded = record(root, folder)
     every = sites(root)
-    random.Random(asked.seed).shuffle(every)
+    random.Random(asked.seed).shuffle(every)  # noqa: S311 - no secrets
     with (folder / "mutants.csv").open("a", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         for number in range(asked.first, asked.count):
-            each = mutant(root, every[number], random.Random(f"{asked.seed} {number}"))
+            chance = random.Random(f"{asked.seed} {number}")  # noqa: S311 - no secrets
+            each = mutant(root, every[number], chance)
             outcome = outcome_of(root, each, recorded.tests_of(each.file, each.line))
             table.writerow([number, each.file, each.line, each.before, each.after, *outcome])
             file.flush()
