@@ -94,10 +94,13 @@ def test_the_rank_counts_independent_equations(counts, seed):
 
 
 @pytest.mark.parametrize("counts", [(3, 0), (4, 0), (2, 2), (5, 3)])
+@pytest.mark.parametrize("off", [0.05, 0.5, 2.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_crossings_are_where_the_line_that_rows_determine_best_meets_the_paraboloid(counts, seed):
-    """With rows that contradict each other a little; the upper point is first."""
-    scene = Scene(*counts, seed, off=0.05)
+def test_crossings_are_where_the_line_that_rows_determine_best_meets_the_paraboloid(
+    counts, seed, off
+):
+    """With rows that contradict each other; the upper point is first. A line can miss."""
+    scene = Scene(*counts, seed, off=off)
 
     points = scene.solver.crossings()
 
