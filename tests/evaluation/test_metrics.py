@@ -118,6 +118,15 @@ def test_paired_differences_see_through_what_structures_share():
     assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**20)
 
 
+def test_structures_that_agree_leave_the_others_to_be_compared():
+    """A pair without a difference says nothing; Wilcoxon's test leaves it out."""
+    first = np.array([0.0, 1.0, 2.0, 3.0])
+
+    difference = metrics.paired_difference(first, first - [0.0, 0.1, 0.2, 0.4])
+
+    assert difference["wilcoxon_p"] == pytest.approx(2.0 / 2**3)
+
+
 def test_too_few_structures_have_no_interval():
     """Statistics of none or one structure, and of two that agree, are NaN where undefined."""
     assert np.isnan(metrics.mean_std_ci95(np.array([]))["mean"])

@@ -39,6 +39,25 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     assert calibrated["coverage_90"] == 1.0 - 1.0 / (count - 1)
 
 
+def test_robots_that_were_located_have_an_error_of_their_own(towers):
+    """The root mean square of their distances from the truth, without the anchor."""
+    history = towers[0]
+    log = observe(history, SensingParams())
+    pose = {"position": history.position, "orientation_wxyz": history.orientation_wxyz}
+    truth = Truth(robot_id=log.robot_id, **pose)
+    off = np.outer(np.arange(30.0), [0.0, 0.6, 0.8])
+    estimate = dataclasses.replace(
+        localize(log, VirtualForceParams(iterations=1)),
+        position=history.position + off,
+        undetermined=np.tile(np.arange(30) >= 4, (3, 1)).T,
+    )  # fmt: skip
+
+    scores = score(truth, log, estimate, history.robot, cues=[])
+
+    assert scores["located"] == pytest.approx(3.0 / 29.0)
+    assert scores["rmse_located_R"] == pytest.approx(((1.0 + 4.0 + 9.0) / 3.0) ** 0.5)
+
+
 def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
     """Tables of a run show which estimates to trust."""
     history = towers[0]
@@ -61,14 +80,15 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
 
 
 def test_ranges_are_not_judged_as_contacts(towers):
-    """A range among the outliers, whose dock is the center, counts as no contact."""
+    """Nor is a touch, of which one dock is known: both, among the outliers, are no contacts."""
     log = observe(towers[0], SensingParams(range_reach=8.0, false_contacts=0.05))
     robot, other = log.ranges[0, :2].astype(int)
     wrong = {tuple(row) for row in log.contacts.tolist()}
     wrong -= {tuple(row) for row in towers[0].contacts.tolist()}
     i, a, j, b = min(wrong)
     last = [len(walk.pivot_dock) for walk in towers[0].walks]
-    outliers = np.array([[j, last[j], b, i, a], [robot, last[robot], -1, other, -1]])
+    range_row, touch = [robot, last[robot], -1, other, -1], [j, last[j], b, i, -2]
+    outliers = np.array([[j, last[j], b, i, a], range_row, touch])
     estimate = localize(log, VirtualForceParams(iterations=1))
     judged = dataclasses.replace(estimate, outlier_contacts=outliers)
 

@@ -187,26 +187,37 @@ def test_a_height_decides_between_images_below_and_above_a_ceiling():
     assert best.rmse_after < 0.5
     assert all(np.isnan(each.images_apart_sd) for each in plain)
     assert all(each.rmse_before < 0.5 for each in plain)
+    assert all(each.floppy_modes or each.rmse_after < 0.99 * each.rmse_before for each in plain)
+    single = advise(log, ["ranges", "fixes"], images[0].position, images[:1])
+    assert [each[:4] for each in single] == [each[:4] for each in plain]
 
 
-def test_a_range_to_a_robot_off_the_mirror_plane_decides():
-    """Ranges to robots in the plane, which are there already, are the same in both images."""
+@pytest.mark.parametrize("unit", [1.0, 30.0])
+def test_a_range_to_a_robot_off_the_mirror_plane_decides(unit):
+    """Ranges to robots in the plane, which are there already, are the same in both images.
+
+    One to a robot beyond the longest range would differ more, and cannot be measured.
+    """
     log, images = _beacons()
-    low = np.array([40.0, 40.0, 10.0])
-    fixes = [[4, *axis, low @ axis, 0.1, -1.0] for axis in np.eye(3)]
-    more = {
-        name: np.concatenate([getattr(log, name), getattr(log, name)[-1:]])
-        for name in ("orientation_wxyz", "flip_height", "spawn_position")
-    }
-    five = replace(
-        log, robot_id=np.arange(5), stances=None, fixes=np.concatenate([log.fixes, fixes]), **more
-    )
+    further = np.array([[40.0, 40.0, 10.0], [40.0, 40.0, -300.0]])
+    fixes = [
+        [i, *axis, p @ axis, 0.1, -1.0] for i, p in enumerate(further, 4) for axis in np.eye(3)
+    ]
+    names = ("orientation_wxyz", "flip_height", "spawn_position")
+    more = {name: np.concatenate([getattr(log, name), getattr(log, name)[-2:]]) for name in names}
+    lengths = ("dock_radius", "dock_offset_body", "anchor_position")
+    scaled = {name: unit * getattr(log, name) for name in lengths}
+    six = replace(
+        log, robot_id=np.arange(6), stances=None,
+        fixes=np.concatenate([log.fixes, fixes]) * [1, 1, 1, 1, unit, unit, 1],
+        ranges=log.ranges * [1, 1, unit, unit, 1], **more, **scaled,
+    )  # fmt: skip
     images = [
-        SimpleNamespace(weight=0.5, position=np.concatenate([each.position, low[None]]))
+        SimpleNamespace(weight=0.5, position=unit * np.concatenate([each.position, further]))
         for each in images
     ]
 
-    ranges = [each for each in advise(five, ["ranges", "fixes"], images[0].position, images)
+    ranges = [each for each in advise(six, ["ranges", "fixes"], images[0].position, images)
               if each.kind == "range"]  # fmt: skip
 
     assert [(each.robot, each.contact[1]) for each in ranges] == [(4, 3)]
