@@ -1,13 +1,14 @@
-"""Random numbers depend on their four arguments and on nothing else."""
+"""Random numbers depend on their four arguments alone; rotations are those of scipy."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.compute.math import normal, uniform
-from tiswarm.compute.math_kernels import mixed
+from tiswarm.compute.math_kernels import axis_rotation, mixed, quaternion_product, rotate
 
 whole = st.integers(0, 2**40)
 
@@ -63,3 +64,32 @@ def test_kernels_mix_well():
     for shift in ((0, 1), (1, 0), (1, 1)):
         moved = np.roll(unit, shift, axis=(0, 1))
         assert abs(np.corrcoef(unit.ravel(), moved.ravel())[0, 1]) < 0.03
+
+
+@ti.kernel
+def _turn(first: Reals2, second: Reals2, vector: Reals2):
+    """Compose with `first` a turn by the length of a vector about it, into `second`; turn that."""
+    for k in range(first.shape[0]):
+        p = ti.Vector([first[k, c] for c in range(4)])
+        v = ti.Vector([vector[k, c] for c in range(3)])
+        composed = quaternion_product(p, axis_rotation(v / v.norm(), v.norm()))
+        turned = rotate(composed, v + ti.Vector([1.0, 2.0, 3.0]))
+        for c in ti.static(range(4)):
+            second[k, c] = composed[c]
+        for c in ti.static(range(3)):
+            vector[k, c] = turned[c]
+
+
+def test_kernels_compose_and_apply_rotations():
+    """In any directions: flips of robots that stand level are about special axes."""
+    draw = np.random.default_rng(0)
+    first, vector = Rotation.from_rotvec(draw.normal(size=(20, 3))), draw.normal(size=(20, 3))
+    wxyz, composed, turned = first.as_quat(scalar_first=True), np.empty((20, 4)), vector.copy()
+
+    _turn(wxyz, composed, turned)
+
+    expected = first * Rotation.from_rotvec(vector)
+    found = Rotation.from_quat(composed, scalar_first=True)
+    np.testing.assert_allclose((found * expected.inv()).magnitude(), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(composed, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(turned, expected.apply(vector + np.arange(1.0, 4.0)), atol=1e-12)

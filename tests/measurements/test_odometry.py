@@ -67,3 +67,15 @@ def test_variances_along_axes_are_those_of_coordinates(log, bias_deg):
     along = [walks.variance_along(np.tile(e, (len(arm), 1)), stances, dock) for e in np.eye(3)]
 
     np.testing.assert_allclose(np.transpose(along), variance, rtol=1e-9, atol=1e-12)
+
+
+def test_arms_are_those_of_a_log_in_another_unit(log):
+    """Lengths are in R, so the unit of a log cancels."""
+    in_mm = replace(
+        log, dock_radius=30.0 * log.dock_radius, dock_offset_body=30.0 * log.dock_offset_body
+    )
+    stances = np.arange(len(Odometry(log).owner))
+
+    here, there = (Odometry(each).arms(stances, 0 * stances) for each in (log, in_mm))
+
+    np.testing.assert_allclose(there, here, rtol=1e-9, atol=1e-12)
