@@ -41,6 +41,9 @@ _MARGIN = 1.0
 _LONGEST_STEP = 0.5
 """Longest step of a robot in a round, in R and in the median of measured distances [1]."""
 
+_LONGEST_TURN = 0.3
+"""Longest turn in a round of a robot whose orientation is hardly known [rad]."""
+
 _FALLING, _MOST_ROUNDS = 0.3, 30
 """Share of the cost by which a round must lower it for more rounds than asked for, and rounds at
 most."""
@@ -164,7 +167,11 @@ class Cost:
         self.of_source = rows.shared_sd[rows.source[with_source]]
 
     def refine(
-        self, start: tuple[Reals, Reals], rounds: int, prior: Reals | None = None
+        self,
+        start: tuple[Reals, Reals],
+        rounds: int,
+        prior: Reals | None = None,
+        turn: Reals | None = None,
     ) -> tuple[State, Linear]:
         """Take Levenberg-Marquardt steps to a minimum of the cost.
 
@@ -173,11 +180,13 @@ class Cost:
             rounds: Rounds; more if the cost still falls fast.
             prior: Width of a prior of positions [R], shape (N,); none if None. It is around where
                 each round begins: it bounds variances and steps, and does not move the minimum.
+            turn: Errors of orientations to start with, as in `State`; none if None.
 
         Returns:
             The best state, and the cost linearized there.
         """
-        turn, shared = np.zeros((len(self.is_earlier), 3)), np.zeros(len(self.rows.shared_sd))
+        turn = np.zeros((len(self.is_earlier), 3)) if turn is None else turn
+        shared = np.zeros(len(self.rows.shared_sd))
         state = State(*start, turn, shared)
         precision = self.precision.copy()
         if prior is not None:
@@ -361,7 +370,11 @@ class Cost:
         turn[self.is_earlier] = earlier.reshape(-1, 3)
         count = state.position.size
         shift, final, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
-        turn[self.walks.final] += final.reshape(-1, 3)
+        final, wide = final.reshape(-1, 3), self.walks.wide
+        angle = np.linalg.norm(final[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
+        most = min(radius, _LONGEST_TURN)
+        final[wide] *= np.minimum(1.0, most / np.maximum(angle, most))[:, None]
+        turn[self.walks.final] += final
         shift = shift.reshape(-1, 3)
         longest = _LONGEST_STEP * max(1.0, self.reach)
         far = np.linalg.norm(shift, axis=1, keepdims=True)

@@ -152,6 +152,13 @@ class Measurements:
         return np.column_stack([robot, p.stance - self.odometry.first[robot], p.dock])
 
     @property
+    def is_walked(self) -> Bools:
+        """Which rows are about a stance of their robot before the final one, shape (E,)."""
+        stance = ends(self.distances, self.offsets, self.places)[0]
+        is_walked: Bools = stance != self.odometry.final[self.robot]
+        return is_walked
+
+    @property
     def source(self) -> Ints:
         """Source of each row, -1 for none; offsets have none, shape (E,)."""
         none = np.full(len(self.offsets.stance), -1)

@@ -4,6 +4,8 @@ A flip moves a center by what the orientations before and after say, so the nois
 in everything the robot sensed there and before. Lengths in R.
 """
 
+from copy import copy
+
 import numpy as np
 
 from tiswarm.aliases import Ints, Reals
@@ -71,11 +73,31 @@ class Odometry:
         self.reached = self.arm[np.arange(len(order)), np.roll(pivot, 1)] - self.held
         """From the dock held by to the one that the stance was reached on [R], shape (S, 3)."""
         self.reached[self.first] = 0.0
-        every = np.arange(len(order))
-        summed = np.cumsum(self._turned(every, self.reached)[::-1], axis=0)[::-1]
-        later = np.concatenate([summed[1:], np.zeros((1, 3))])
-        self.walked = later - later[self.final][self.owner]
+        self.wide: Ints = np.empty(0, np.int64)
+        """Robots whose orientations are hardly known: see `widened`, shape (K,)."""
+        self.walked = self._variance_walked(self.turn_sd)
         """Variance of what lies between a stance and the final center [R^2], shape (S, 3)."""
+
+    def widened(self, robots: Ints, sd: float) -> "Odometry":
+        """Return a copy in which nothing better than `sd` [rad] is known of some orientations.
+
+        Args:
+            robots: Robots whose orientations these are, shape (K,).
+            sd: Standard deviation about each axis [rad].
+        """
+        found = copy(self)
+        found.wide = robots
+        is_wide = np.isin(self.owner, robots)[:, None]
+        found.turn_sd = np.where(is_wide, np.maximum(sd, self.turn_sd), self.turn_sd)
+        found.walked = self._variance_walked(found.turn_sd)
+        return found
+
+    def _variance_walked(self, turn_sd: Reals) -> Reals:
+        """Sum the variances of all flips after each stance, of orientations that noisy."""
+        summed = np.cumsum(_turned(turn_sd, self.reached)[::-1], axis=0)[::-1]
+        later = np.concatenate([summed[1:], np.zeros((1, 3))])
+        walked: Reals = later - later[self.final][self.owner]
+        return walked
 
     def arms(self, stance: Ints, dock: Ints) -> tuple[Reals, Reals]:
         """Arms from final centers to docks, or centers, at some stances.
@@ -89,7 +111,7 @@ class Odometry:
         """
         offset = self._offset(stance, dock)
         at: Reals = self.shift[stance] + offset
-        variance = self.walked[stance] + self._turned(stance, offset - self.held[stance])
+        variance = self.walked[stance] + _turned(self.turn_sd[stance], offset - self.held[stance])
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
 
@@ -156,11 +178,12 @@ class Odometry:
         part[start] = offset + beyond - self.held[stance]
         return which, of_part, part
 
-    def _turned(self, stance: Ints, arm: Reals) -> Reals:
-        """Variance of each coordinate of arms that noisy stances turn, shape (n, 3)."""
-        x, y, z = arm.T**2
-        tilt, yaw = self.turn_sd[stance].T ** 2
-        return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
+
+def _turned(turn_sd: Reals, arm: Reals) -> Reals:
+    """Variance of each coordinate of arms (n, 3) that noisy orientations (n, 2) turn, (n, 3)."""
+    x, y, z = arm.T**2
+    tilt, yaw = turn_sd.T**2
+    return np.column_stack([tilt * z + yaw * y, tilt * z + yaw * x, tilt * (x + y)])
 
 
 def _owners(stances: Stances) -> Ints:

@@ -165,8 +165,9 @@ class Estimate:
     is."""
 
     outlier_robots: Ints | None = None
-    """Robots whose measurements all disagree with their neighbors', so that the sensed orientation
-    does not count, shape (K,); None where `outlier_contacts` is."""
+    """Robots whose measurements all disagree with their neighbors', so that their orientations and
+    what they sensed on their walks do not count, shape (K,); None where there are none, or the
+    method does not look for them."""
 
     misfit: Reals | None = None
     """Part of the chi-square that each robot's measurements carry, half of that of a pair for each

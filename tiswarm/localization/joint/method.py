@@ -12,6 +12,7 @@ from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import further_starts
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
+from tiswarm.localization.joint.outliers import disregard, explains
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import ChiSquareParams, JointParams
@@ -48,8 +49,27 @@ def localize_batch(
     estimates = []
     for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
         ended, has_failed, restarted = _further(log, p, problem, chains)
-        estimates.append(mixed(log, p, problem, ended, has_failed, restarted=restarted))
+        estimate = mixed(log, p, problem, ended, has_failed, restarted=restarted)
+        estimates.append(_without_outlier_robots(log, p, problem, ended, estimate))
     return estimates
+
+
+def _without_outlier_robots(
+    log: SensingLog,
+    params: JointParams,
+    problem: Problem,
+    annealed: Annealed,
+    estimate: Estimate,
+) -> Estimate:
+    """Localize again without the orientations of robots that explain most of a misfit, if any."""
+    if (found := disregard(log, params, problem, annealed, estimate)) is None:
+        return estimate
+    chains = found.annealed.joined(anneal([found.log], [params], [found.problem])[0])
+    has_failed = failed(found.problem, chains)
+    again = mixed(found.log, params, found.problem, chains, has_failed)
+    if not explains(estimate, again):
+        return estimate
+    return replace(again, outlier_robots=np.sort(found.robots))
 
 
 def mixed(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.planes import Planes, measured_planes
+from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
@@ -25,6 +26,8 @@ from tiswarm.measurements.orientations import (
     with_orientations,
 )
 from tiswarm.records.sensing_log import SensingLog
+
+NO_ROBOTS: Ints = np.empty(0, np.int64)
 
 _MORE_THAN_ANY = 4
 """Directions that the anchor counts as measured in: more than any other robot."""
@@ -220,21 +223,29 @@ class Problem:
         return reach(self.pair[counts], longest[counts], self.part)
 
 
-def pose_problem(log: SensingLog, params: ChiSquareParams) -> Problem:
+def pose_problem(
+    log: SensingLog, params: ChiSquareParams, disregarded: Ints = NO_ROBOTS
+) -> Problem:
     """Gather what a log measures, as far as its cues are in use.
 
     Args:
         log: What was sensed.
         params: Cues, and the precision that the log does not state.
+        disregarded: Robots whose orientations are hardly known, so that nothing that they sensed
+            on their walks counts, shape (K,).
     """
     log = with_orientations(log)
     noise = log.noise or ASSUMED
     bias = np.radians(noise.yaw_bias_deg or 0.0)
     is_solved = params.solve_yaw and bias > 0.0
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
+    if len(disregarded):
+        odometry = odometry.widened(disregarded, OutlierRobotSettings.turn_sd)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     cues = [cue for cue in params.cues if cue != "fixes"]
     rows = measure(log, cues, odometry=odometry, precision=precision)
+    if len(disregarded):
+        rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))

@@ -213,3 +213,30 @@ class RefineSettings:
     linear_sd: float = 0.3
     """Uncertainty up to which that does not hold [R]: motions so small are linear, and chains
     agree about them more often than they are right. Training suites without compasses."""
+
+
+class OutlierRobotSettings:
+    """Robots whose orientations do not count. Chosen on training structures."""
+
+    least: float = 6.0
+    """-log10 of the chance that the orientations of a robot are right, from which on it is an
+    outlier. Of 100 robots without errors, one in 10,000 structures would have one."""
+
+    promising: float = 2.5
+    """The same by a linear prediction, from which on a robot is tried."""
+
+    tried: int = 5
+    """Robots that are tried for each that is found, the most promising first."""
+
+    most: float = 0.2
+    """Share of robots that can be outliers [1]; where more are, something else is wrong."""
+
+    most_left: float = 0.5
+    """Part of the misfit that outlier robots may leave [1]."""
+
+    rounds: int = 8
+    """Steps toward each minimum."""
+
+    turn_sd: float = 1.0
+    """Standard deviation of an orientation that does not count, about each axis [rad]: a drift of
+    3 deg a stance over a walk of twenty stances."""

@@ -1,0 +1,165 @@
+"""Robots whose orientations do not count, since all that they sensed disagrees with the rest."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiswarm.localization.joint import outliers
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.joint.settings import OutlierRobotSettings
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.registry import localize
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.records.estimate import MOST_WITHIN
+from tiswarm.robot import RobotGeometry
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.verdicts import describe_outliers
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
+
+NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+DRIFT = np.radians([0.0, 6.0, 0.0])
+"""Error that an orientation gains at each stance, about a horizontal axis."""
+
+
+@pytest.fixture(scope="module")
+def tower():
+    """A tower of 40 robots."""
+    return grow(TowerParams(), robots=40, seeds=[1000], robot=RobotGeometry())[0]
+
+
+@pytest.fixture(scope="module")
+def log(tower):
+    """What its robots sensed, with the noise that is stated."""
+    return observe(tower, NOISY)
+
+
+@pytest.fixture(scope="module")
+def robot(log):
+    """The robot with the longest walk, which has most to say."""
+    return int(np.diff(log.stances.start).argmax())
+
+
+@pytest.fixture(scope="module")
+def drifting(log, robot):
+    """The same log, but that robot's IMU drifts."""
+    return drifted(log, robot)
+
+
+@pytest.fixture(scope="module")
+def estimate(drifting):
+    """Estimate of the log with one robot that drifts."""
+    return localize(drifting, JointParams())
+
+
+@pytest.fixture(scope="module")
+def sound(log):
+    """Estimate of the log without drift; fails if a search for outliers begins."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(outliers, "_next", None)
+        return localize(log, JointParams())
+
+
+def drifted(log, robot):
+    """Turn the orientations of a robot ever farther from stance to stance."""
+    stances = log.stances
+    begin, end = stances.start[robot : robot + 2]
+    earlier, final = stances.orientation_wxyz.copy(), log.orientation_wxyz.copy()
+    for step, stance in enumerate(range(begin, end)):
+        earlier[stance] = _turned(earlier[stance], step)
+    final[robot] = _turned(final[robot], end - begin)
+    stances = replace(stances, orientation_wxyz=earlier)
+    return replace(log, orientation_wxyz=final, stances=stances)
+
+
+def _turned(wxyz, times):
+    turn = Rotation.from_rotvec(times * DRIFT) * Rotation.from_quat(wxyz, scalar_first=True)
+    return turn.as_quat(scalar_first=True)
+
+
+def test_a_robot_whose_imu_drifts_is_named(estimate, robot):
+    """Not its measurements one by one: all of them are wrong, and its neighbors are not."""
+    assert estimate.outlier_robots.tolist() == [robot]
+
+
+def test_the_rest_is_consistent_without_the_robot(estimate):
+    """The misfit was that robot's, so the others' standard deviations are not multiplied."""
+    assert estimate.convergence.trusted
+    assert estimate.convergence.sd_factor == 1.0
+
+
+def test_other_robots_are_within_their_sd_without_it(estimate, tower, robot):
+    """Nine of ten should be within 1.6 sd; robots share errors, so a structure may have fewer."""
+    away = np.linalg.norm(estimate.position - tower.position, axis=1)
+    good = np.setdiff1d(np.arange(1, len(away)), robot)
+
+    assert (away <= MOST_WITHIN * estimate.sd)[good].mean() > 0.8
+
+
+def test_the_robot_that_is_named_is_less_certain_than_before(estimate, sound, robot):
+    """Its contacts alone say where it is, with docks that point anywhere."""
+    assert estimate.sd[robot] > 2.0 * sound.sd[robot]
+
+
+def test_nobody_is_named_where_noise_explains_the_log(sound):
+    """No search begins, so that such logs cost what they did and give the same bytes."""
+    assert sound.convergence.consistent
+    assert sound.outlier_robots is None
+
+
+def test_the_robot_is_listed_with_its_line(estimate, drifting, robot):
+    """Users find what to repair, beside the single measurements that are wrong."""
+    lines = [*describe_outliers(drifting, Path("log.jsonl"), estimate)]
+
+    assert lines[-1] == (
+        f"log.jsonl:{robot + 2}: orientation_wxyz: robot {robot}'s orientation is an outlier: its "
+        "measurements all disagree; look at its IMU"
+    )
+
+
+def test_no_robot_is_to_blame_for_docks_of_another_size(log):
+    """A wrong header is in all measurements alike: the verdict stays, and names nobody."""
+    found = localize(replace(log, dock_radius=1.05 * log.dock_radius), JointParams())
+
+    assert not found.convergence.trusted
+    assert found.outlier_robots is None
+
+
+def test_too_many_outliers_are_none(drifting, monkeypatch):
+    """Where a large part of the robots would have to be wrong, something else is."""
+    monkeypatch.setattr(OutlierRobotSettings, "most", 0.0)
+
+    found = localize(drifting, JointParams())
+
+    assert found.outlier_robots is None
+    assert not found.convergence.consistent
+
+
+def test_walks_of_a_robot_that_does_not_count_leave_no_rows(log, robot):
+    """What others touched of it, and what it touches at the end, counts."""
+    rows = pose_problem(log, JointParams()).rows
+    left = pose_problem(log, JointParams(), np.array([robot])).rows
+
+    dropped = rows.is_walked & (rows.robot == robot)
+    assert dropped.any()
+    assert len(left) == len(rows) - dropped.sum()
+    assert not left.is_walked[left.robot == robot].any()
+
+
+def test_widened_orientations_are_in_the_variance_of_arms(log, robot):
+    """Arms of that robot are uncertain; those of others are as before."""
+    walks = Odometry(log)
+    wide = walks.widened(np.array([robot]), 0.1)
+    stance, dock = walks.first, np.zeros(log.robot_count, int)
+
+    before, after = walks.arms(stance, dock)[1], wide.arms(stance, dock)[1]
+
+    others = np.arange(log.robot_count) != robot
+    np.testing.assert_allclose(after[others], before[others], rtol=1e-9)
+    assert (after[robot] > before[robot]).all()
+    axes = np.eye(3)
+    along = wide.variance_along(axes, np.repeat(stance[robot], 3), np.zeros(3, int))
+    np.testing.assert_allclose(after[robot], along)

@@ -1,0 +1,285 @@
+"""Whole robots as outliers: those whose orientations disagree with all that others sensed.
+
+The error of an IMU that drifts grows from stance to stance. It is in everything that the robot
+sensed on its walk, and no single measurement is to blame. Where noise does not explain the least
+chi-square, we look for the robot without whose orientations the cost is least. It is an outlier if
+chance does not explain how much lower the cost is. Then we look for the next. Lengths in R.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tiswarm.aliases import Ints, Reals
+from tiswarm.localization.joint.chains import Annealed
+from tiswarm.localization.joint.problem import NO_ROBOTS, Problem, pose_problem
+from tiswarm.localization.joint.settings import AnnealSchedule, OutlierRobotSettings
+from tiswarm.localization.linear import Linear
+from tiswarm.localization.params import ChiSquareParams
+from tiswarm.localization.refinement import Cost, State
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+_DETERMINED = 1e-3
+"""Share of a row's variance that other rows must leave open, for the row to be checked by them."""
+
+_TRIAL_TURN = 1.5
+"""Turn about each axis, in both directions, from which an orientation is searched [rad]."""
+
+_TRIAL_SD = 0.3
+"""Standard deviation by which measurements may be missed as this search begins [R]."""
+
+_AXES = np.arange(3)
+
+
+class Disregarded(NamedTuple):
+    """A structure without the orientations of some robots."""
+
+    robots: Ints
+    """These robots, shape (K,)."""
+
+    log: SensingLog
+    """What was sensed, with final orientations of these robots that meet other measurements."""
+
+    problem: Problem
+    """Measurements without those of their walks."""
+
+    annealed: Annealed
+    """Chains, with these robots where the other measurements put them."""
+
+
+class _Fit(NamedTuple):
+    """A minimum of the robust cost without the orientations of K robots."""
+
+    robots: Ints
+    problem: Problem
+    state: State
+    linear: Linear
+
+
+def disregard(
+    log: SensingLog,
+    params: ChiSquareParams,
+    problem: Problem,
+    annealed: Annealed,
+    estimate: Estimate,
+) -> Disregarded | None:
+    """Find the robots whose orientations do not count, where an estimate is not consistent.
+
+    Args:
+        log: What was sensed.
+        params: Settings.
+        problem: Measurements.
+        annealed: Chains.
+        estimate: Estimate that all orientations lead to.
+
+    Returns:
+        The structure without them. None if there are none, or too many to be outliers, or if the
+        structure is too large to be refined.
+    """
+    verdict, settings = estimate.convergence, OutlierRobotSettings
+    if verdict is None or verdict.consistent or verdict.misfit_sd < 0.0:
+        return None
+    # The error of an orientation that was chained is that of many robots.
+    if not params.refines(log.robot_count) or problem.connections is not None:
+        return None
+    position = estimate.solutions[0].position / log.dock_radius
+    yaw = np.zeros(log.robot_count) if estimate.yaw is None else estimate.yaw
+    fit = _fitted(log, params, (NO_ROBOTS, problem), (position, yaw))
+    while (further := _next(log, params, fit)) is not None:
+        fit = further
+        if len(fit.robots) > settings.most * log.robot_count:
+            return None
+    fit = _justified(log, params, fit)
+    if not len(fit.robots):
+        return None
+    turned = _turned(log, fit)
+    return Disregarded(
+        fit.robots, turned, pose_problem(turned, params, fit.robots), _placed(annealed, fit)
+    )
+
+
+def explains(estimate: Estimate, other: Estimate) -> bool:
+    """Judge whether outlier robots explain the misfit of an estimate: without them it is small.
+
+    Where docks or noise are not as stated, a few robots are worse than others, but most of the
+    misfit is left.
+    """
+    before, after = estimate.convergence, other.convergence
+    if before is None or after is None or not after.converged:
+        return False
+    return after.misfit_sd <= OutlierRobotSettings.most_left * before.misfit_sd
+
+
+def _fitted(
+    log: SensingLog,
+    params: ChiSquareParams,
+    posed: tuple[Ints, Problem],
+    start: tuple[Reals, Reals],
+    turn: Reals | None = None,
+    sd: float = 0.0,
+) -> _Fit:
+    """Find the minimum of the robust cost near positions, yaws and turns.
+
+    Measurements may be missed by some standard deviation [R] beside their noise; docks may overlap
+    then.
+    """
+    robots, problem = posed
+    cost = Cost(
+        log,
+        problem.rows.associated(*start),
+        yaw_precision=problem.yaw_precision,
+        robust_sd=AnnealSchedule.outlier_sd,
+        non_overlap=params.non_overlap and not sd,
+        further_variance=sd**2,
+    )
+    rounds = OutlierRobotSettings.rounds
+    return _Fit(robots, problem, *cost.refine(start, rounds, turn=turn))
+
+
+def _without(log: SensingLog, params: ChiSquareParams, fit: _Fit, robots: Ints) -> _Fit:
+    """Leave out the orientations of some robots, and find the minimum near another one.
+
+    What the other minimum had to turn these robots by is given in widths of its priors.
+    """
+    problem, state = pose_problem(log, params, robots), fit.state
+    sd, before = problem.rows.odometry.turn_sd, fit.problem.rows.odometry.turn_sd
+    ratio = np.divide(before, sd, out=np.zeros_like(sd), where=sd > 0.0)
+    turn = state.turn * ratio[:, [0, 0, 1]]
+    return _fitted(log, params, (robots, problem), (state.position, state.yaw), turn)
+
+
+def _next(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit | None:
+    """Leave out the orientations of the robot that chance explains least, if there is one."""
+    gain, freed = _gains(fit)
+    predicted = _significance(gain, freed, fit)
+    predicted[fit.robots] = 0.0
+    best, most = None, OutlierRobotSettings.least
+    for robot in np.argsort(-predicted, kind="stable")[: OutlierRobotSettings.tried].tolist():
+        if predicted[robot] < OutlierRobotSettings.promising:
+            break
+        further = _without(log, params, fit, np.append(fit.robots, robot))
+        lower = np.array([fit.linear.chi_square - further.linear.chi_square])
+        found = _significance(lower, freed[[robot]], further)[0]
+        if found >= most:
+            best, most = further, found
+    return None if best is None else _searched(log, params, best)
+
+
+def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
+    """Find the least cost over orientations of the last robot that does not count.
+
+    An IMU may have drifted by more than a right angle. The search begins where contacts may be
+    missed by more than their noise, since far from all minima the robust loss is flat.
+    """
+    posed, final = (fit.robots, fit.problem), fit.problem.rows.odometry.final[fit.robots[-1]]
+    found = []
+    for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
+        turn = fit.state.turn.copy()
+        turn[final] += axis * _TRIAL_TURN / OutlierRobotSettings.turn_sd
+        start = fit.state.position, fit.state.yaw
+        found.append(_fitted(log, params, posed, start, turn, sd=_TRIAL_SD))
+    _, _, state, _ = min(found, key=lambda each: each.linear.cost)
+    again = _fitted(log, params, posed, (state.position, state.yaw), state.turn)
+    return min(fit, again, key=lambda each: each.linear.cost)
+
+
+def _justified(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
+    """Let orientations count again where chance explains how much the cost rises.
+
+    Before the robot that is to blame was found, its neighbors may have looked worse.
+    """
+    for robot in fit.robots[:-1].tolist():
+        back = _without(log, params, fit, fit.robots[fit.robots != robot])
+        rise = np.array([back.linear.chi_square - fit.linear.chi_square])
+        freed = _gains(back)[1][[robot]]
+        if _significance(rise, freed, fit)[0] < OutlierRobotSettings.least:
+            fit = back
+    return fit
+
+
+def _significance(gain: Reals, freed: Ints, fit: _Fit) -> Reals:
+    """Compute how surely the rows that were freed are wrong, if that lowers the cost so much.
+
+    Args:
+        gain: Differences of costs [1], shape (n,).
+        freed: Rows that were freed, shape (n,).
+        fit: Minimum whose typical squares say how noisy good measurements are.
+
+    Returns:
+        -log10 of the chance of such a gain if they are right, shape (n,).
+    """
+    square = fit.linear.square
+    spare = len(square) / max(fit.linear.freedom(), 1)
+    noise = max(1.0, float(np.median(square) / chi2.median(1)) * spare)
+    chance = chi2.logsf(np.maximum(gain, 0.0) / noise, np.maximum(freed, 1))
+    return np.where(freed > 0, -chance / np.log(10.0), 0.0)
+
+
+def _gains(fit: _Fit) -> tuple[Reals, Ints]:
+    """Predict by how much the cost falls without the orientations of each robot.
+
+    Without rows D the cost of a linear problem is lower by e^T (C - J P J^T)^-1 e, with their
+    residuals e, covariance C and derivatives J, and the covariance P of all unknowns. The prior of
+    a final orientation counts as three such rows.
+
+    Returns:
+        Gains [1], and how many rows others check, (N,) both.
+    """
+    rows, linear = fit.problem.rows, fit.linear
+    gain, freed = np.zeros(rows.robots), np.zeros(rows.robots, np.int64)
+    walked = np.flatnonzero(rows.is_walked)
+    for robot in range(rows.robots):
+        own = walked[rows.robot[walked] == robot]
+        turn = linear.column[3 * (rows.robots + robot) + _AXES]
+        gain[robot], freed[robot] = _gain(linear, own, turn[turn >= 0])
+    return gain, freed
+
+
+def _gain(linear: Linear, rows: Ints, columns: Ints) -> tuple[float, int]:
+    """Predict the gain without some rows and the priors of some columns, as `_gains` has it."""
+    first, size = len(rows), len(rows) + len(columns)
+    if not size:
+        return 0.0, 0
+    prior = first + np.arange(len(columns))
+    derivative, covariance = np.zeros((size, len(linear.precision))), np.zeros((size, size))
+    derivative[:first] = csc_array(linear.jacobian)[rows, :].toarray()
+    derivative[prior, columns] = 1.0
+    covariance[:first, :first] = (
+        np.diag(1.0 / linear.inverse[rows])
+        if isinstance(linear.inverse, np.ndarray)
+        else np.linalg.inv(csc_array(linear.inverse)[rows, :][:, rows].toarray())
+    )
+    covariance[prior, prior] = 1.0 / linear.precision[columns]
+    scale = 1.0 / np.sqrt(covariance.diagonal())
+    left = covariance - derivative @ linear.undamped.solve(derivative.T)
+    value, vector = np.linalg.eigh(left * scale[:, None] * scale)
+    residual = np.concatenate([linear.residual[rows], linear.off[columns]])
+    part = vector.T @ (residual * scale)
+    is_checked = value > _DETERMINED
+    return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
+
+
+def _turned(log: SensingLog, fit: _Fit) -> SensingLog:
+    """Turn robots whose orientations do not count as other measurements say."""
+    robots, walks = fit.robots, fit.problem.rows.odometry
+    final = walks.final[robots]
+    yaw = Rotation.from_rotvec(np.outer(fit.state.yaw[robots], [0.0, 0.0, 1.0]))
+    turn = Rotation.from_rotvec(-fit.state.turn[final] * walks.turn_sd[final][:, [0, 0, 1]])
+    sensed = Rotation.from_quat(log.orientation_wxyz[robots], scalar_first=True)
+    orientation = log.orientation_wxyz.copy()
+    # Yaw corrections of the new log come first, too.
+    orientation[robots] = (yaw.inv() * turn * yaw * sensed).as_quat(scalar_first=True)
+    return replace(log, orientation_wxyz=orientation)
+
+
+def _placed(annealed: Annealed, fit: _Fit) -> Annealed:
+    """Move robots whose orientations do not count to where other measurements put them."""
+    mean, last, within = annealed.mean.copy(), annealed.last.copy(), annealed.within.copy()
+    mean[:, fit.robots] = last[:, fit.robots] = fit.state.position[fit.robots]
+    within[:, fit.robots] = fit.linear.variance()[fit.robots]
+    return replace(annealed, mean=mean, last=last, within=within)
