@@ -13,7 +13,7 @@ from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.records.estimate import MOST_WITHIN
+from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
 from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.verdicts import describe_outliers
@@ -85,10 +85,12 @@ def test_a_robot_whose_imu_drifts_is_named(estimate, robot):
     assert estimate.outlier_robots.tolist() == [robot]
 
 
-def test_the_rest_is_consistent_without_the_robot(estimate):
-    """The misfit was that robot's, so the others' standard deviations are not multiplied."""
-    assert estimate.convergence.trusted
-    assert estimate.convergence.sd_factor == 1.0
+def test_an_estimate_with_outlier_robots_is_not_trusted(estimate):
+    """The misfit was that robot's, but smaller drifts may be left, which turn the rest."""
+    assert estimate.convergence.misfit_sd < MOST_MISFIT_SD
+    assert not estimate.convergence.trusted
+    assert estimate.convergence.reason == "orientations of 1 of the robots are outliers"
+    assert estimate.convergence.sd_factor > 1.0
 
 
 def test_other_robots_are_within_their_sd_without_it(estimate, tower, robot):

@@ -213,7 +213,7 @@ class Cost:
     def _close_docks(self, point: Reals) -> Ints:
         """List docks at points (N, docks, 3) that do not touch, with all that overlap, (n, 4).
 
-        A list serves until docks have moved so far that others may overlap.
+        A list serves until docks have moved half the margin.
         """
         far = np.linalg.norm(point - self._listed, axis=2).max(initial=0.0)
         if self.non_overlap and far > 0.5 * _MARGIN:

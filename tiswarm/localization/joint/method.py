@@ -61,15 +61,32 @@ def _without_outlier_robots(
     annealed: Annealed,
     estimate: Estimate,
 ) -> Estimate:
-    """Localize again without the orientations of robots that explain most of a misfit, if any."""
+    """Localize again without the orientations of robots that explain most of a misfit, if any.
+
+    A drift that is too small to be named may turn the rest of the structure. So the estimate stays
+    as uncertain, and as little to be trusted, as the misfit of all measurements says.
+    """
     if (found := disregard(log, params, problem, annealed, estimate)) is None:
         return estimate
     chains = found.annealed.joined(anneal([found.log], [params], [found.problem])[0])
     has_failed = failed(found.problem, chains)
     again = mixed(found.log, params, found.problem, chains, has_failed)
-    if not explains(estimate, again):
+    before, after = estimate.convergence, again.convergence
+    if before is None or after is None or again.sd is None or not explains(before, after):
         return estimate
-    return replace(again, outlier_robots=np.sort(found.robots))
+    factor = max(before.sd_factor, after.sd_factor)
+    verdict = replace(
+        after,
+        consistent=False,
+        sd_factor=factor,
+        reason=f"orientations of {len(found.robots)} of the robots are outliers",
+    )
+    return replace(
+        again,
+        convergence=verdict,
+        sd=again.sd * (factor / after.sd_factor),
+        outlier_robots=np.sort(found.robots),
+    )
 
 
 def mixed(

@@ -21,7 +21,7 @@ from tiswarm.localization.joint.settings import AnnealSchedule, OutlierRobotSett
 from tiswarm.localization.linear import Linear
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost, State
-from tiswarm.records.estimate import Estimate
+from tiswarm.records.estimate import Convergence, Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 _DETERMINED = 1e-3
@@ -103,16 +103,14 @@ def disregard(
     )
 
 
-def explains(estimate: Estimate, other: Estimate) -> bool:
-    """Judge whether outlier robots explain the misfit of an estimate: without them it is small.
+def explains(before: Convergence, after: Convergence) -> bool:
+    """Judge whether outlier robots explain a misfit: without them it is small.
 
     Where docks or noise are not as stated, a few robots are worse than others, but most of the
     misfit is left.
     """
-    before, after = estimate.convergence, other.convergence
-    if before is None or after is None or not after.converged:
-        return False
-    return after.misfit_sd <= OutlierRobotSettings.most_left * before.misfit_sd
+    most = OutlierRobotSettings.most_left * before.misfit_sd
+    return after.converged and after.misfit_sd <= most
 
 
 def _fitted(
