@@ -11,6 +11,7 @@ from tiswarm.compute.lang import Ints1, Ints2, Ints3, Reals2, Reals3, ti
 from tiswarm.world.elimination_kernels import (
     HALF_COLUMNS,
     NODE_COLUMNS,
+    ORDER_COLUMNS,
     EliminationArrays,
     clear,
     edge_between,
@@ -24,19 +25,22 @@ FORCES = ("sensed", "contact_stress", "ground_stress", "ground_force")
 
 @ti.kernel
 def _solve_one(
-    pairs: Ints2, coupling: Reals2, own: Reals2, has_room: Ints1,
-    node: Ints3, half: Ints3, block_count: Ints1, block: Reals3, motion: Reals3,
+    pairs: Ints2, coupling: Reals2, own: Reals2, has_room_out: Ints1,
+    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Reals3,
+    motion_out: Reals3,
 ):  # fmt: skip
-    work = ti.static(EliminationArrays(node, half, block_count, block, motion))
+    work = ti.static(EliminationArrays(
+        node_out, order_out, half_out, block_count_out, block_out, motion_out
+    ))  # fmt: skip
     for _ in range(1):
         clear(work, 0, own.shape[0])
         for a, c in ti.ndrange(own.shape[0], 36):
-            block[0, a, c] = own[a, c]
+            block_out[0, a, c] = own[a, c]
         for p in range(pairs.shape[0]):
             edge = edge_between(work, 0, pairs[p, 0], pairs[p, 1])
             for c in range(36):
-                block[0, edge, c] += coupling[p, c]
-        has_room[0] = ti.cast(solve(work, 0, own.shape[0]), ti.i32)
+                block_out[0, edge, c] += coupling[p, c]
+        has_room_out[0] = ti.cast(solve(work, 0, own.shape[0]), ti.i32)
 
 
 @settings(deadline=None, max_examples=40)
@@ -55,7 +59,8 @@ def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
     dense[np.arange(nodes), np.arange(nodes)] = 50.0 * np.eye(SIDE) * (1.0 + degree)
     load, blocks = rng.normal(size=(nodes, SIDE)), nodes * (nodes + 1) // 2
     work = EliminationArrays(
-        node=np.empty((1, nodes + 1, NODE_COLUMNS), np.int32),
+        node=np.empty((1, nodes, NODE_COLUMNS), np.int32),
+        order=np.empty((1, nodes + 1, ORDER_COLUMNS), np.int32),
         half=np.empty((1, 2 * blocks, HALF_COLUMNS), np.int32),
         block_count=np.zeros(1, np.int32),
         block=np.empty((1, blocks, SIDE**2)),

@@ -15,26 +15,34 @@ from typing import NamedTuple
 
 from tiswarm.compute.lang import Ints1, Ints3, Reals3, Ref, ti
 
-_FIRST, _DEGREE, _LEFT, _RIGHT, _BUCKET, _ORDER, _MARKED_BY, _MARK, _NEAR = range(9)
-"""Columns of a node: its first half-edge; number of neighbors that are left; nodes before and
-after it among those of its degree; the node that marked it as a neighbor, and by which half-edge.
-Columns of a number: first node of that degree; pivot of that step; half-edge to that neighbor of
-the pivot."""
-NODE_COLUMNS = 9
-_NEXT, _OTHER = range(2)
-"""Columns of a half-edge: next one of its node, and node at the other end. The edge with block e
-has half-edges 2 e and 2 e + 1."""
-HALF_COLUMNS = 2
-
 
 class EliminationArrays(NamedTuple):
     """S systems with room for M nodes and L blocks: those of the nodes, then those of edges."""
 
     node: Ints3
-    """Shape (S, M + 1, NODE_COLUMNS)."""
+    """Shape (S, M, NODE_COLUMNS); columns:
+
+    FIRST: First half-edge of the node.
+    DEGREE: Its neighbors that are left.
+    LEFT, RIGHT: Nodes before and after it in the list of those of its degree, or -1.
+    MARKED_BY: Node that marked it as a neighbor last, or -1.
+    MARK: Half-edge by which it did.
+    """
+
+    order: Ints3
+    """Lists, whose rows are no nodes, shape (S, M + 1, ORDER_COLUMNS); columns:
+
+    LEAST: First node of the list of those with as many neighbors as the row says, or -1.
+    PIVOT: Node that was eliminated in the step that the row says.
+    NEAR: Half-edges to the neighbors of the pivot, one a row.
+    """
 
     half: Ints3
-    """Shape (S, 2 L, HALF_COLUMNS)."""
+    """Half-edges, shape (S, 2 L, HALF_COLUMNS); the edge with block e has 2 e and 2 e + 1. Columns:
+
+    NEXT: Next half-edge of its node, or -1.
+    OTHER: Node at the other end.
+    """
 
     block_count: Ints1
     """Blocks that the elimination needed so far; it stops where they exceed L, shape (S,)."""
@@ -44,6 +52,12 @@ class EliminationArrays(NamedTuple):
 
     motion: Reals3
     """f of each node; then u, shape (S, M, 6)."""
+
+
+_FIRST, _DEGREE, _LEFT, _RIGHT, _MARKED_BY, _MARK = range(6)
+_LEAST, _PIVOT, _NEAR = range(3)
+_NEXT, _OTHER = range(2)
+NODE_COLUMNS, ORDER_COLUMNS, HALF_COLUMNS = 6, 3, 2
 
 
 @ti.func
@@ -91,32 +105,39 @@ def _add_edge(work: Ref, s, a, b):
 
 
 @ti.func
-def _enter(node: Ref, s, a):
+def _enter(work: Ref, s, a):
     """Put a node in front of those of its degree."""
+    node = ti.static(work.node)
     degree = node[s, a, _DEGREE]
-    first = node[s, degree, _BUCKET]
+    first = work.order[s, degree, _LEAST]
     node[s, a, _LEFT] = -1
     node[s, a, _RIGHT] = first
     if first >= 0:
         node[s, first, _LEFT] = a
-    node[s, degree, _BUCKET] = a
+    work.order[s, degree, _LEAST] = a
 
 
 @ti.func
-def _leave(node: Ref, s, a, degree):
+def _leave(work: Ref, s, a, degree):
     """Take a node out from those of a degree."""
+    node = ti.static(work.node)
     left, right = node[s, a, _LEFT], node[s, a, _RIGHT]
     if left >= 0:
         node[s, left, _RIGHT] = right
     else:
-        node[s, degree, _BUCKET] = right
+        work.order[s, degree, _LEAST] = right
     if right >= 0:
         node[s, right, _LEFT] = left
 
 
 @ti.func
 def _eliminate(work: Ref, s, k):
-    """Eliminate node `k`; its load y replaces that in `motion`."""
+    """Eliminate node `k`: C replaces its block, y its load in `motion`, and Z_a those of edges.
+
+    Returns:
+        Its neighbors; `order` lists the half-edges to them.
+    """
+    # C C' = K_kk: C_ij = (K_ij - sum_c C_ic C_jc) / C_jj, or the square root of that for i = j
     for j in range(6):
         for i in range(j, 6):
             value = work.block[s, k, 6 * i + j]
@@ -128,6 +149,7 @@ def _eliminate(work: Ref, s, k):
                 # NaN also where rounding makes a pivot 0.
                 value = ti.sqrt(value) if value > 0.0 else ti.math.nan
             work.block[s, k, 6 * i + j] = value
+    # y = C^-1 f_k, row by row
     for i in range(6):
         value = work.motion[s, k, i]
         for c in range(i):
@@ -136,10 +158,10 @@ def _eliminate(work: Ref, s, k):
     near = 0
     half = work.node[s, k, _FIRST]
     while half >= 0:
-        work.node[s, near, _NEAR] = half
+        work.order[s, near, _NEAR] = half
         near += 1
         a, edge = work.half[s, half, _OTHER], half // 2
-        _leave(work.node, s, a, work.node[s, a, _DEGREE])
+        _leave(work, s, a, work.node[s, a, _DEGREE])
         work.node[s, a, _DEGREE] -= 1
         _forward(work, s, k, a, edge)
         half = work.half[s, half, _NEXT]
@@ -149,12 +171,14 @@ def _eliminate(work: Ref, s, k):
 @ti.func
 def _forward(work: Ref, s, k, a, edge):
     """Replace K_ka by Z_a, and subtract Z_a' y."""
+    # The block is that of the lower number, K_ak = K_ka' where that is a.
     if a < k:
         for i in range(6):
             for j in range(i):
                 upper, lower = work.block[s, edge, 6 * j + i], work.block[s, edge, 6 * i + j]
                 work.block[s, edge, 6 * i + j] = upper
                 work.block[s, edge, 6 * j + i] = lower
+    # Z_a = C^-1 K_ka, row by row, and f_a -= Z_a' y
     for i in range(6):
         row = ti.Vector([work.block[s, edge, 6 * i + j] for j in range(6)])
         for c in range(i):
@@ -183,7 +207,7 @@ def _subtract(block: Ref, s, target, one, other):
 def _join_neighbors(work: Ref, s, k, near):
     """Subtract Z_a' Z_b for all pairs of neighbors of `k`, each with itself too."""
     for n in range(near):
-        from_k = work.node[s, n, _NEAR]
+        from_k = work.order[s, n, _NEAR]
         a = work.half[s, from_k, _OTHER]
         # Mark the neighbors of `a`, and drop `k` from them.
         before = -1
@@ -200,7 +224,7 @@ def _join_neighbors(work: Ref, s, k, near):
                 work.half[s, before, _NEXT] = following
             half = following
         for m in range(near):
-            to_b = work.node[s, m, _NEAR]
+            to_b = work.order[s, m, _NEAR]
             b = work.half[s, to_b, _OTHER]
             if a <= b:
                 half = work.node[s, b, _MARK]
@@ -208,6 +232,7 @@ def _join_neighbors(work: Ref, s, k, near):
                     half = 2 * a
                 elif work.node[s, b, _MARKED_BY] != a:
                     half = _add_edge(work, s, a, b)
+                # K_ab -= Z_a' Z_b
                 if half >= 0:
                     _subtract(work.block, s, half // 2, from_k // 2, to_b // 2)
 
@@ -215,6 +240,7 @@ def _join_neighbors(work: Ref, s, k, near):
 @ti.func
 def _back(work: Ref, s, k):
     """Find the motion of `k` from those that were eliminated later."""
+    # y - sum_a Z_a u_a
     rest = ti.Vector([work.motion[s, k, i] for i in range(6)])
     half = work.node[s, k, _FIRST]
     while half >= 0:
@@ -225,6 +251,7 @@ def _back(work: Ref, s, k):
         half = work.half[s, half, _NEXT]
     for c in ti.static(range(6)):
         work.motion[s, k, c] = rest[c]
+    # u_k = C^-T of that, from the last row to the first
     for back in range(6):
         i = 5 - back
         value = work.motion[s, k, i]
@@ -236,25 +263,26 @@ def _back(work: Ref, s, k):
 @ti.func
 def solve(work: Ref, s, nodes):
     """Solve a system; return whether there was room for the edges."""
-    for a in range(nodes + 1):
-        work.node[s, a, _BUCKET] = -1
+    for degree in range(nodes + 1):
+        work.order[s, degree, _LEAST] = -1
     for a in range(nodes):
-        _enter(work.node, s, a)
+        _enter(work, s, a)
     least = 0
     for step in range(nodes):
         if work.block_count[s] <= work.block.shape[1]:
-            while work.node[s, least, _BUCKET] < 0:
+            while work.order[s, least, _LEAST] < 0:
                 least += 1
-            k = work.node[s, least, _BUCKET]
-            work.node[s, step, _ORDER] = k
-            _leave(work.node, s, k, least)
+            k = work.order[s, least, _LEAST]
+            work.order[s, step, _PIVOT] = k
+            _leave(work, s, k, least)
             near = _eliminate(work, s, k)
             _join_neighbors(work, s, k, near)
             for n in range(near):
-                _enter(work.node, s, work.half[s, work.node[s, n, _NEAR], _OTHER])
+                _enter(work, s, work.half[s, work.order[s, n, _NEAR], _OTHER])
+            # Neighbors lose no more than the pivot, so that the least degree falls by one at most.
             least = ti.max(least - 1, 0)
     has_room = work.block_count[s] <= work.block.shape[1]
     if has_room:
         for step in range(nodes):
-            _back(work, s, work.node[s, nodes - 1 - step, _ORDER])
+            _back(work, s, work.order[s, nodes - 1 - step, _PIVOT])
     return has_room

@@ -143,10 +143,11 @@ def find_loads(
     # FrameArrays
     node_count: Ints1, beam_count: Ints1, ends: Ints3, stiffness: Reals3, span: Reals3,
     arm: Reals3, weight: Reals3,
-    # EliminationArrays, changed
-    node: Ints3, half: Ints3, block_count: Ints1, block: Reals3, motion: Reals3,
-    # LoadArrays, written
-    acting: Reals3, support: Reals3, stress: Reals2, sensed: Reals2,
+    # EliminationArrays
+    node_out: Ints3, order_out: Ints3, half_out: Ints3, block_count_out: Ints1, block_out: Reals3,
+    motion_out: Reals3,
+    # LoadArrays
+    acting_out: Reals3, support_out: Reals3, stress_out: Reals2, sensed_out: Reals2,
 ):  # fmt: skip
     """Find how structures move under their weight, and the loads in them.
 
@@ -157,19 +158,21 @@ def find_loads(
         due: Structures to solve, shape (n,).
     """
     frame = ti.static(FrameArrays(node_count, beam_count, ends, stiffness, span, arm, weight))
-    work = ti.static(EliminationArrays(node, half, block_count, block, motion))
-    loads = ti.static(LoadArrays(acting, support, stress, sensed))
+    work = ti.static(
+        EliminationArrays(node_out, order_out, half_out, block_count_out, block_out, motion_out)
+    )
+    loads = ti.static(LoadArrays(acting_out, support_out, stress_out, sensed_out))
     for n, idle in ti.ndrange(due.shape[0], GRAIN):
         if idle == 0:
             s = due[n]
-            docks = arm.shape[1] // sensed.shape[1]
+            docks = arm.shape[1] // sensed_out.shape[1]
             _assemble(frame, work, s)
             if solve(work, s, node_count[s]):
                 for dock in range(docks * robots[s]):
                     for c in ti.static(range(6)):
-                        acting[s, dock, c] = -1.0 if ti.static(c == _Z) else 0.0
+                        acting_out[s, dock, c] = -1.0 if ti.static(c == _Z) else 0.0
                 for beam in range(beam_count[s]):
                     if ends[s, beam, DOCK_A] >= 0:
-                        _contact_loads(frame, loads, motion, s, beam, is_rigid, radius)
+                        _contact_loads(frame, loads, motion_out, s, beam, is_rigid, radius)
                 for robot in range(robots[s]):
                     _sense(frame, loads, s, robot, docks)

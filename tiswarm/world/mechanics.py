@@ -32,7 +32,12 @@ from pydantic.dataclasses import dataclass as parameters
 from tiswarm.aliases import AnyInts, Reals
 from tiswarm.compute import backend, program
 from tiswarm.params import STRICT
-from tiswarm.world.elimination_kernels import HALF_COLUMNS, NODE_COLUMNS, EliminationArrays
+from tiswarm.world.elimination_kernels import (
+    HALF_COLUMNS,
+    NODE_COLUMNS,
+    ORDER_COLUMNS,
+    EliminationArrays,
+)
 from tiswarm.world.frame_kernels import (
     DOCK_A,
     DOCK_B,
@@ -133,7 +138,8 @@ class Frames:
             weight=np.zeros((structures, nodes, _SIDE)),
         )
         self.work = EliminationArrays(
-            node=np.empty((structures, nodes + 1, NODE_COLUMNS), np.int32),
+            node=np.empty((structures, nodes, NODE_COLUMNS), np.int32),
+            order=np.empty((structures, nodes + 1, ORDER_COLUMNS), np.int32),
             half=np.empty((structures, 10 * nodes, HALF_COLUMNS), np.int32),
             block_count=np.zeros(structures, np.int32),
             block=np.empty((structures, 5 * nodes, _SIDE**2)),
