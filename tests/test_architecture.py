@@ -59,10 +59,6 @@ def test_dependencies_have_a_reason_on_the_page():
     assert explained == _distributions()
 
 
-SHARED = {"Connections", "Swarm"}
-"""Names that two classes still have: arrays of a kernel and what they are made of."""
-
-
 def test_a_class_name_has_one_meaning():
     """A reader who knows a name from one room is not misled in another one."""
     names = Counter(
@@ -72,4 +68,4 @@ def test_a_class_name_has_one_meaning():
         if isinstance(node, ast.ClassDef)
     )
 
-    assert {name for name, count in names.items() if count > 1} == SHARED
+    assert {name for name, count in names.items() if count > 1} == set()

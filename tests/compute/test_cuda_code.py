@@ -45,7 +45,7 @@ KERNELS = {  # registers rounded up to eights, in which a card grants them
     "step_robots": Limits(33, 72, 48, 16),  # 16 steps
     "step_robots, guided": Limits(33, 80, 48, 16),
     "note_places": Limits(2, 16, 16, 0),
-    "take_steps": Limits(17, 176, 96, 0),  # two steps
+    "take_steps_on_card": Limits(17, 176, 96, 0),  # two steps
 }
 BLOCKS = 8 * 132
 """Most blocks of a launch, on the card that the stub describes."""

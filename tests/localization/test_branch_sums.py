@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tiswarm.compute import backend
-from tiswarm.localization.joint import kernels
 from tiswarm.localization.joint.annealing import Annealer
+from tiswarm.localization.joint.arrays import MASS, TAKEN, VELOCITY, WEIGHT
+from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.joint.motion_kernels import RUN
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.subtrees import find_subtrees
@@ -53,7 +54,7 @@ def test_cards_take_the_steps_of_processors(logs, as_card):
 
         place, other = (a.swarm.position.to_numpy() for a in (here, there))
         np.testing.assert_allclose(other, place, rtol=0, atol=1e-9)
-    assert there.blocks.taken[0] == 9
+    assert there.blocks.progress[0, TAKEN] == 9
 
 
 @pytest.mark.parametrize("scale", [1.0, 3000.0])
@@ -65,9 +66,10 @@ def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
 
     annealer.advance(1)
 
-    force = annealer.by_robot(annealer.swarm.force)
-    mass = annealer.by_robot(annealer.swarm.mass)
-    pull = annealer.trees.pull.to_numpy().reshape(PARAMS.chains, -1, 4)
+    of_robots = annealer.by_robot(annealer.swarm.motion)
+    force, mass = of_robots[..., :MASS], of_robots[..., MASS]
+    motion = annealer.trees.motion.to_numpy().reshape(PARAMS.chains, -1, WEIGHT + 1)
+    pull = motion[..., :VELOCITY]
     assert (np.abs(force).max() > 1e3) == (scale > 1.0)
     subtree = 0
     for log, problem, first in zip(logs, annealer.problems, annealer.start[:-1], strict=True):
@@ -83,7 +85,7 @@ def test_sums_on_branches_are_as_precise_as_stated(logs, as_card, scale):
         rounding = 1e-15 * np.einsum("tn,cnk->ctk", member, np.abs(force[:, robots]))
         bound = 2.0**-36 * member.sum(axis=1)[:, None] + rounding
         assert (np.abs(found[..., :3] - every) <= bound).all()
-        weight = annealer.trees.weight.to_numpy()[subtree:][: len(tree.parent)]
+        weight = motion[:, subtree : subtree + len(tree.parent), WEIGHT]
         masses = np.add.reduceat(mass[:, robots], tree.first[:-1], axis=1)
         np.testing.assert_allclose(found[..., 3], weight * masses, rtol=1e-10)
         subtree += len(tree.parent)
@@ -95,7 +97,7 @@ def test_sums_on_branches_do_not_depend_on_threads_or_company(logs, as_card):
     for threads, every in ((1, logs), (2, logs), (2, logs[:1])):
         as_card(threads)
         annealer = _annealer(every)
-        annealer.advance(2 * kernels.STEPS_A_LAUNCH + 1)
+        annealer.advance(2 * STEPS_A_LAUNCH + 1)
         places.append(annealer.by_robot(annealer.swarm.position))
 
     assert places[0].tobytes() == places[1].tobytes()

@@ -12,7 +12,16 @@ from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
-from tiswarm.localization.joint import annealing, force_kernels, initialization, kernels
+from tiswarm.localization.joint import annealing, initialization
+from tiswarm.localization.joint.arrays import (
+    AGE,
+    IS_THIN,
+    MASS,
+    TORQUE,
+    VELOCITY,
+    WEIGHT,
+    YAW,
+)
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, weights
@@ -67,13 +76,13 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
         annealer.by_robot(annealer.swarm.position),
         annealer.by_robot(annealer.swarm.heading),
     )
-    yaw = heading[:, :, force_kernels.YAW]
+    yaw = heading[:, :, YAW]
     size = 2.0 * min(1.0, (steps + 1) / (AnnealSchedule.growing * SHORT.steps))
 
     annealer.advance(steps + 1)
 
-    forces = annealer.by_robot(annealer.swarm.force)
-    torques = annealer.by_robot(annealer.swarm.heading)[:, :, force_kernels.TORQUE]
+    forces = annealer.by_robot(annealer.swarm.motion)[..., :MASS]
+    torques = annealer.by_robot(annealer.swarm.heading)[:, :, TORQUE]
     is_biased = noise.yaw_bias_deg > 0.0
     assert (np.abs(yaw).max() > 0.05) == is_biased
     for k in range(SHORT.chains):
@@ -176,28 +185,19 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     annealer = annealing.Annealer([log], [params], [known])
     tree = find_subtrees(known.pair, known.roots, log.robot_count)
     count = len(tree.parent)
-    pull, speed = annealer.trees.pull, annealer.trees.velocity
     annealer.advance(4)
-    before, slow = (
-        annealer.by_robot(annealer.swarm.position),
-        annealer.by_robot(annealer.swarm.velocity),
-    )
-    slow *= np.sqrt(annealer.by_robot(annealer.swarm.mass))[..., None]
-    heavy_before = speed.to_numpy().reshape(-1, count, 3)
-    heavy_before *= np.sqrt(pull.to_numpy().reshape(-1, count, 4)[..., 3:])
+    before = annealer.by_robot(annealer.swarm.position)
+    _, mass, speed = _split(annealer.by_robot(annealer.swarm.motion))
+    slow = speed * np.sqrt(mass)
+    _, weight, speed = _split(annealer.trees.motion.to_numpy().reshape(-1, count, WEIGHT + 1))
+    heavy_before = speed * np.sqrt(weight)
 
     annealer.advance(5)
 
     # Robots and branches that become heavier keep their kinetic energy.
-    force, mass = (
-        annealer.by_robot(annealer.swarm.force),
-        annealer.by_robot(annealer.swarm.mass)[..., None],
-    )
-    expected = 0.5 * (
-        slow / np.sqrt(mass) + force / mass + annealer.by_robot(annealer.swarm.velocity)
-    )
-    heavy = speed.to_numpy().reshape(-1, count, 3)
-    pulls, weight = np.split(pull.to_numpy().reshape(-1, count, 4), [3], axis=2)
+    force, mass, speed = _split(annealer.by_robot(annealer.swarm.motion))
+    expected = 0.5 * (slow / np.sqrt(mass) + force / mass + speed)
+    pulls, weight, heavy = _split(annealer.trees.motion.to_numpy().reshape(-1, count, WEIGHT + 1))
     for k in range(1, count):
         robots = _members(tree, k)
         own = tree.order[tree.first[k] : tree.first[k + 1]]
@@ -212,6 +212,11 @@ def test_a_robot_goes_with_every_branch_that_it_is_of(towers, spawn_noise, fixed
     np.testing.assert_allclose(
         (annealer.by_robot(annealer.swarm.position) - before)[:, 1:], expected[:, 1:], atol=1e-12
     )
+
+
+def _split(motion):
+    """Split a table of motions into forces, masses and velocities."""
+    return motion[..., :MASS], motion[..., MASS:VELOCITY], motion[..., VELOCITY : VELOCITY + 3]
 
 
 def test_a_pair_stands_as_far_apart_as_its_likelihood_says():
@@ -339,12 +344,13 @@ def test_rows_serve_as_if_made_anew_for_each_step(log):
 
     for step in range(1, SHORT.steps + 1):
         kept.advance(step)
-        skins |= set(kept.blocks.skin.to_numpy().tolist())
-        ages.append(kept.blocks.age.to_numpy().max())
-        anew.blocks.age.fill(kernels.STALE)
+        progress = kept.blocks.progress.to_numpy()
+        skins |= set(progress[:, IS_THIN].tolist())
+        ages.append(progress[:, AGE].max())
+        anew.forget_rows()
         anew.advance(step)
 
-    assert skins == {kernels.SKIN, kernels.THIN_SKIN}
+    assert skins == {0, 1}
     assert max(ages) > 5
     assert kept.swarm.position.to_numpy().tobytes() == anew.swarm.position.to_numpy().tobytes()
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests import oracle
 from tests.structures import Rule, structure, with_heights
 from tiswarm.localization.joint.annealing import Annealer
-from tiswarm.localization.joint.arrays import MOVES
+from tiswarm.localization.joint.arrays import MASS, MOVES
 from tiswarm.localization.joint.planes import Planes
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
@@ -62,7 +62,7 @@ def test_a_plane_that_alone_holds_its_part_pulls_however_far_the_part_is(swarm):
     annealer.advance(1)
 
     assert known.part.max() > 1
-    forces = annealer.by_robot(annealer.swarm.force)
+    forces = annealer.by_robot(annealer.swarm.motion)[..., :MASS]
     size = 2.0 / (AnnealSchedule.growing * SHORT.steps)
     for k in range(SHORT.chains):
         slow, _ = oracle.joint_force(

@@ -10,6 +10,12 @@ def vector_at(rows: Ref, i):
 
 
 @ti.func
+def part_at(table: Ref, row, first):
+    """Read three columns of a table, from `first` on, as a vector."""
+    return ti.Vector([table[row, first], table[row, first + 1], table[row, first + 2]])
+
+
+@ti.func
 def vector_in(array: Ref, i, j):
     """Read a vector from the last axis of a three-dimensional array."""
     return ti.Vector([array[i, j, 0], array[i, j, 1], array[i, j, 2]])
@@ -67,16 +73,16 @@ def mixed(value):
 
 
 @ti.kernel
-def probe_arithmetic(value: Reals1):
+def probe_arithmetic(value_out: Reals1):
     """Multiply each value by 1 + sqrt(cos^2 + sin^2) of it, which doubles it.
 
     Shows whether a device computes at all, in which precision, and whether it knows these
     functions in it.
 
     Args:
-        value: Read and written, shape (n,).
+        value_out: Values, read, too, shape (n,).
     """
-    for i in range(value.shape[0]):
-        c = ti.cos(value[i])
-        s = ti.sin(value[i])
-        value[i] *= 1.0 + ti.sqrt(c * c + s * s)
+    for i in range(value_out.shape[0]):
+        c = ti.cos(value_out[i])
+        s = ti.sin(value_out[i])
+        value_out[i] *= 1.0 + ti.sqrt(c * c + s * s)

@@ -16,6 +16,9 @@ some unit of length, which is that of the cutoff then. `grid` is a struct:
 - stride_y, stride_z: from a bucket to that of the next cell along y and z; 1 along x
 - buckets: size of the hash table, a power of two
 - table, slot: where the structure starts in `Cells.begin`, and in `Cells.dock`
+
+Where one thread lists a whole structure, `structure` is a table of S structures, whose columns are
+named below; the last two are written.
 """
 
 from typing import NamedTuple
@@ -34,13 +37,18 @@ from tiswarm.compute.sorting_kernels import (
     sort_bucket,
 )
 
+FIRST, END, TABLE, BUCKETS, STRIDE_Y, STRIDE_Z, ROW, ROOM, LONGEST, BUILDS = range(10)
+"""Columns of a structure: its first robot and the one after its last; where its table starts in
+`Cells.begin`, and the numbers of `grid` for it; its first entry in `Rows.entry`, and how many fit;
+the most entries that its rows needed, and how often they were made."""
+
 LONGEST_RUN = 10
 """Most cells along x that the ball around a dock reaches."""
 _REACH_MARGIN = 1e-3
 """Lengthening of a reach, so that rounding cannot shorten it [cutoff]."""
 
 
-class Connections(NamedTuple):
+class ConnectedDocks(NamedTuple):
     """Connected docks, as entries of the rows of both."""
 
     start: Ints1
@@ -220,10 +228,24 @@ def _fill_rows_of(
 
 
 @ti.func
+def begin_structure(s, structure: Ref):
+    """Begin to count for structure s: its rows were never made."""
+    structure[s, LONGEST] = 0
+    structure[s, BUILDS] = 0
+
+
+@ti.func
+def fits(s, structure: Ref):
+    """Whether all rows of structure s fitted so far."""
+    return structure[s, LONGEST] <= structure[s, ROOM]
+
+
+@ti.func
 def list_structure(
-    grid: Ref, base, first, last, dock: Ref, cells: Ref, connections: Ref, rows: Ref, place, room
+    grid: Ref, s, base, dock: Ref, cells: Ref, connections: Ref, rows: Ref, structure: Ref
 ):
     """Sort the docks of one small structure and write its rows, on one thread; see above."""
+    first, last = structure[s, FIRST], structure[s, END]
     for k in range(grid.buckets + 2):
         cells.begin[grid.table + k] = 0
     for m in range(first * grid.docks, last * grid.docks):
@@ -234,19 +256,20 @@ def list_structure(
         scatter_dock(grid, base, m, dock, cells)
     for bucket in range(grid.buckets):
         sort_bucket(grid, base, bucket, dock, cells)
-    return _fill_rows_of(
-        False, grid, base, first, last, dock, cells, connections, rows, ti.Vector([place, room])
-    )
+    space = ti.Vector([structure[s, ROW], structure[s, ROOM]])
+    used = _fill_rows_of(False, grid, base, first, last, dock, cells, connections, rows, space)
+    structure[s, LONGEST] = ti.max(structure[s, LONGEST], used)
+    structure[s, BUILDS] += 1
 
 
 @ti.kernel
 def fill_rows(
     on_card: Static, docks: I32, own_bits: I32, cutoff: Float, stride_y: I32, stride_z: I32,
     entry_stride: I32, run: I32, run_stride: I32, room: I32, base: I32, dock: Reals1,
-    longest: Ints1,
+    longest_out: Ints1,
     begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells
-    start: Ints1, connection: Ints1,  # Connections
-    entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows, written
+    start: Ints1, connection: Ints1,  # ConnectedDocks
+    entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
 ):  # fmt: skip
     """Write all rows. Numbers are those of `grid`, with one table for all docks.
 
@@ -257,17 +280,17 @@ def fill_rows(
         room: Entries that fit for a run's rows.
         base: Where the current docks start in `dock`.
         dock: Places, last the structure, rows of four.
-        longest: Written: most entries of a run, shape (1,).
+        longest_out: Most entries of a run, shape (1,).
     """
     cells = ti.static(Cells(begin, sorted_dock, sorted_place))
-    connections = ti.static(Connections(start, connection))
-    rows = ti.static(Rows(entry, row_first, row_count))
+    connections = ti.static(ConnectedDocks(start, connection))
+    rows = ti.static(Rows(entry_out, row_first_out, row_count_out))
     grid = ti.Struct(
         docks=docks, own_bits=own_bits, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
         buckets=begin.shape[0] - 2, entry_stride=entry_stride, table=0, slot=0,
     )  # fmt: skip
-    longest[0] = 0
-    count = row_count.shape[0]
+    longest_out[0] = 0
+    count = row_count_out.shape[0]
     for first in range(count):
         if first % run == 0:
             place = first // run * run_stride
@@ -286,5 +309,5 @@ def fill_rows(
                 rows,
                 ti.Vector([place, room]),
             )
-            if used > longest[0]:  # most runs need no atomic operation then
-                ti.atomic_max(longest[0], used)
+            if used > longest_out[0]:  # most runs need no atomic operation then
+                ti.atomic_max(longest_out[0], used)

@@ -16,7 +16,7 @@ from tiswarm.compute import neighbor_kernels as kernels
 from tiswarm.compute import sorting_kernels as sorting
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.compute.neighbor_kernels import Connections, Rows
+from tiswarm.compute.neighbor_kernels import ConnectedDocks, Rows
 from tiswarm.errors import InputError
 
 MOST_ITEMS = 2**31 - 1
@@ -93,12 +93,12 @@ def hash_strides(extent: Reals, cutoff: float, buckets: int) -> tuple[int, int]:
 
 
 def _layout(position: Reals, bounds: Ints, *, docks: int, reach: float, cutoff: float) -> Ints:
-    """Lay out the tables: where each starts, its buckets and its strides, shape (S, 4)."""
+    """Lay out the tables: columns FIRST to STRIDE_Z of each structure, shape (S, 6)."""
     rows, at = [], 0
     for first, last in pairwise(bounds):
         buckets = max(FEWEST_BUCKETS, 1 << (docks * int(last - first) - 1).bit_length())
         extent = np.ptp(position[first:last], axis=0) + 2.0 * reach
-        rows.append((at, buckets, *hash_strides(extent, cutoff, buckets)))
+        rows.append((first, last, at, buckets, *hash_strides(extent, cutoff, buckets)))
         at += buckets + 2
     return np.array(rows, np.int64)
 
@@ -153,13 +153,15 @@ class NeighborList:
         self.capacity = _FIRST_CAPACITY * row_docks * (2 if self.on_card else 1)
         bounds = np.array([0, robots]) if start is None else start
         tables = _layout(position, bounds, docks=docks, reach=reach, cutoff=cutoff)
-        self.table_size = int(tables[-1, 0] + tables[-1, 1] + 2)
+        self.table_size = int(tables[-1, kernels.TABLE] + tables[-1, kernels.BUCKETS] + 2)
         self._check_size()
-        self.stride_y, self.stride_z = (int(stride) for stride in tables[0, 2:])
+        strides = tables[0, [kernels.STRIDE_Y, kernels.STRIDE_Z]]
+        self.stride_y, self.stride_z = (int(stride) for stride in strides)
         seldom = memory.for_few_launches()
-        self.table = seldom.upload(tables)
+        self.structure = memory.upload(np.pad(tables, ((0, 0), (0, 4))))
+        self._share_room()
         first, entry = self._pack(contacts)
-        self.connections = Connections(start=seldom.upload(first), entry=seldom.upload(entry))
+        self.connections = ConnectedDocks(start=seldom.upload(first), entry=seldom.upload(entry))
         places = seldom.reals if unit is None else seldom.ints
         self.cells = sorting.Cells(
             begin=seldom.ints(self.table_size),
@@ -168,7 +170,7 @@ class NeighborList:
         )
         blocks = -(-self.table_size // sorting.SCAN_BLOCK)
         self.totals = seldom.ints(blocks), seldom.ints(-(-blocks // sorting.SCAN_BLOCK))
-        self.longest, self.size = seldom.ints(len(tables)), np.diff(bounds)
+        self.longest = seldom.ints(1)
         sizes = self._row_size(), self.row_count, self.row_count
         entries, first, count = (memory.ints(size) for size in sizes)
         self.rows = Rows(entries, first, count)
@@ -216,7 +218,9 @@ class NeighborList:
 
     def fullest(self) -> float:
         """Count the entries a robot that rows need, in the structure that needs most."""
-        return float((self.longest / self.size).max())
+        table = self.memory.download(self.structure)
+        robots = table[:, kernels.END] - table[:, kernels.FIRST]
+        return float((table[:, kernels.LONGEST] / robots).max())
 
     def make_room(self, entries: float) -> None:
         """Make room for `entries` a row, and some more.
@@ -227,6 +231,15 @@ class NeighborList:
         self.capacity = int(_ROOM * entries) + 1
         self._check_size()
         self.rows = self.rows._replace(entry=self.memory.ints(self._row_size()))
+        self._share_room()
+
+    def _share_room(self) -> None:
+        """Share the room for entries among structures, by their robots."""
+        table = self.memory.download(self.structure)
+        first, end = table[:, kernels.FIRST], table[:, kernels.END]
+        table[:, kernels.ROW] = first * self.capacity + np.arange(len(table))
+        table[:, kernels.ROOM] = (end - first) * self.capacity
+        self.memory.refill(self.structure, table)
 
     def _row_size(self) -> int:
         """Count the numbers that rows need, run by run or structure by structure."""

@@ -19,7 +19,7 @@ from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Backend
 from tiswarm.engine.kernels import Gains
 from tiswarm.engine.places import Places
-from tiswarm.engine.stepping import Stepper
+from tiswarm.engine.stepping import RelaxState, Stepper
 from tiswarm.engine.swarm import Swarm
 from tiswarm.errors import InputError
 from tiswarm.params import AnyArch, AnyPrecision, Precision
@@ -134,17 +134,11 @@ class PreparedSwarm:
     stepper: Stepper | None
     """Their arrays on the device; None without robots."""
 
-    first_places: Places
-    """Numbers that centers have on the device at first."""
+    first: RelaxState
+    """The robots at rest, where they are at first."""
 
-    places: Places
-    """Numbers after the last call, which are coarser if the swarm outgrew the first ones."""
-
-    position: Reals
-    """Centers after the last call, shape (N, 3)."""
-
-    last_step: Reals
-    """Last step of each robot of a guided swarm, shape (N, 3)."""
+    state: RelaxState
+    """The robots after the last call."""
 
     @program.exclusive()
     def __init__(
@@ -174,13 +168,16 @@ class PreparedSwarm:
         if running is None:
             running = backend.start(arch, threads=threads, precision=precision)
         self.running = running
-        self.first_places = self._choose_places()
-        self._rest()
+        self.first = self.state = RelaxState(
+            places=self._choose_places(),
+            position=swarm.position,
+            last_step=np.zeros(swarm.position.shape),
+        )
         self.stepper = None
         if len(swarm.position):
             largest = np.bincount(swarm.structure).max()
             self.stepper = Stepper(
-                swarm, running, self.places,
+                swarm, running, self.first.places,
                 by_structure=not running.on_card and bool(largest <= SMALL),
             )  # fmt: skip
 
@@ -199,11 +196,6 @@ class PreparedSwarm:
                 f"{precision} resolves; bring robots nearer together{way_out}"
             )
         return places
-
-    def _rest(self) -> None:
-        """Put the robots where they were at first, at rest."""
-        self.places, self.position = self.first_places, self.swarm.position
-        self.last_step = np.zeros(self.position.shape)
 
     @program.exclusive()
     def relax(
@@ -239,34 +231,36 @@ class PreparedSwarm:
                 f"gains must be 0 to {_LARGEST_GAIN:g}, and the longest step 0 or more, "
                 f"not {tuple(gains)}"
             )
-        if not resume:
-            self._rest()
+        state = self.state if resume else self.first
         stepper = self.stepper
         if steps == 0 or stepper is None:
-            return self._result(np.zeros(steps), 0, np.abs(self.position).max(initial=0.0))
+            self.state = state
+            return self._result(np.zeros(steps), 0, np.abs(state.position).max(initial=0.0))
         if backend.current() is not self.running and not stepper.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
-        places, ramps = self.places, np.broadcast_to(ramps, steps)
+        ramps = np.broadcast_to(ramps, steps)
         while True:
-            moves, builds = stepper.take_steps(self.position, self.last_step, places, gains, ramps)
-            if not places.were_left(moves):
+            moves, builds = stepper.take_steps(state, gains, ramps)
+            if not state.places.were_left(moves):
                 break
-            places = places.coarser()
-            if not places.is_resolved(self.position):
+            state = state.coarser()
+            if not state.places.is_resolved(state.position):
                 raise InputError(f"{_DIVERGED}, or use precision f64")
-        end = stepper.position()
-        farthest = _farthest(self.position, end, moves)
-        if not places.is_resolved(farthest):
+        end = stepper.state()
+        farthest = _farthest(state.position, end.position, moves)
+        if not end.places.is_resolved(farthest):
             raise InputError(_DIVERGED)
-        self.places, self.position, self.last_step = places, end, stepper.last_step()
+        self.state = end
         return self._result(moves, builds, farthest)
 
     def _result(self, moves: Reals, builds: int, farthest: float) -> RelaxResult:
-        if self.places.unit is not None:
+        """Describe the state after a call; `farthest` is the largest coordinate on the way."""
+        places = self.state.places
+        if places.unit is not None:
             # Center and dock are rounded: as coarse as real numbers in f32 so far from the origin.
-            farthest = float(2.0 * self.places.unit / np.finfo(np.float32).eps)
+            farthest = float(2.0 * places.unit / np.finfo(np.float32).eps)
         return RelaxResult(
-            position=self.position.copy(),
+            position=self.state.position.copy(),
             largest_move=moves,
             list_builds=builds,
             precision=self.running.precision,

@@ -1,5 +1,6 @@
 """The arrays of a swarm on the device, and its steps there."""
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from tiswarm.aliases import Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray
+from tiswarm.compute.neighbor_kernels import BUILDS
 from tiswarm.compute.neighbor_list import NeighborList, morton_order
 from tiswarm.engine import kernels
 from tiswarm.engine.kernels import Gains, SwarmState
@@ -22,6 +24,24 @@ _STEPS, _STEPS_ON_CARD = 4, 16
 serve some 13, and the card skips the rest."""
 _CALLS = 2
 """Calls on a processor between two questions whether rows are stale."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxState:
+    """Where robots are and how they move, as the caller numbers them."""
+
+    places: Places
+    """Numbers that centers have on the device; coarser ones if the swarm outgrew the first."""
+
+    position: Reals
+    """Centers, shape (N, 3)."""
+
+    last_step: Reals
+    """Last step of each robot of a guided swarm, zero of others, shape (N, 3)."""
+
+    def coarser(self) -> "RelaxState":
+        """Return the same robots in places with a larger unit."""
+        return replace(self, places=self.places.coarser())
 
 
 class Stepper:
@@ -49,7 +69,7 @@ class Stepper:
     """Numbers that centers have on the device."""
 
     robots: SwarmState
-    """State of the robots."""
+    """RelaxState of the robots."""
 
     structure: DeviceArray
     """Number of each robot's structure, shape (N,)."""
@@ -59,6 +79,18 @@ class Stepper:
 
     control: DeviceArray
     """Columns as `kernels.TAKEN` and others name them."""
+
+    moves: DeviceArray
+    """Longest step of any robot in each step, kept for calls of as many, shape (T,)."""
+
+    ramp: DeviceArray
+    """Share of attraction in each step, kept for calls of as many, shape (T,)."""
+
+    spacing: float
+    """D."""
+
+    is_guided: bool
+    """Whether robots have a mobility and inertia."""
 
     def __init__(
         self, swarm: Swarm, running: Backend, places: Places, *, by_structure: bool
@@ -102,46 +134,44 @@ class Stepper:
         turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
         kernels.turn_docks(seldom.upload(turns), seldom.upload(body), self.robots.arm)
 
-    def take_steps(
-        self, position: Reals, last_step: Reals, places: Places, gains: Gains, ramp: Reals
-    ) -> tuple[Reals, int]:
+    def take_steps(self, state: RelaxState, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
         """Take a step for each entry of the ramp.
 
         Args:
-            position: Where the robots start, shape (N, 3).
-            last_step: Their last steps, shape (N, 3); only guided swarms have inertia.
-            places: Numbers that centers have.
+            state: Where the robots start.
             gains: Strength of the forces.
             ramp: Share of attraction in each step, shape (T,).
 
         Returns:
             Longest step of any robot, shape (T,), and how often rows were made.
         """
-        self.places = places
+        self.places = places = state.places
         self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / places.scale
         robots, refill = self.robots, self.memory.refill
-        start = position[self.order]
+        start = state.position[self.order]
         take = self._by_structure if self.by_structure else self._all_at_once
         while True:
             refill(robots.position, places.to_numbers(start, places.origin))
             refill(robots.height, places.to_numbers(self.target, places.origin[2]))
             if self.is_guided:
-                refill(robots.last_step, last_step[self.order])
+                refill(robots.last_step, state.last_step[self.order])
             kernels.place_docks(
                 places.scale, self.structure, robots.position, robots.arm, robots.dock
             )
             if found := take(gains, ramp):
                 return found
 
-    def position(self) -> Reals:
-        """Read the centers, shape (N, 3)."""
-        return self._by_caller(self.places.to_lengths(self.memory.download(self.robots.position)))
-
-    def last_step(self) -> Reals:
-        """Read the last steps of a guided swarm, shape (N, 3); those of others are zero."""
-        if not self.is_guided:
-            return np.zeros((len(self.order), 3))
-        return self._by_caller(self.memory.download(self.robots.last_step))
+    def state(self) -> RelaxState:
+        """Read where the robots are after the steps that were taken last."""
+        center = self.places.to_lengths(self.memory.download(self.robots.position))
+        step: Reals = np.zeros((len(self.order), 3))
+        if self.is_guided:
+            step = self.memory.download(self.robots.last_step)
+        return RelaxState(
+            places=self.places,
+            position=self._by_caller(center),
+            last_step=self._by_caller(step),
+        )
 
     def _by_caller(self, array: Reals) -> Reals:
         """Put robots into the caller's order."""
@@ -179,21 +209,19 @@ class Stepper:
     def _by_structure(self, gains: Gains, ramp: Reals) -> tuple[Reals, int] | None:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
-        start, ramps = self.memory.upload(self.start), self.memory.upload(ramp)
-        moves = self.memory.reals(structures, len(ramp))
-        builds = self.memory.ints(structures)
+        ramps, moves = self.memory.upload(ramp), self.memory.reals(structures, len(ramp))
         stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
         with backend.fast_arithmetic():
             relax_structures(
-                self.is_guided, neighbors.docks, neighbors.own_bits, neighbors.cutoff, stray_limit,
-                self.places.scale, neighbors.capacity, *gains, start, ramps, neighbors.table,
-                *neighbors.cells, *neighbors.connections, *neighbors.rows, *self.robots, builds,
-                neighbors.longest, moves,
+                self.is_guided, neighbors.own_bits, neighbors.cutoff, stray_limit,
+                self.places.scale, *gains, ramps, neighbors.structure, *neighbors.cells,
+                *neighbors.connections, *neighbors.rows, *self.robots, moves,
             )  # fmt: skip
         if (entries := neighbors.fullest()) > neighbors.capacity:
             neighbors.make_room(entries)
             return None
-        return moves.max(axis=0).astype(np.float64), int(builds.max())
+        builds = int(neighbors.structure[:, BUILDS].max())
+        return moves.max(axis=0).astype(np.float64), builds
 
 
 def _bytes_of_robot(dtype: type[np.floating[Any]], docks: int, *, guided: bool) -> int:

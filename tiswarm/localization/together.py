@@ -131,7 +131,7 @@ def _step(
             resume=before > 0,
         )
         trace.append(now.position)
-        moved.append(np.linalg.norm(swarm.last_step, axis=1))
+        moved.append(np.linalg.norm(swarm.state.last_step, axis=1))
         on_progress(after / chosen.steps)
     estimates = []
     for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):

@@ -15,20 +15,30 @@ from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
 from tiswarm.compute.math import dock_offsets
 from tiswarm.compute.neighbor_list import NeighborList
+from tiswarm.localization.joint.arrays import (
+    AGE,
+    IS_THIN,
+    MASS,
+    SQUARE,
+    STALE,
+    TAKEN,
+    TOTAL,
+    VELOCITY,
+    YAW,
+)
+from tiswarm.localization.joint.card_kernels import take_steps_on_card
 from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.force_kernels import TOTAL, YAW
 from tiswarm.localization.joint.initialization import initial_guess, reinitialize_lost
-from tiswarm.localization.joint.kernels import STALE, THIN_SKIN, note_places, take_steps
-from tiswarm.localization.joint.motion_kernels import MEMORY
+from tiswarm.localization.joint.kernels import SKIN, THIN_SKIN, note_places, take_steps
+from tiswarm.localization.joint.motion_kernels import MEMORY, sum_rows
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.joint.upload import (
     block_arrays,
-    contact_arrays,
-    prior_arrays,
-    robot_arrays,
+    measured_arrays,
     swarm_arrays,
+    traits_of,
 )
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.rows import SPACING
@@ -85,12 +95,12 @@ class Annealer:
         self.problems = problems
         self.robust = [p.robust for p in params]
         self.inertia_factor = inertia_factor
-        self.turning = any(p.yaw_precision for p in problems)
         self.size = [log.robot_count for log in logs]
         self.start = np.cumsum([0, *self.size])
         self.chains = self.shared.chains_for(self.size[0])
         self.steps = self.shared.steps_for(self.size[0])
         self.by_block = self._is_quicker_by_block(running) if by_block is None else by_block
+        self.traits = traits_of(problems, by_block=self.by_block)
         self.sigma = np.array(
             [
                 cooled(
@@ -128,15 +138,14 @@ class Annealer:
             cutoff=self.near + THIN_SKIN,
             start=first_of_block if self.by_block else None,
         )
-        self.measured = [
-            memory.upload(self.sigma),
-            *robot_arrays(memory, problems, params, self.order),
-            *contact_arrays(memory, problems, params, self.order),
-            *prior_arrays(memory, problems, params, self.order),
-        ]
+        self.schedule = memory.upload(np.vstack([self.sigma, grown(self.steps, self.sigma)]))
+        self.measured = measured_arrays(
+            memory, problems, params, self.order, trees=trees, lightest=inertia_factor
+        )
         self.trees = subtree_arrays(memory, problems, trees, self.chains)
+        self.sums = memory.longs(sum_rows(len(position)) if self.on_card else 1, 4)
         self.swarm = swarm_arrays(memory, arm, position, inertia_factor)
-        self.blocks = block_arrays(memory, first_of_block)
+        self.blocks = block_arrays(memory, first_of_block, trees, self.chains)
 
     def _is_quicker_by_block(self, running: Backend) -> bool:
         """Whether the busiest thread has fewer copies to move; launches count as copies."""
@@ -165,8 +174,8 @@ class Annealer:
         moves = last.shape[1] > len(self.size)  # anchors do not
         if not np.isfinite(last).all() or (moves and np.array_equal(trace[0], trace[-1])):
             raise backend.faulty_driver()
-        mean = self.by_robot(self.swarm.total) / holding
-        square = self.by_robot(self.swarm.square_total) / holding
+        total = self.by_robot(self.swarm.total)
+        mean, square = total[..., :SQUARE] / holding, total[..., SQUARE] / holding
         within = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.swarm.heading)
         temperature = np.mean(heat, axis=0)
@@ -188,31 +197,53 @@ class Annealer:
 
     def advance(self, until: int) -> None:
         """Take steps until so many have been taken."""
-        rows, blocks, before = self.neighbors, self.blocks, -1
+        rows, before = self.neighbors, -1
         while (taken := self._taken()) < until:
             if not self.by_block and taken == before:
                 raise backend.faulty_driver()
             before = taken
-            if not self.by_block and blocks.age[0] == STALE:
-                note_places(self.swarm.position, blocks.listed)
-                rows.cutoff = self.near + blocks.skin[0]
-                rows.build(blocks.listed, 0)
-                blocks.age.fill(0)
-            take_steps(
-                self.on_card, self.by_block, self.docks, self.turning, rows.own_bits,
-                rows.entry_stride, rows.capacity, self.near, self.shared.seed, until, self.steps,
-                max(AnnealSchedule.growing * self.steps, 1.0), self.inertia_factor, *self.measured,
-                *self.trees, rows.table, *rows.cells, *rows.connections, rows.longest, *rows.rows,
-                *self.swarm, *blocks,
-            )  # fmt: skip
+            if not self.by_block and self.blocks.progress[0, AGE] == STALE:
+                self._build_rows()
+            self._take_steps(until)
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
-                blocks.age.fill(STALE)
+                self.forget_rows()
 
     def _taken(self) -> int:
         """Return how many steps the slowest block has taken."""
-        taken = self.blocks.taken
-        return int(taken.to_numpy().min() if self.by_block else taken[0])
+        progress = self.blocks.progress
+        return int(progress.to_numpy()[:, TAKEN].min() if self.by_block else progress[0, TAKEN])
+
+    def _build_rows(self) -> None:
+        """Build the Verlet rows of the whole swarm."""
+        listed, progress = self.blocks.listed, self.blocks.progress
+        note_places(self.swarm.position, listed)
+        self.neighbors.cutoff = self.near + (THIN_SKIN if progress[0, IS_THIN] else SKIN)
+        self.neighbors.build(listed, 0)
+        progress[0, AGE] = 0
+
+    def _take_steps(self, until: int) -> None:
+        """Take steps, at most until so many have been taken."""
+        rows, robots, contacts, plane = self.neighbors, *self.measured
+        known = (
+            self.docks, self.traits, self.near, self.shared.seed, until, self.steps, self.schedule,
+            *robots, *contacts, plane, *self.trees,
+        )  # fmt: skip
+        if self.on_card:
+            take_steps_on_card(
+                *known, self.sums, rows.entry_stride, *rows.rows, *self.swarm, *self.blocks
+            )
+        else:
+            take_steps(
+                *known, rows.structure, *rows.cells, rows.connections.start, *rows.rows,
+                *self.swarm, *self.blocks,
+            )  # fmt: skip
+
+    def forget_rows(self) -> None:
+        """Let the rows of every block be built anew."""
+        progress = self.blocks.progress.to_numpy()
+        progress[:, AGE] = STALE
+        self.memory.refill(self.blocks.progress, progress)
 
     def temperatures(self, step: int) -> Reals:
         """Compute the kinetic temperature of each chain, relative to its target at a step.
@@ -224,8 +255,8 @@ class Annealer:
             Temperatures, shape (chains, S); 1 where nobody moves.
         """
         moving = np.concatenate([np.arange(size) > 0 for size in self.size])
-        square = (self.by_robot(self.swarm.velocity) ** 2).sum(axis=2)
-        energy = self.by_robot(self.swarm.mass) * square
+        motion = self.by_robot(self.swarm.motion)
+        energy = motion[..., MASS] * (motion[..., VELOCITY : VELOCITY + 3] ** 2).sum(axis=2)
         total = np.add.reduceat(energy * moving, self.start[:-1], axis=1)
         freedom = 3.0 * (np.array(self.size) - 1.0) * self.target[:, step]
         return np.where(freedom > 0.0, total / np.where(freedom > 0.0, freedom, 1.0), 1.0)
@@ -240,7 +271,7 @@ class Annealer:
                 moved += reinitialize_lost(problem, position[:, a:b], heading[:, a:b, YAW])
         if moved:
             self.memory.refill(self.swarm.position, position[:, self.order].reshape(-1, 3))
-            self.blocks.age.fill(STALE)
+            self.forget_rows()
 
     def by_robot(self, array: DeviceArray) -> Reals:
         """Read an array of every copy as logs number robots, shape (chains, N, ...)."""
@@ -277,6 +308,13 @@ def cooled(begin: float, end: float, steps: int, holding: int) -> Reals:
     """Cool by the same factor at every step, then hold; sigma of each, shape (steps + holding,)."""
     falling = begin * (end / begin) ** (np.arange(steps) / steps)
     return np.concatenate([falling, np.full(holding, end)])
+
+
+def grown(steps: int, sigma: Reals) -> Reals:
+    """Grow docks to their full size as chains of so many steps cool; a part of it at each step."""
+    growing = max(AnnealSchedule.growing * steps, 1.0)
+    number = np.arange(sigma.shape[-1])
+    return np.clip((number + 1.0) / growing, AnnealSchedule.smallest, 1.0)
 
 
 def thermostat(sigma: Reals) -> Reals:

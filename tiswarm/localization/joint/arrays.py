@@ -3,146 +3,190 @@
 The swarm is C copies, one a chain, of N robots: those of all structures, end to end. Copies of one
 structure in one chain are a block; there are B blocks. All structures together have T subtrees.
 Copy r of robot i in chain c is number c N + i. Lengths in R.
+
+A table has a name for each of its columns, or for the first of several that form a vector.
 """
 
+from enum import Flag, auto
 from typing import NamedTuple
 
-from tiswarm.compute.lang import Float, Ints1, Ints2, Longs2, Reals1, Reals2, Reals3
+from tiswarm.compute.lang import Ints2, Reals1, Reals2, Reals3
+
+
+class Traits(Flag):
+    """What kernels are compiled for, beside the docks of a robot; anew for each other set."""
+
+    BY_BLOCK = auto()
+    """One thread takes all steps of a block, and builds its rows anew when they are stale. Else
+    all threads take the next step together, and the host builds rows."""
+
+    TURNING = auto()
+    """Some robot turns; no bit of others depends on it."""
+
+    OFFSETS = auto()
+    """Some entry of the contacts is an offset."""
+
+    TOUCHES = auto()
+    """Some entry of the contacts is a touch."""
+
+
+class KernelVariant(NamedTuple):
+    """The same for functions of kernels, which ask in `ti.static`."""
+
+    docks: int
+    """Docks of a robot."""
+
+    by_block: bool
+    """Whether `BY_BLOCK` is among the traits."""
+
+    turning: bool
+    """Whether `TURNING` is."""
+
+    has_offsets: bool
+    """Whether `OFFSETS` is."""
+
+    has_touches: bool
+    """Whether `TOUCHES` is."""
+
+
+def variant_of(docks: int, traits: Traits) -> KernelVariant:
+    """Write traits out. A kernel is launched with traits, since quadrants takes no tuples there."""
+    return KernelVariant(docks, *(trait in traits for trait in Traits))
 
 
 class Step(NamedTuple):
-    """One step of one structure."""
+    """One step of all structures."""
 
     number: int
     """Steps taken before it, t."""
 
-    sigma: Float
-    """Square root of the temperature [R]."""
-
-    growth: Float
-    """Size of the docks, as a part of their full size."""
-
-    inertia_factor: Float
-    """Factor of every mass; 4 halves the steps."""
-
     seed: int
     """Seed of the random numbers."""
 
-    is_averaged: bool
-    """Whether positions after this step count for the averages."""
+    hold: int
+    """First step after which positions count for the averages."""
+
+    schedule: Reals2
+    """Square root of the temperature of each structure at each step [R], and last the size of the
+    docks, as a part of their full size [1], shape (S + 1, steps)."""
 
 
 class Robots(NamedTuple):
     """Constants of each robot."""
 
     label: Ints2
-    """Structure that each robot is of, join number within it, and whether docks that do not touch
-    repel, shape (N, 3)."""
+    """Shape (N, 8); columns:
+
+    STRUCTURE: Structure that the robot is of.
+    NUMBER: Join number within it; 0 is the anchor.
+    NON_OVERLAP: Whether docks that do not touch repel.
+    SUBTREE: Subtree that the robot belongs to.
+    CONTACT, CONTACT_END: First entry of its contacts, and the one after their last.
+    PLANE, PLANE_END: First of its planes, and the one after their last.
+    """
 
     weight: Reals2
-    """One over the squared width of the robust loss of links, 0 for none [1], and the precision of
-    the sensed yaw, 0 where robots do not turn [rad^-2], shape (N, 2)."""
+    """Shape (N, 3); columns:
+
+    ROBUST: One over the squared width of the robust loss of links, 0 for none [1].
+    YAW_PRECISION: Precision of the sensed yaw, 0 where robots do not turn [rad^-2].
+    LIGHTEST: Factor of every mass; 4 halves the steps [1].
+    """
 
 
-STRUCTURE, NUMBER, NON_OVERLAP = range(3)
-ROBUST, YAW_PRECISION = range(2)
-"""Columns of `Robots`."""
+STRUCTURE, NUMBER, NON_OVERLAP, SUBTREE, CONTACT, CONTACT_END, PLANE, PLANE_END = range(8)
+ROBUST, YAW_PRECISION, LIGHTEST = range(3)
 
 
 class Contacts(NamedTuple):
-    """Contacts and ranges in CSR form; every one stands at both its robots, K entries in all.
+    """Contacts and ranges, robot by robot; every one stands at both its robots, K entries in all.
 
-    An offset is a contact whose direction is measured.
+    An offset is a contact whose direction is measured; of a touch the docks are unknown.
     """
 
-    start: Ints1
-    """First entry of each robot, shape (N + 1,)."""
-
     label: Ints2
-    """Robot on the other side, whether the robots touch at their final stances, whether the robot
-    measured the offset, not its partner, and the row of a touch in `candidates`, -1 of other
-    entries, shape (K, 4)."""
+    """Shape (K, 4); columns:
+
+    PARTNER: Robot on the other side.
+    IS_FINAL: Whether the robots touch at their final stances.
+    IS_OWN: Whether the robot measured the offset, not its partner.
+    TOUCH: Row of a touch in `candidates`, -1 of other entries.
+    """
 
     value: Reals2
-    """Arm of the robot's dock less that of the partner's, as sensed [R], measured distance [R], its
-    variance or that along an offset, the variance across an offset, 0 of other entries [R^2], and
-    the gain in log-likelihood for each R more between the two centers [R^-1], shape (K, 7)."""
+    """Shape (K, 14), or (K, 7) where nobody turns and there are no offsets; columns:
 
-    level: Reals2
-    """What turns with robots: horizontal arms, the robot's x and y and the partner's, and the
-    measured vector from the robot's dock to the partner's, as sensed [R], shape (K, 7)."""
-
-    has_offsets: bool
-    """Whether any entry is an offset."""
+    ARMS: Arm of the robot's dock less that of the partner's, as sensed [R], 3 columns.
+    LENGTH: Measured distance of the docks [R].
+    VARIANCE: Its variance, or that along an offset [R^2].
+    ACROSS: The variance across an offset, 0 of other entries [R^2].
+    EXTENSION: Gain in log-likelihood for each R more between the two centers [R^-1].
+    LEVERS: Horizontal arms, which turn: the robot's x and y and the partner's [R], 4 columns.
+    VECTOR: The measured vector from the robot's dock to the partner's, as sensed [R], 3 columns.
+    """
 
     candidates: Reals3
     """Arms of the docks that may be those of each touch, as sensed: the robot's and the partner's
     [R], shape (H, docks, 6)."""
 
-    has_touches: bool
-    """Whether any entry is a touch."""
-
 
 PARTNER, IS_FINAL, IS_OWN, TOUCH = range(4)
-LENGTH, VARIANCE, ACROSS, EXTENSION = range(3, 7)
-VECTOR = 4
-"""Columns of `Contacts`; the shift and the lever come first."""
+ARMS, LENGTH, VARIANCE, ACROSS, EXTENSION, LEVERS, VECTOR = 0, 3, 4, 5, 6, 7, 11
 
 
-class Priors(NamedTuple):
-    """Planes on which robots were measured to be, P of them in CSR form."""
+class Measured(NamedTuple):
+    """All that is known of robots."""
 
-    start: Ints1
-    """First plane of each robot, shape (N + 1,)."""
+    robots: Robots
+    """Constants of each."""
+
+    contacts: Contacts
+    """Their contacts and ranges."""
 
     plane: Reals2
-    """A point of each plane [R], the unit vector perpendicular to it, the part of the point which
-    turns with the robot, x and y to be subtracted [R], the precision of the distance from the plane
-    [R^-2], 1 where other planes of the robot are perpendicular to it, 3 elsewhere, and one over the
-    squared width of the robust loss, 0 for none [1], shape (P, 11)."""
+    """Planes on which robots were measured to be, robot by robot, shape (P, 11); columns:
+
+    POINT: A point of the plane [R], 3 columns.
+    DIRECTION: The unit vector perpendicular to it, 3 columns.
+    WALK: The part of the point which turns with the robot, x and y to be subtracted [R], 2 columns.
+    PRECISION: Precision of the distance from the plane [R^-2].
+    CROWD: 1 where other planes of the robot are perpendicular to it, 3 elsewhere.
+    PLANE_ROBUST: One over the squared width of the robust loss, 0 for none [1].
+    """
 
 
-DIRECTION, WALK, PRECISION, CROWD, PLANE_ROBUST = 3, 6, 8, 9, 10
-"""Columns of `Priors`; the point comes first."""
+POINT, DIRECTION, WALK, PRECISION, CROWD, PLANE_ROBUST = 0, 3, 6, 8, 9, 10
 
 
 class Subtrees(NamedTuple):
     """Subtrees of the contact graph, which move as one."""
 
-    of_robot: Ints1
-    """Subtree that each copy of a robot belongs to, shape (C N,)."""
-
     table: Ints2
-    """First own robot, the one after the last of these, the one after the last that moves with
-    it, parent, whether it moves along x, y and z, and its number within the structure, shape
-    (T, 8)."""
+    """Shape (T, 8); columns:
 
-    weight: Reals1
-    """Mass of each subtree, in masses of its own robots, shape (T,)."""
+    OWN: First own robot.
+    OWN_END: The one after the last of these.
+    END: The one after the last that moves with it.
+    PARENT: Subtree that it grows out of.
+    MOVES: Whether it moves along x, y and z, 3 columns.
+    ORDINAL: Its number within the structure.
+    """
 
-    first: Ints1
-    """First subtree of each block, shape (B + 1,)."""
+    motion: Reals2
+    """Of each copy, shape (C T, 14); columns:
 
-    pull: Reals2
-    """Force on each copy of a subtree, and its mass, shape (C T, 4)."""
-
-    velocity: Reals2
-    """Velocity of each copy, shape (C T, 3)."""
-
-    shift: Reals2
-    """Shift of each copy in this step, its ancestors' included, and, written on graphics cards,
-    without these [R], shape (C T, 6)."""
-
-    sums: Longs2
-    """Forces and masses of copies, added up run by run in parts of one, and then sums of runs;
-    `motion_kernels` says how. Written on graphics cards, shape (`sum_rows(C N)`, 4)."""
+    FORCE, MASS, VELOCITY: As for robots, of all that moves with the subtree.
+    SHIFT: Shift in this step, its ancestors' included [R], 3 columns.
+    OWN_SHIFT: The same without its ancestors', written on graphics cards [R], 3 columns.
+    WEIGHT: Mass, in masses of its own robots.
+    """
 
 
-OWN_END, END, PARENT, MOVES, ORDINAL = 1, 2, 3, 4, 7
-"""Columns of `Subtrees.table`."""
+OWN, OWN_END, END, PARENT, MOVES, ORDINAL = 0, 1, 2, 3, 4, 7
+SHIFT, OWN_SHIFT, WEIGHT = 7, 10, 13
 
 
-class Swarm(NamedTuple):
+class Copies(NamedTuple):
     """State of every copy of a robot."""
 
     arm: Reals3
@@ -151,44 +195,50 @@ class Swarm(NamedTuple):
     position: Reals2
     """Centers [R], shape (C N, 3)."""
 
-    velocity: Reals2
-    """Velocities, shape (C N, 3)."""
+    motion: Reals2
+    """Shape (C N, 7); columns:
 
-    force: Reals2
-    """Forces of this step, shape (C N, 3)."""
-
-    mass: Reals1
-    """Masses, shape (C N,)."""
+    FORCE: Force of this step, 3 columns.
+    MASS: Mass.
+    VELOCITY: Velocity, 3 columns.
+    """
 
     heading: Reals2
-    """How far robots are turned, and how they turn; columns as `force_kernels` names them, shape
-    (C N, 7)."""
+    """How far robots are turned, and how they turn, shape (C N, 7); columns:
+
+    COS, SIN, YAW: Cosine, sine and angle of the turn so far [rad].
+    SPIN, TORQUE, INERTIA: Velocity, force and mass of the turn.
+    TOTAL: Sum of the angles that are averaged [rad].
+    """
 
     total: Reals2
-    """Sum of the positions that are averaged [R], shape (C N, 3)."""
+    """Sums over the steps that are averaged, shape (C N, 4): positions [R], and, in the column
+    SQUARE, their squares [R^2]."""
 
-    square_total: Reals1
-    """Sum of their squares [R^2], shape (C N,)."""
+
+FORCE, MASS, VELOCITY = 0, 3, 4
+COS, SIN, YAW, SPIN, TORQUE, INERTIA, TOTAL = range(7)
+SQUARE = 3
 
 
 class Blocks(NamedTuple):
-    """Progress of each block, and the age of its Verlet rows."""
+    """Progress of each block, and its Verlet rows."""
 
-    start: Ints1
-    """First robot of each block, shape (B + 1,)."""
+    progress: Ints2
+    """Shape (B, 7); columns:
 
-    taken: Ints1
-    """Steps taken so far, shape (B,)."""
-
-    age: Ints1
-    """Steps that the rows have served, or STALE, shape (B,)."""
-
-    skin: Reals1
-    """Reach of the rows beyond that of forces, for rows built next [R], shape (B,)."""
+    TREE, TREE_END: First copy of a subtree, and the one after the last.
+    TAKEN: Steps taken so far.
+    AGE: Steps that the rows have served, or STALE.
+    IS_THIN: Whether the rows that are built next have the thin skin.
+    HAS_STRAYED, IS_FAST: Whether a robot is beyond half the skin in this step, and beyond a quarter
+        of the thick one; written on graphics cards, for the first block only.
+    """
 
     listed: Reals1
     """Where robots were as rows were built, and last their block [R], rows of four."""
 
-    strayed: Ints1
-    """Whether a robot is beyond half the skin in this step, and beyond a quarter of the thick one;
-    written on graphics cards, shape (2,)."""
+
+TREE, TREE_END, TAKEN, AGE, IS_THIN, HAS_STRAYED, IS_FAST = range(7)
+STALE = -1
+"""Age of rows that have to be built anew."""

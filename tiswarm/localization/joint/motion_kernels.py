@@ -9,17 +9,35 @@ is a difference of two sums over all robots before a place.
 """
 
 from tiswarm.compute.lang import Ref, Static, ti
-from tiswarm.compute.math_kernels import mixed, vector_at
+from tiswarm.compute.math_kernels import mixed, part_at
 from tiswarm.localization.joint.arrays import (
+    COS,
     END,
+    FORCE,
+    INERTIA,
+    MASS,
     MOVES,
     NUMBER,
     ORDINAL,
+    OWN,
     OWN_END,
+    OWN_SHIFT,
     PARENT,
+    SHIFT,
+    SIN,
+    SPIN,
+    SQUARE,
+    SUBTREE,
+    TORQUE,
+    TOTAL,
+    TREE,
+    TREE_END,
+    VELOCITY,
+    WEIGHT,
+    YAW,
     YAW_PRECISION,
 )
-from tiswarm.localization.joint.force_kernels import COS, INERTIA, SIN, SPIN, TORQUE, TOTAL, YAW
+from tiswarm.localization.joint.force_kernels import sigma_of
 
 _STEP = 1.0
 """Time step, where a robot held by one equation swings in 2 pi."""
@@ -48,12 +66,16 @@ def _kick_of(seed, chain, number, t):
 
 
 @ti.func
-def _moved(velocity: Ref, i, axis, force, mass, sigma, kick):
-    """Change a velocity; return how far it leads."""
+def _moved(table: Ref, i, column, force, mass, sigma, kick):
+    """Change a velocity, a column of a table; return how far it leads."""
+    # s = sigma sqrt((1 - a^2) / m)
     heat = sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass)
-    speed = velocity[i, axis] + _STEP * force / mass
-    velocity[i, axis] = MEMORY * speed + heat * kick
-    return 0.5 * _STEP * (speed + velocity[i, axis])
+    # v' = v + F h / m
+    speed = table[i, column] + _STEP * force / mass
+    # v <- a v' + s xi
+    table[i, column] = MEMORY * speed + heat * kick
+    # x = h (v' + v) / 2
+    return 0.5 * _STEP * (speed + table[i, column])
 
 
 @ti.func
@@ -72,13 +94,14 @@ def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     count = robots.label.shape[0]
     kick = _kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
     heading = ti.static(swarm.heading)
-    turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], step.sigma, kick)
+    sigma = sigma_of(r % count, step, robots)
+    turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], sigma, kick)
     heading[r, YAW] += turn
     heading[r, COS] = ti.cos(heading[r, YAW])
     heading[r, SIN] = ti.sin(heading[r, YAW])
     for k in range(swarm.arm.shape[1]):
         _turn_dock(turn, r, k, swarm.arm)
-    if step.is_averaged:
+    if step.number >= step.hold:
         heading[r, TOTAL] += heading[r, YAW]
 
 
@@ -90,39 +113,39 @@ def pull_subtree(k, robots, trees: Ref, swarm: Ref):
     """
     n = k % trees.table.shape[0]
     start = k // trees.table.shape[0] * robots
-    pull = 0.0 * vector_at(swarm.force, start)
-    weight = 0.0 * pull[0]
-    for r in range(start + trees.table[n, 0], start + trees.table[n, OWN_END]):
-        pull += vector_at(swarm.force, r)
-        weight += trees.weight[n] * swarm.mass[r]
-    _note_pull(k, pull, weight, trees)
+    pull = 0.0 * part_at(swarm.motion, start, FORCE)
+    mass = 0.0 * pull[0]
+    for r in range(start + trees.table[n, OWN], start + trees.table[n, OWN_END]):
+        pull += part_at(swarm.motion, r, FORCE)
+        mass += trees.motion[k, WEIGHT] * swarm.motion[r, MASS]
+    _note_pull(k, pull, mass, trees)
 
 
 @ti.func
-def _note_pull(k, pull, weight, trees: Ref):
+def _note_pull(k, pull, mass, trees: Ref):
     """Write the force on copy k of a subtree, and its mass; velocities shrink as this grows."""
-    lighter = ti.sqrt(trees.pull[k, 3] / weight)
-    trees.pull[k, 3] = weight
+    lighter = ti.sqrt(trees.motion[k, MASS] / mass)
+    trees.motion[k, MASS] = mass
     for c in ti.static(range(3)):
-        trees.pull[k, c] = pull[c]
-        trees.velocity[k, c] *= lighter
+        trees.motion[k, FORCE + c] = pull[c]
+        trees.motion[k, VELOCITY + c] *= lighter
 
 
 @ti.func
-def gather_pulls(b, trees: Ref):
+def gather_pulls(b, blocks: Ref, trees: Ref):
     """Add to the force on each subtree of block b those on all that grow out of it."""
     count = trees.table.shape[0]
-    first, last = trees.first[b], trees.first[b + 1]
+    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
     chain = first // count
     for back in range(1, last - first):
         k = last - back
         parent = chain * count + trees.table[k - chain * count, PARENT]
         for c in ti.static(range(3)):
-            trees.pull[parent, c] += trees.pull[k, c]
+            trees.motion[parent, FORCE + c] += trees.motion[k, FORCE + c]
 
 
 def sum_rows(copies: int) -> int:
-    """Count the rows of `Subtrees.sums`: one a copy of a robot, a run, and a run of runs."""
+    """Count the rows of sums on a card: one a copy of a robot, a run, and a run of runs."""
     runs = -(-copies // RUN)
     return copies + runs - (-runs // RUN)
 
@@ -131,8 +154,8 @@ def sum_rows(copies: int) -> int:
 def count_pull(r, sums: Ref, swarm: Ref):
     """Write the force on copy r of a robot and its mass, in parts of one, to be added up."""
     for c in ti.static(range(3)):
-        sums[r, c] = ti.cast(_PARTS * swarm.force[r, c], ti.i64)
-    sums[r, 3] = ti.cast(_PARTS * swarm.mass[r], ti.i64)
+        sums[r, c] = ti.cast(_PARTS * swarm.motion[r, FORCE + c], ti.i64)
+    sums[r, 3] = ti.cast(_PARTS * swarm.motion[r, MASS], ti.i64)
 
 
 @ti.func
@@ -143,7 +166,7 @@ def add_up(run, first, last, sums: Ref):
         run: Number of the run.
         first: First row of all runs.
         last: Row after their last one, and that of the sum of run 0.
-        sums: Rows of `Subtrees.sums`.
+        sums: Rows as `sum_rows` counts them.
     """
     total = ti.Vector([ti.i64(0) for _ in range(4)])
     for row in range(first + RUN * run, ti.min(first + RUN * (run + 1), last)):
@@ -166,7 +189,7 @@ def _sum_before(i, first, sums: Ref):
 @ti.func
 def _sum_between(a, b, sums: Ref, swarm: Ref):
     """Sum the forces on copies a to b - 1 of robots, and their masses."""
-    copies = swarm.mass.shape[0]
+    copies = swarm.motion.shape[0]
     runs = (copies + RUN - 1) // RUN
     total = _sum_before(b, 0, sums) - _sum_before(a, 0, sums)
     total += _sum_before(b // RUN, copies, sums) - _sum_before(a // RUN, copies, sums)
@@ -176,14 +199,14 @@ def _sum_between(a, b, sums: Ref, swarm: Ref):
 
 
 @ti.func
-def pull_branch(k, robots, trees: Ref, swarm: Ref):
+def pull_branch(k, robots, sums: Ref, trees: Ref, swarm: Ref):
     """Write the force on all robots that move with copy k of a subtree, and its mass."""
     n = k % trees.table.shape[0]
     start = k // trees.table.shape[0] * robots
-    first = start + trees.table[n, 0]
-    own = _sum_between(first, start + trees.table[n, OWN_END], trees.sums, swarm)
-    every = _sum_between(first, start + trees.table[n, END], trees.sums, swarm)
-    _note_pull(k, every, trees.weight[n] * own[3], trees)
+    first = start + trees.table[n, OWN]
+    own = _sum_between(first, start + trees.table[n, OWN_END], sums, swarm)
+    every = _sum_between(first, start + trees.table[n, END], sums, swarm)
+    _note_pull(k, every, trees.motion[k, WEIGHT] * own[3], trees)
 
 
 @ti.func
@@ -192,68 +215,74 @@ def gather_shifts(k, trees: Ref):
     count = trees.table.shape[0]
     chain = k // count
     n = k % count
-    shift = ti.Vector([trees.shift[k, 3 + c] for c in range(3)])
+    shift = part_at(trees.motion, k, OWN_SHIFT)
     while trees.table[n, PARENT] != n:
         n = trees.table[n, PARENT]
-        shift += ti.Vector([trees.shift[chain * count + n, 3 + c] for c in range(3)])
+        shift += part_at(trees.motion, chain * count + n, OWN_SHIFT)
     for c in ti.static(range(3)):
-        trees.shift[k, c] = shift[c]
+        trees.motion[k, SHIFT + c] = shift[c]
 
 
 @ti.func
-def move_subtree(k, column: Static, step: Ref, trees: Ref):
+def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """Write the shift of copy k of a subtree, without that of the subtrees it grows out of.
 
     Args:
         k: Copy of the subtree.
-        column: First column of `Subtrees.shift` to write.
+        on_card: Whether `gather_shifts` follows, not `spread_shifts`.
         step: The step.
+        robots: Robots.
         trees: Subtrees.
     """
     count = trees.table.shape[0]
     n = k % count
     kick = _kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
+    motion, shift = ti.static(trees.motion, OWN_SHIFT if on_card else SHIFT)
+    sigma = sigma_of(trees.table[n, OWN], step, robots)
     for c in ti.static(range(3)):
-        trees.shift[k, column + c] = 0.0
+        motion[k, shift + c] = 0.0
         if trees.table[n, MOVES + c] == 1:
-            trees.shift[k, column + c] = _moved(
-                trees.velocity, k, c, trees.pull[k, c], trees.pull[k, 3], step.sigma, kick[c]
-            )
+            force, mass = motion[k, FORCE + c], motion[k, MASS]
+            motion[k, shift + c] = _moved(motion, k, VELOCITY + c, force, mass, sigma, kick[c])
 
 
 @ti.func
-def spread_shifts(b, trees: Ref):
+def spread_shifts(b, blocks: Ref, trees: Ref):
     """Add to the shift of each subtree of block b that of the subtree it grows out of."""
     count = trees.table.shape[0]
-    first, last = trees.first[b], trees.first[b + 1]
+    first, last = blocks.progress[b, TREE], blocks.progress[b, TREE_END]
     chain = first // count
     for k in range(first + 1, last):
         parent = chain * count + trees.table[k - chain * count, PARENT]
         for c in ti.static(range(3)):
-            trees.shift[k, c] += trees.shift[parent, c]
+            trees.motion[k, SHIFT + c] += trees.motion[parent, SHIFT + c]
 
 
 @ti.func
-def move_robot(r, turning: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
+def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: Ref, swarm: Ref):
     """Move copy r by itself and with its subtree, and turn it if robots turn; anchors stay.
 
     Returns:
         Its squared distance from where its Verlet row was built.
     """
-    i = r % robots.label.shape[0]
-    strayed = 0.0 * swarm.mass[r]
+    motion, position = ti.static(swarm.motion, swarm.position)
+    count = robots.label.shape[0]
+    i, chain = r % count, r // count
+    strayed = 0.0 * motion[r, MASS]
     number = robots.label[i, NUMBER]
-    kick = _kick_of(step.seed, r // robots.label.shape[0], number, step.number)
+    kick = _kick_of(step.seed, chain, number, step.number)
+    sigma = sigma_of(i, step, robots)
+    k = chain * trees.table.shape[0] + robots.label[i, SUBTREE]
     for c in ti.static(range(3)):
         if number > 0:
-            mass, force = swarm.mass[r], swarm.force[r, c]
-            alone = _moved(swarm.velocity, r, c, force, mass, step.sigma, kick[c])
-            swarm.position[r, c] += alone + trees.shift[trees.of_robot[r], c]
-        strayed += (swarm.position[r, c] - blocks.listed[4 * r + c]) ** 2
-    if ti.static(turning) and robots.weight[i, YAW_PRECISION] > 0.0:
+            force, mass = motion[r, FORCE + c], motion[r, MASS]
+            alone = _moved(motion, r, VELOCITY + c, force, mass, sigma, kick[c])
+            position[r, c] += alone + trees.motion[k, SHIFT + c]
+        strayed += (position[r, c] - blocks.listed[4 * r + c]) ** 2
+    if ti.static(variant.turning) and robots.weight[i, YAW_PRECISION] > 0.0:
         _turn_robot(r, step, robots, swarm)
-    if step.is_averaged:
+    if step.number >= step.hold:
         for c in ti.static(range(3)):
-            swarm.total[r, c] += swarm.position[r, c]
-            swarm.square_total[r] += swarm.position[r, c] * swarm.position[r, c]
+            swarm.total[r, c] += position[r, c]
+            swarm.total[r, SQUARE] += position[r, c] * position[r, c]
     return strayed

@@ -36,6 +36,10 @@ class AnnealSchedule:
     """Share of the steps in which docks grow to their full size [1], so that robots pass through
     each other at first."""
 
+    smallest: float = 0.1
+    """Size of docks in the first step, as a part of their full size [1]. Docks that are solid at
+    once push each other out of the initial heap faster than friction takes the heat away."""
+
     reinitialize_from: float = 0.4
     """Share of the steps after which lost robots are initialized anew [1]."""
 

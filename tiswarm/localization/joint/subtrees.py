@@ -14,8 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tiswarm.aliases import Bools, Ints, Reals
 from tiswarm.compute.backend import Allocator
-from tiswarm.localization.joint.arrays import Subtrees
-from tiswarm.localization.joint.motion_kernels import sum_rows
+from tiswarm.localization.joint.arrays import WEIGHT, Subtrees
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.contacts import touching
 
@@ -84,7 +83,6 @@ def subtree_arrays(
     """
     count = np.array([len(tree.parent) for tree in trees])
     own = np.concatenate([np.diff(tree.first) for tree in trees])
-    of_robot = np.add.outer(len(own) * np.arange(chains), np.repeat(np.arange(len(own)), own))
     end = np.cumsum(own)
     parent = np.concatenate(
         [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
@@ -97,18 +95,12 @@ def subtree_arrays(
     before = np.pad(np.cumsum(np.concatenate(held), axis=0), ((1, 0), (0, 0)))
     # Everyone together does not move.
     moves = (before[last] == before[end - own]) & (ordinal > 0)[:, None]
-    table = [end - own, end, last, parent, moves, ordinal]
-    copies = chains * len(own)
-    rows = sum_rows(len(of_robot.ravel())) if memory.running.on_card else 1
+    table = [end - own, end, last, parent, moves, ordinal]  # OWN to ORDINAL
+    motion = np.zeros((chains, len(own), WEIGHT + 1))
+    motion[:, :, WEIGHT] = np.concatenate([weights(tree) for tree in trees])
     return Subtrees(
-        of_robot=memory.upload(of_robot.ravel()),
         table=memory.upload(np.column_stack(table)),
-        weight=memory.upload(np.concatenate([weights(tree) for tree in trees])),
-        first=memory.upload(np.cumsum([0, *np.tile(count, chains)])),
-        pull=memory.upload(np.zeros((copies, 4))),
-        velocity=memory.upload(np.zeros((copies, 3))),
-        shift=memory.upload(np.zeros((copies, 6))),
-        sums=memory.longs(rows, 4),
+        motion=memory.upload(motion.reshape(-1, WEIGHT + 1)),
     )
 
 

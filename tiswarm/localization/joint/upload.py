@@ -4,7 +4,7 @@ Robots of a subtree stand in a row in memory. `order` is that order, of the robo
 end to end, shape (N,).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,41 +13,124 @@ from numpy.typing import NDArray
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
-from tiswarm.localization.joint.arrays import Blocks, Contacts, Priors, Robots, Swarm
-from tiswarm.localization.joint.force_kernels import INERTIA
-from tiswarm.localization.joint.kernels import SKIN, STALE
+from tiswarm.localization.joint.arrays import (
+    ACROSS,
+    AGE,
+    ARMS,
+    CONTACT,
+    CONTACT_END,
+    COS,
+    CROWD,
+    DIRECTION,
+    EXTENSION,
+    INERTIA,
+    IS_FAST,
+    IS_FINAL,
+    IS_OWN,
+    LENGTH,
+    LEVERS,
+    LIGHTEST,
+    MASS,
+    NON_OVERLAP,
+    NUMBER,
+    PARTNER,
+    PLANE,
+    PLANE_END,
+    PLANE_ROBUST,
+    POINT,
+    PRECISION,
+    ROBUST,
+    SQUARE,
+    STALE,
+    STRUCTURE,
+    SUBTREE,
+    TOTAL,
+    TOUCH,
+    TREE,
+    TREE_END,
+    VARIANCE,
+    VECTOR,
+    VELOCITY,
+    WALK,
+    YAW_PRECISION,
+    Blocks,
+    Contacts,
+    Copies,
+    Measured,
+    Robots,
+    Traits,
+)
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.subtrees import Forest
 from tiswarm.localization.params import JointParams
 
-_AS_SENSED = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-"""A row of the kernel's headings to begin with."""
+
+def traits_of(problems: Sequence[Problem], *, by_block: bool) -> Traits:
+    """Find what kernels are to be compiled for, in problems that are annealed side by side."""
+    traits = Traits.BY_BLOCK if by_block else Traits(0)
+    if any(p.yaw_precision for p in problems):
+        traits |= Traits.TURNING
+    if any(p.is_offset.any() for p in problems):
+        traits |= Traits.OFFSETS
+    if any(p.is_touch.any() for p in problems):
+        traits |= Traits.TOUCHES
+    return traits
 
 
-def robot_arrays(
-    memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
-) -> Robots:
-    """Put the constants of all robots on the device."""
+def measured_arrays(
+    memory: Allocator,
+    problems: Sequence[Problem],
+    params: Sequence[JointParams],
+    order: Ints,
+    *,
+    trees: Sequence[Forest],
+    lightest: float,
+) -> Measured:
+    """Put all that is known of robots on the device.
+
+    Args:
+        memory: Where arrays are allocated.
+        problems: Measurements of each structure.
+        params: Settings for each.
+        order: Robots of all structures in the order of memory, shape (N,).
+        trees: Subtrees of each.
+        lightest: Factor of every mass.
+    """
     size = [len(p.part) for p in problems]
     number = np.concatenate([np.arange(robots) for robots in size])[order]
-    non_overlap = np.repeat([int(p.non_overlap) for p in params], size)
-    robust = [AnnealSchedule.outlier_sd**-2 * p.robust for p in params]
-    weight = np.column_stack([robust, [p.yaw_precision for p in problems]])
-    return Robots(
-        label=memory.upload(
-            np.column_stack([np.repeat(np.arange(len(size)), size), number, non_overlap])
-        ),
-        weight=memory.upload(np.repeat(weight, size, axis=0)),
-    )
+    own = np.concatenate([np.diff(tree.first) for tree in trees])
+    contact, contacts = _contact_arrays(memory, problems, params, order)
+    plane, planes = _plane_array(memory, problems, params, order)
+    label = {
+        STRUCTURE: np.repeat(np.arange(len(size)), size),
+        NUMBER: number,
+        NON_OVERLAP: np.repeat([int(p.non_overlap) for p in params], size),
+        SUBTREE: np.repeat(np.arange(len(own)), own),
+        CONTACT: contact[:-1],
+        CONTACT_END: contact[1:],
+        PLANE: plane[:-1],
+        PLANE_END: plane[1:],
+    }
+    weight = {
+        ROBUST: np.repeat([AnnealSchedule.outlier_sd**-2 * p.robust for p in params], size),
+        YAW_PRECISION: np.repeat([p.yaw_precision for p in problems], size),
+        LIGHTEST: np.full(len(order), lightest),
+    }
+    robots = Robots(label=memory.upload(_packed(label)), weight=memory.upload(_packed(weight)))
+    return Measured(robots=robots, contacts=contacts, plane=planes)
 
 
-def contact_arrays(
+def _contact_arrays(
     memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
-) -> Contacts:
-    """Put the contacts of all structures on the device, each at both its robots."""
+) -> tuple[Ints, Contacts]:
+    """Put the contacts of all structures on the device, each at both its robots.
+
+    Returns:
+        First entry of each robot, shape (N + 1,), and the contacts.
+    """
     robot = _in_memory([e.robot for e in problems], problems, order)
     other = _in_memory([e.other for e in problems], problems, order)
-    is_final = np.concatenate([e.is_final for e in problems]).astype(np.int64)
     is_offset = np.concatenate([e.is_offset for e in problems])
     extension = np.concatenate(
         [p.extension_prior * e.is_final / e.fewest for e, p in zip(problems, params, strict=True)]
@@ -57,100 +140,113 @@ def contact_arrays(
     shift = np.concatenate([e.shift for e in problems]) - vector
     lever = np.concatenate([e.lever for e in problems])
     lever[:, :2] -= vector[:, :2]
-    length = np.concatenate([e.length for e in problems])
     variance = np.concatenate([e.variance[e.link] for e in problems])
     total = np.concatenate([e.by_link(e.variance) for e in problems])
-    across = np.where(is_offset, 0.5 * (total - variance), 0.0)
     is_touch = np.concatenate([e.is_touch for e in problems])
     arms = np.concatenate([np.dstack([arm for arm, _ in e.rows.touch_arms]) for e in problems])
     touch = np.full((2, len(robot)), -1)
     touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
-    own, its = np.ones_like(robot), np.zeros_like(robot)
-    value = np.column_stack([length, variance, across, extension])
-    label = [
-        np.column_stack([other, is_final, own, touch[0]]),
-        np.column_stack([robot, is_final, its, touch[1]]),
-    ]
+    label = {
+        PARTNER: other,
+        IS_FINAL: np.concatenate([e.is_final for e in problems]).astype(np.int64),
+        IS_OWN: np.ones_like(robot),
+        TOUCH: touch[0],
+    }
+    value = {
+        ARMS: shift,
+        LENGTH: np.concatenate([e.length for e in problems]),
+        VARIANCE: variance,
+        ACROSS: np.where(is_offset, 0.5 * (total - variance), 0.0),
+        EXTENSION: extension,
+    }
+    back = {ARMS: -shift}
+    if is_offset.any() or any(p.yaw_precision for p in problems):
+        value |= {LEVERS: lever, VECTOR: vector}
+        back |= {LEVERS: lever[:, [2, 3, 0, 1]], VECTOR: -vector}
+    # The same contact as its other robot has it.
+    its_label = label | {PARTNER: robot, IS_OWN: np.zeros_like(robot), TOUCH: touch[1]}
     both = np.concatenate([robot, other])
     by_robot = np.argsort(both, kind="stable")
-    return Contacts(
-        start=memory.upload(_row_starts(both, len(order))),
-        label=_upload(memory, np.concatenate(label)[by_robot]),
-        value=_upload(
-            memory,
-            np.concatenate([np.c_[shift, value], np.c_[-shift, value]])[by_robot],
-            padding=1.0,
-        ),
-        level=_upload(
-            memory,
-            np.concatenate([np.c_[lever, vector], np.c_[lever[:, [2, 3, 0, 1]], -vector]])[
-                by_robot
-            ],
-        ),
-        has_offsets=bool(is_offset.any()),
+    labels, values = (
+        np.concatenate([_packed(one), _packed(two)])[by_robot]
+        for one, two in ((label, its_label), (value, value | back))
+    )
+    return _row_starts(both, len(order)), Contacts(
+        label=_upload(memory, labels),
+        value=_upload(memory, values, padding=1.0),
         candidates=_upload(memory, np.concatenate([arms, np.roll(arms, 3, axis=2)])),
-        has_touches=bool(len(arms)),
     )
 
 
-def prior_arrays(
+def _plane_array(
     memory: Allocator, problems: Sequence[Problem], params: Sequence[JointParams], order: Ints
-) -> Priors:
-    """Put the planes of all structures on the device, robot by robot."""
+) -> tuple[Ints, DeviceArray]:
+    """Put the planes of all structures on the device, robot by robot.
+
+    Returns:
+        First plane of each robot, shape (N + 1,), and `Measured.plane`.
+    """
     robot = _in_memory([e.planes.robot for e in problems], problems, order)
     table = np.concatenate([_planes_of(*each) for each in zip(problems, params, strict=True)])
-    return Priors(
-        start=memory.upload(_row_starts(robot, len(order))),
-        plane=_upload(memory, table[np.argsort(robot, kind="stable")]),
-    )
+    plane = _upload(memory, table[np.argsort(robot, kind="stable")])
+    return _row_starts(robot, len(order)), plane
 
 
 def _planes_of(problem: Problem, params: JointParams) -> Reals:
-    """Gather the columns of `Priors.plane` of one structure, shape (P, 11)."""
+    """Gather the columns of `Measured.plane` of one structure, shape (P, 11)."""
     planes = problem.planes
-    crowd = planes.crowd(len(problem.part))
     robust = AnnealSchedule.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
-    columns = [planes.point, planes.direction, planes.walk, planes.precision, crowd, robust]
-    return np.column_stack(columns)
+    return _packed({
+        POINT: planes.point,
+        DIRECTION: planes.direction,
+        WALK: planes.walk,
+        PRECISION: planes.precision,
+        CROWD: planes.crowd(len(problem.part)),
+        PLANE_ROBUST: robust,
+    })  # fmt: skip
 
 
-def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, inertia_factor: float) -> Swarm:
+def swarm_arrays(memory: Allocator, arm: Reals, position: Reals, lightest: float) -> Copies:
     """Put all copies of all robots on the device, at rest.
 
     Args:
         memory: Where arrays are allocated.
         arm: Center to dock, in the order of memory, shape (N, docks, 3).
         position: Where the copies begin, shape (C N, 3).
-        inertia_factor: Mass of each.
+        lightest: Mass of each.
     """
     upload, copies = memory.upload, len(position)
-    heading = np.tile(_AS_SENSED, (copies, 1))
-    heading[:, INERTIA] = inertia_factor
-    return Swarm(
+    motion, heading = np.zeros((copies, VELOCITY + 3)), np.zeros((copies, TOTAL + 1))
+    motion[:, MASS] = lightest
+    heading[:, COS] = 1.0
+    heading[:, INERTIA] = lightest
+    return Copies(
         arm=upload(np.tile(arm, (copies // len(arm), 1, 1))),
         position=upload(position),
-        velocity=upload(np.zeros((copies, 3))),
-        force=upload(np.zeros((copies, 3))),
-        mass=upload(np.full(copies, inertia_factor)),
+        motion=upload(motion),
         heading=upload(heading),
-        total=upload(np.zeros((copies, 3))),
-        square_total=upload(np.zeros(copies)),
+        total=upload(np.zeros((copies, SQUARE + 1))),
     )
 
 
-def block_arrays(memory: Allocator, start: Ints) -> Blocks:
+def block_arrays(memory: Allocator, start: Ints, trees: Sequence[Forest], chains: int) -> Blocks:
     """Put blocks that have taken no step on the device; `start` has the first copy of each."""
-    upload, blocks = memory.upload, len(start) - 1
+    blocks = len(start) - 1
+    first = np.cumsum([0, *np.tile([len(tree.parent) for tree in trees], chains)])
+    progress = np.zeros((blocks, IS_FAST + 1), np.int64)
+    progress[:, TREE], progress[:, TREE_END], progress[:, AGE] = first[:-1], first[1:], STALE
     listed = np.zeros((start[-1], 4))
     listed[:, 3] = np.repeat(np.arange(blocks), np.diff(start))
-    return Blocks(
-        start=upload(start),
-        taken=upload(np.zeros(blocks, np.int64)),
-        age=upload(np.full(blocks, STALE)),
-        skin=upload(np.full(blocks, SKIN)),
-        listed=upload(listed.ravel()),
-        strayed=upload(np.zeros(2, np.int64)),
-    )
+    return Blocks(progress=memory.upload(progress), listed=memory.upload(listed.ravel()))
+
+
+def _packed(columns: Mapping[int, NDArray[Any]]) -> NDArray[Any]:
+    """Pack columns into a table, each where its name says; all have a row for each item."""
+    parts = [np.atleast_2d(columns[first].T).T for first in sorted(columns)]
+    widths = [part.shape[1] for part in parts]
+    if sorted(columns) != [sum(widths[:k]) for k in range(len(widths))]:
+        raise ValueError(f"columns {sorted(columns)} have {widths} numbers")
+    return np.column_stack(parts)
 
 
 def _in_memory(robot: Sequence[Ints], problems: Sequence[Problem], order: Ints) -> Ints:

@@ -1,0 +1,277 @@
+"""Forces of contacts and ranges on a robot in a chain, by kind of entry. Lengths in R.
+
+An entry measures a distance, or an offset with its direction; the docks of a touch are those that
+are nearest to D apart at this step. Contacts at final stances have a prior, too, that robots extend
+outward. Docks nearer than D repel as `force_kernels` says.
+"""
+
+from tiswarm.compute.lang import Ref, Static, ti
+from tiswarm.compute.math_kernels import part_at, vector_at, with_torque
+from tiswarm.localization.joint.arrays import (
+    ACROSS,
+    ARMS,
+    CONTACT,
+    CONTACT_END,
+    COS,
+    EXTENSION,
+    IS_FINAL,
+    IS_OWN,
+    LENGTH,
+    LEVERS,
+    PARTNER,
+    ROBUST,
+    SIN,
+    TOUCH,
+    VARIANCE,
+    VECTOR,
+    YAW_PRECISION,
+)
+from tiswarm.measurements.rows import SPACING
+
+_OFFSET_STIFFNESS = 2.0
+"""Stiffness that an offset counts for, in its own. Robots that offsets hold in all directions at
+once swing against each other faster than those that distances hold; with 1, steps heat chains by a
+tenth on training structures, with 2 by no more than without offsets."""
+TINY = 1e-12
+"""Lengths, and their squares, are no less than this where they divide [R]."""
+
+
+@ti.func
+def push_inside(square_length, slope):
+    """Repulsion of docks nearer than D, as a part of their offset; 0 for others.
+
+    Args:
+        square_length: Squared distance of the docks [R^2].
+        slope: 1 / (2 D^2) [R^-2].
+    """
+    return ti.max(0.5 - slope * square_length, 0.0)
+
+
+@ti.func
+def turned(x, y, heading: Ref, r):
+    """Turn a horizontal arm as far as copy `r` of a robot has been turned."""
+    c, s = heading[r, COS], heading[r, SIN]
+    return ti.Vector([c * x - s * y, s * x + c * y, 0.0])
+
+
+@ti.func
+def _pull_of_offset(
+    r, partner, slot, apart, arm, turning: Static, square, robust, contacts: Ref, swarm: Ref
+):
+    """Compute the force of an offset on copy r of a robot, its torque, stiffness and inertia.
+
+    The residual is a vector e, with variances v_k along the measured vector and across it. With
+    w_k = sigma^2 + v_k and c^2 = 1 / `robust`, the energy is Cauchy's loss of the sum of squares,
+
+        sigma^2 c^2 / 2 log(1 + sum_k e_k^2 / (c^2 w_k)).
+
+    The measured vector, and with it the axes, turn with the robot that measured it: the force on
+    that robot acts at the partner's dock.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the offset.
+        apart: From the partner's dock to the robot's [R].
+        arm: From the center of the robot to its dock, horizontal part [R].
+        turning: Whether any robot turns.
+        square: Temperature sigma^2 [R^2].
+        robust: One over the squared width of the robust loss [1].
+        contacts: Contacts.
+        swarm: State of the copies.
+    """
+    vector = part_at(contacts.value, slot, VECTOR)
+    lever = arm
+    if ti.static(turning):
+        owner = partner
+        if contacts.label[slot, IS_OWN] == 1:
+            owner, lever = r, arm - apart
+        level = turned(vector[0], vector[1], swarm.heading, owner)
+        vector[0], vector[1] = level[0], level[1]
+    # e = a + m, in two parts: (e m) m / m^2, and what is left
+    residual = apart + vector
+    along = residual.dot(vector) / vector.norm_sqr() * vector
+    across = residual - along
+    # stiffness along and across, sigma^2 / w_k
+    stiff = square / (square + contacts.value[slot, VARIANCE])
+    stiff_across = square / (square + contacts.value[slot, ACROSS])
+    # F = -sum_k (sigma^2 / w_k) e_k / (1 + sum_k e_k^2 / (c^2 w_k))
+    torn = stiff * along.norm_sqr() + stiff_across * across.norm_sqr()
+    whole = 1.0 / (1.0 + robust * torn / square)
+    force = -whole * (stiff * along + stiff_across * across)
+    stiffest = _OFFSET_STIFFNESS * whole * ti.max(stiff, stiff_across)
+    inertia = stiffest * (lever[0] * lever[0] + lever[1] * lever[1])
+    return with_torque(force, lever), stiffest, inertia
+
+
+@ti.func
+def _nearest_docks(r, partner, slot, between, variant: Static, contacts: Ref, swarm: Ref):
+    """Find which docks of copy r and its partner touch: those whose distance is nearest to D.
+
+    Of equally near pairs the first is taken.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry of the touch.
+        between: From the partner's center to the robot's [R].
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
+
+    Returns:
+        From the partner's dock to the robot's, and the horizontal arm of the robot's dock [R].
+    """
+    row = contacts.label[slot, TOUCH]
+    nearest, arm = between, between
+    least = 1.0 / TINY
+    for k in range(variant.docks):
+        own = ti.Vector([contacts.candidates[row, k, c] for c in range(3)])
+        if ti.static(variant.turning):
+            level = turned(own[0], own[1], swarm.heading, r)
+            own[0], own[1] = level[0], level[1]
+        for m in range(variant.docks):
+            its = ti.Vector([contacts.candidates[row, m, 3 + c] for c in range(3)])
+            if ti.static(variant.turning):
+                level = turned(its[0], its[1], swarm.heading, partner)
+                its[0], its[1] = level[0], level[1]
+            apart = between + own - its
+            off = ti.abs(apart.norm() - contacts.value[slot, LENGTH])
+            if off < least:
+                least, nearest, arm = off, apart, own
+    arm[2] = 0.0
+    return nearest, arm
+
+
+@ti.func
+def _docks_of(r, partner, slot, between, turns, variant: Static, contacts: Ref, swarm: Ref):
+    """Find the offset of the docks of an entry, and the robot's arm; see `_nearest_docks`.
+
+    Args:
+        r: Copy of the robot.
+        partner: Copy of its partner.
+        slot: Entry.
+        between: From the partner's center to the robot's [R].
+        turns: Whether the robot turns.
+        variant: What this is compiled for.
+        contacts: Contacts.
+        swarm: State of the copies.
+    """
+    apart = between + part_at(contacts.value, slot, ARMS)
+    arm = 0.0 * between
+    if ti.static(variant.turning) and turns:
+        x, y = contacts.value[slot, LEVERS], contacts.value[slot, LEVERS + 1]
+        its_x, its_y = contacts.value[slot, LEVERS + 2], contacts.value[slot, LEVERS + 3]
+        arm = turned(x, y, swarm.heading, r)
+        its = turned(its_x, its_y, swarm.heading, partner)
+        apart[0] += arm[0] - its[0] - x + its_x
+        apart[1] += arm[1] - its[1] - y + its_y
+    if ti.static(variant.has_touches):
+        if contacts.label[slot, TOUCH] >= 0:
+            apart, arm = _nearest_docks(r, partner, slot, between, variant, contacts, swarm)
+    return apart, arm
+
+
+@ti.func
+def _pull_of_distance(slot, length, square, robust, contacts: Ref):
+    """Compute how a measured distance pulls docks that are so far apart.
+
+    With residual e, w = sigma^2 + v and c^2 = 1 / `robust`, it has the energy of Cauchy's loss,
+
+        sigma^2 c^2 / 2 log(1 + e^2 / (c^2 w)), or sigma^2 e^2 / (2 w) where `robust` is 0.
+
+    Where docks are nearer than D, the force has the factor by which the push of overlaps is less
+    than a spring's. The logarithm still holds a robot whose contacts are all outliers.
+
+    Returns:
+        Stiffness; pull for a stiffness of 1, as a part of the offset of the docks; and the share of
+        a force that acts although the distance gives way, w / (w + e^2 / c^2).
+    """
+    measured = contacts.value[slot, LENGTH]
+    residual = length - measured
+    width = square + contacts.value[slot, VARIANCE]
+    # w + e^2 / c^2, with w = sigma^2 + v
+    within = width + residual * residual * robust
+    inverse = 1.0 / (within * length)  # one division for three
+    # stiffness k, sigma^2 / (w + e^2 / c^2)
+    stiff = square * length * inverse
+    inside = push_inside(length * length, 0.5 / ti.max(measured * measured, TINY))
+    # pull, e / d, or that of an overlap
+    pull = ti.select(residual < 0.0, -inside, residual * within * inverse)
+    return stiff, pull, width * length * inverse
+
+
+@ti.func
+def _push_of_extension(between, apart, arm, length, pushed):
+    """Compute the force that parts robots in contact at the end, in two parts with their torques.
+
+    Robots extend outward: the farther apart their centers would be if their docks just touched, the
+    likelier. This prior has the energy -sigma^2 `extension` times that distance, which only the
+    direction between the docks decides. The push is perpendicular to the contact: along it, it
+    would lengthen uncertain contacts. Where a contact gives way, so does the push.
+
+    Args:
+        between: From the partner's center to the robot's [R].
+        apart: From the partner's dock to the robot's [R].
+        arm: Horizontal arm of the robot's dock [R].
+        length: Distance of the docks [R].
+        pushed: Size of the push, sigma^2 `extension` as far as the contact holds [R].
+    """
+    # h = b + (D / d - 1) a, from center to center if the docks just touched
+    held = between + (SPACING / length - 1.0) * apart
+    push = pushed / ti.max(held.norm(), 1.0) * held
+    # F = p - (p a) a / a^2, perpendicular to the contact
+    across = push - push.dot(apart) / (length * length) * apart
+    across *= SPACING / ti.max(length, SPACING)
+    # The turn of an arm turns `apart`, and would move `held` were it not for the contact.
+    return with_torque(across, arm) - with_torque(push, arm), with_torque(push, 0.0 * arm)
+
+
+@ti.func
+def pull_of_contacts(r, i, slope, square, variant: Static, robots: Ref, contacts: Ref, swarm: Ref):
+    """Sum the forces of the contacts of copy r of robot i, their torque, stiffness and inertia.
+
+    Docks in contact at the end do not repel each other as all others do: this function subtracts
+    the push that `_push_of_overlaps` gives them.
+
+    Args:
+        r: Copy of the robot.
+        i: The robot.
+        slope: 1 / (2 D^2) of overlaps [R^-2].
+        square: Temperature sigma^2 [R^2].
+        variant: What this is compiled for.
+        robots: Robots.
+        contacts: Contacts.
+        swarm: State of the copies.
+    """
+    base = r - i
+    turns, robust = robots.weight[i, YAW_PRECISION] > 0.0, robots.weight[i, ROBUST]
+    here = vector_at(swarm.position, r)
+    force = with_torque(0.0 * here, here)
+    stiffness = 0.0 * here[0]
+    inertia = stiffness
+    for slot in range(robots.label[i, CONTACT], robots.label[i, CONTACT_END]):
+        partner = base + contacts.label[slot, PARTNER]
+        between = here - vector_at(swarm.position, partner)
+        apart, arm = _docks_of(r, partner, slot, between, turns, variant, contacts, swarm)
+        length = ti.max(apart.norm(), TINY)
+        stiff, pull, trust = _pull_of_distance(slot, length, square, robust, contacts)
+        overlap = contacts.label[slot, IS_FINAL] * push_inside(length * length, slope)
+        if ti.static(variant.has_offsets):
+            if contacts.value[slot, ACROSS] > 0.0:
+                held, stiff, lag = _pull_of_offset(
+                    r, partner, slot, apart, arm, variant.turning, square, robust, contacts, swarm
+                )
+                force += held
+                inertia += lag
+                pull = 0.0
+        force -= with_torque((stiff * pull + overlap) * apart, arm)
+        if contacts.label[slot, IS_FINAL] == 1:
+            pushed = trust * square * contacts.value[slot, EXTENSION]
+            swung, parted = _push_of_extension(between, apart, arm, length, pushed)
+            force += swung
+            force += parted
+        stiff -= ti.select(overlap > 0.0, 1.0, 0.0)
+        stiffness += stiff
+        inertia += stiff * arm.norm_sqr()
+    return force, stiffness, inertia
