@@ -12,32 +12,94 @@ from tiswarm.errors import EnvironmentTroubleError
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 MOST_PARAMETERS = 10
+MOST_ARGUMENTS = 30
+MOST_LINES, MOST_LINES_OF_KERNELS = 60, 100
 
 
-def _kernel_functions():
-    """Every function of a kernel, with its file."""
+def _functions():
+    """Every function of the package, with its file and the decorators of kernels that it has."""
     for file in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.FunctionDef):
                 names = {ast.unparse(decorator) for decorator in node.decorator_list}
-                if names & {"ti.func", "ti.kernel"}:
-                    yield str(file.relative_to(PACKAGE)), node, "ti.kernel" in names
+                yield str(file.relative_to(PACKAGE)), node, names & {"ti.func", "ti.kernel"}
+
+
+def _kernels():
+    """Every kernel, with its file."""
+    return [(file, node) for file, node, kinds in _functions() if "ti.kernel" in kinds]
+
+
+def _body_lines(node):
+    """How many lines a function has after its signature and docstring."""
+    has_docstring = ast.get_docstring(node) is not None
+    return node.end_lineno - (node.body[0].end_lineno if has_docstring else node.body[0].lineno - 1)
+
+
+def _written(kernel):
+    """Names of the arrays to which a kernel itself writes, not through a bundle."""
+    arguments = {argument.arg for argument in kernel.args.args}
+    for node in ast.walk(kernel):
+        targets = []
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        elif isinstance(node, ast.AugAssign):
+            targets = [node.target]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith("ti.atomic"):
+            targets = node.args[:1]
+        for target in targets:
+            if isinstance(target, ast.Subscript) and ast.unparse(target.value) in arguments:
+                yield ast.unparse(target.value)
 
 
 def test_kernel_functions_take_at_most_ten_arguments():
     """Only a kernel itself lists its arrays; functions take bundles of them."""
     long = [
         f"{file}: {node.name}"
-        for file, node, is_kernel in _kernel_functions()
-        if not is_kernel and len(node.args.args) > MOST_PARAMETERS
+        for file, node, kinds in _functions()
+        if kinds == {"ti.func"} and len(node.args.args) > MOST_PARAMETERS
     ]
 
     assert long == []
 
 
+def test_kernels_take_at_most_thirty_arguments():
+    """A launch can be read; what belongs together is a table whose columns have names."""
+    long = [
+        f"{file}: {node.name} takes {len(node.args.args)}"
+        for file, node in _kernels()
+        if len(node.args.args) > MOST_ARGUMENTS
+    ]
+
+    assert long == []
+
+
+def test_bodies_of_functions_can_be_read_at_once():
+    """At most 60 lines, and 100 of kernels, which cannot be split as freely."""
+    long = [
+        f"{file}: {node.name} has {_body_lines(node)} lines"
+        for file, node, kinds in _functions()
+        if _body_lines(node) > (MOST_LINES_OF_KERNELS if "ti.kernel" in kinds else MOST_LINES)
+    ]
+
+    assert long == []
+
+
+def test_arrays_that_kernels_write_are_named_for_it():
+    """Whoever reads the arguments knows what a launch changes."""
+    unnamed = {
+        f"{file}: {node.name} writes {name}"
+        for file, node in _kernels()
+        for name in _written(node)
+        if not name.endswith("_out")
+    }
+
+    assert unnamed == set()
+
+
 def test_kernels_stand_in_files_named_for_them():
     """So that one pattern tells every checker which files hold kernels."""
-    files = {file for file, _, _ in _kernel_functions()}
+    files = {file for file, _, kinds in _functions() if kinds}
 
     assert {file for file in files if not file.endswith("kernels.py")} == set()
 

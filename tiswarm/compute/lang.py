@@ -13,10 +13,13 @@ them again, inside `ti.static`, and hand the bundle on:
         first: Ints1
 
     @ti.kernel
-    def fill(room: I32, entry: Ints1, first: Ints1):
-        rows = ti.static(Rows(entry, first))
+    def fill(room: I32, entry_out: Ints1, first_out: Ints1):
+        rows = ti.static(Rows(entry_out, first_out))
 
     fill(8, *rows)
+
+Arguments that a kernel writes end in `_out`. A bundle may hold others. Loops of a function that a
+kernel calls at its top are shared by all threads, as those that stand there.
 """
 
 import io

@@ -109,8 +109,8 @@ def _sum_up(value: Ref, first, past):
 @ti.kernel
 def sort_docks(
     docks: I32, cutoff: Float, stride_y: I32, stride_z: I32, base: I32, dock: Reals1,
-    block_total: Ints1, group_total: Ints1,
-    begin: Ints1, sorted_dock: Ints1, sorted_place: Reals1,  # Cells, written
+    block_total_out: Ints1, group_total_out: Ints1,
+    begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
 ):  # fmt: skip
     """Counting sort of all docks by the bucket of their cell; within a bucket, by number.
 
@@ -119,34 +119,34 @@ def sort_docks(
     Args:
         base: Where the current docks start in `dock`.
         dock: Places, last the structure, rows of four.
-        block_total: Scratch, shape (B,) with B = ceil(buckets / SCAN_BLOCK).
-        group_total: Scratch, shape (ceil(B / SCAN_BLOCK),).
+        block_total_out: Scratch, shape (B,) with B = ceil(buckets / SCAN_BLOCK).
+        group_total_out: Scratch, shape (ceil(B / SCAN_BLOCK),).
     """
-    cells = ti.static(Cells(begin, sorted_dock, sorted_place))
+    cells = ti.static(Cells(begin_out, sorted_dock_out, sorted_place_out))
     grid = ti.Struct(
         docks=docks, cutoff=cutoff, stride_y=stride_y, stride_z=stride_z,
-        buckets=begin.shape[0] - 2, table=0, slot=0,
+        buckets=begin_out.shape[0] - 2, table=0, slot=0,
     )  # fmt: skip
     # Computed here, the bounds of loops need no launch before each loop.
-    buckets, blocks, groups = grid.buckets, block_total.shape[0], group_total.shape[0]
-    for k in range(begin.shape[0]):
-        begin[k] = 0
-    for m in range(sorted_dock.shape[0]):
+    buckets, blocks, groups = grid.buckets, block_total_out.shape[0], group_total_out.shape[0]
+    for k in range(begin_out.shape[0]):
+        begin_out[k] = 0
+    for m in range(sorted_dock_out.shape[0]):
         count_dock(grid, base, m, dock, cells)
     for block in range(blocks):
         past = ti.min((block + 1) * SCAN_BLOCK, buckets)
-        block_total[block] = _sum_up(begin, block * SCAN_BLOCK + 2, past + 2)
+        block_total_out[block] = _sum_up(begin_out, block * SCAN_BLOCK + 2, past + 2)
     for group in range(groups):
         past = ti.min((group + 1) * SCAN_BLOCK, blocks)
-        group_total[group] = _sum_up(block_total, group * SCAN_BLOCK, past)
+        group_total_out[group] = _sum_up(block_total_out, group * SCAN_BLOCK, past)
     ti.loop_config(serialize=True)
     for group in range(1, groups):
-        group_total[group] += group_total[group - 1]
+        group_total_out[group] += group_total_out[group - 1]
     for block in range(SCAN_BLOCK, blocks):
-        block_total[block] += group_total[block // SCAN_BLOCK - 1]
+        block_total_out[block] += group_total_out[block // SCAN_BLOCK - 1]
     for k in range(SCAN_BLOCK, buckets):
-        begin[k + 2] += block_total[k // SCAN_BLOCK - 1]
-    for m in range(sorted_dock.shape[0]):
+        begin_out[k + 2] += block_total_out[k // SCAN_BLOCK - 1]
+    for m in range(sorted_dock_out.shape[0]):
         scatter_dock(grid, base, m, dock, cells)
     for bucket in range(buckets):
         sort_bucket(grid, base, bucket, dock, cells)

@@ -237,9 +237,9 @@ def step_robots(
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
     stray_limit: Float, unit: Float, first_t: I32, ramp: Reals1,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
-    position: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock: Reals1,
-    mobility: Reals2, last_step: Reals2,  # SwarmState
-    control: Ints1, largest_move: Reals1,
+    position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
+    mobility: Reals2, last_step_out: Reals2,  # SwarmState
+    control_out: Ints1, largest_move_out: Reals1,
 ):  # fmt: skip
     """Move every robot a few times, until rows are stale.
 
@@ -257,11 +257,13 @@ def step_robots(
         unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
         ramp: Share of attraction in each step, shape (T,).
-        control: Columns as TAKEN and others name them; read and written.
-        largest_move: Written: longest step of a robot in step t [R], shape (T,) or longer.
+        control_out: Columns as TAKEN and others name them; read, too.
+        largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
     """
     rows = ti.static(Rows(entry, row_first, row_count))
-    robots = ti.static(SwarmState(position, reference, height, arm, dock, mobility, last_step))
+    robots = ti.static(SwarmState(
+        position_out, reference, height, arm, dock_out, mobility, last_step_out
+    ))  # fmt: skip
     gains = ti.static(Gains(
         attraction_gain, repulsion_gain, height_gain, spacing, max_step, parting_gain, momentum
     ))  # fmt: skip
@@ -270,13 +272,13 @@ def step_robots(
         docks=docks, own_bits=0 if ti.static(on_card) else own_bits, entry_stride=entry_stride,
         unit=unit,
     )  # fmt: skip
-    half = dock.shape[0] // 2
+    half = dock_out.shape[0] // 2
     for k in ti.static(range(steps)):
         t = first_t + k
         moved = 0.0
         strayed = 0.0
-        for robot in range(position.shape[0]):
-            if control[STALE] == 0:
+        for robot in range(position_out.shape[0]):
+            if control_out[STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = step_robot(
                     on_card, grid, gains, guided, ramp[first_t + k], base, half - base, robot,
@@ -284,43 +286,43 @@ def step_robots(
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
-                        control[STRAYED] = 1
+                        control_out[STRAYED] = 1
                     bits = ti.bit_cast(ti.cast(moved_by, ti.f32), ti.i32)
-                    if bits > control[LONGEST]:
-                        ti.atomic_max(control[LONGEST], bits)
+                    if bits > control_out[LONGEST]:
+                        ti.atomic_max(control_out[LONGEST], bits)
                 else:
                     ti.atomic_max(moved, moved_by)
                     ti.atomic_max(strayed, way)
-        if control[STALE] == 0:
-            control[TAKEN] = t + 1
+        if control_out[STALE] == 0:
+            control_out[TAKEN] = t + 1
             gone = strayed > stray_limit * stray_limit or t + 1 == ramp.shape[0]
             if ti.static(on_card):
-                gone = gone or control[STRAYED] == 1
-                moved = ti.bit_cast(control[LONGEST], ti.f32)
-                control[LONGEST] = 0
-            control[STALE] = ti.cast(gone, ti.i32)
-            largest_move[t] = ti.sqrt(moved)
+                gone = gone or control_out[STRAYED] == 1
+                moved = ti.bit_cast(control_out[LONGEST], ti.f32)
+                control_out[LONGEST] = 0
+            control_out[STALE] = ti.cast(gone, ti.i32)
+            largest_move_out[t] = ti.sqrt(moved)
 
 
 @ti.kernel
-def turn_docks(orientation_wxyz: Reals2, dock_offset_body: Reals2, arm: Reals2):
+def turn_docks(orientation_wxyz: Reals2, dock_offset_body: Reals2, arm_out: Reals2):
     """Turn every robot's docks into the world.
 
     Args:
         orientation_wxyz: Body to world, shape (N, 4).
         dock_offset_body: Center to dock, body frame [R], shape (docks, 3).
-        arm: Written: center to dock, world frame [R], shape (M, 3).
+        arm_out: Center to dock, world frame [R], shape (M, 3).
     """
     docks = dock_offset_body.shape[0]
-    for m in range(arm.shape[0]):
+    for m in range(arm_out.shape[0]):
         turn = ti.Vector([orientation_wxyz[m // docks, c] for c in range(4)])
         offset = rotate(turn, vector_at(dock_offset_body, m % docks))
         for c in ti.static(range(3)):
-            arm[m, c] = offset[c]
+            arm_out[m, c] = offset[c]
 
 
 @ti.kernel
-def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, dock: Reals1):
+def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, dock_out: Reals1):
     """Place every robot's docks, in both halves of `dock`.
 
     Args:
@@ -328,21 +330,21 @@ def place_docks(unit: Float, structure: Ints1, position: Reals2, arm: Reals2, do
         structure: Number of each robot's structure, shape (N,).
         position: Centers, as `SwarmState` describes them.
         arm: Center to dock, world frame [R], shape (M, 3).
-        dock: Written, as `SwarmState` describes it.
+        dock_out: As `SwarmState` describes it.
     """
     docks = arm.shape[0] // position.shape[0]
     for m in range(arm.shape[0]):
         for half in ti.static(range(2)):
             at = 4 * (half * arm.shape[0] + m)
             for c in ti.static(range(3)):
-                dock[at + c] = position[m // docks, c] + _in_places(arm[m, c], unit, dock)
-            dock[at + 3] = structure[m // docks]
+                dock_out[at + c] = position[m // docks, c] + _in_places(arm[m, c], unit, dock_out)
+            dock_out[at + 3] = structure[m // docks]
 
 
 @ti.kernel
-def start_interval(position: Reals2, reference: Reals2, control: Ints1):
+def start_interval(position: Reals2, reference_out: Reals2, control_out: Ints1):
     """Note where robots are as their rows are made; arguments as for `step_robots`."""
     for robot, c in ti.ndrange(position.shape[0], 3):
-        reference[robot, c] = position[robot, c]
-    control[STALE] = 0
-    control[STRAYED] = 0
+        reference_out[robot, c] = position[robot, c]
+    control_out[STALE] = 0
+    control_out[STRAYED] = 0

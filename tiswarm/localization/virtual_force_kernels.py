@@ -207,9 +207,9 @@ def localize_in_join_order(
     # LogArrays
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
     is_planar: Ints1,
-    head: Ints2, following: Ints2,  # CellList of the robots placed before
-    dock_offset: Reals3, position: Reals2,  # PlacedRobots, whose positions are written
-    trace_position: Reals3, step_length: Reals2, steps: Ints1,  # Trace, written
+    head_out: Ints2, following_out: Ints2,  # CellList of the robots placed before
+    dock_offset: Reals3, position_out: Reals2,  # PlacedRobots
+    trace_position_out: Reals3, step_length_out: Reals2, steps_out: Ints1,  # Trace
 ):  # fmt: skip
     """Place each robot by its contacts with those that joined before it, Algorithm 1.
 
@@ -229,15 +229,15 @@ def localize_in_join_order(
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
     measured = ti.static(LogArrays(contact_start, contact, initial_direction, height, is_planar))
-    cells = ti.static(CellList(head, following))
-    robots = ti.static(PlacedRobots(dock_offset, position))
-    trace = ti.static(Trace(trace_position, step_length, steps))
+    cells = ti.static(CellList(head_out, following_out))
+    robots = ti.static(PlacedRobots(dock_offset, position_out))
+    trace = ti.static(Trace(trace_position_out, step_length_out, steps_out))
     for s, idle in ti.ndrange(start.shape[0] - 1, GRAIN):
         if idle == 0:
             gains = _gains_of(gains_table, s)
             base = start[s]
             for robot in range(base + placed_before[s], start[s + 1]):
-                here = vector_at(position, robot)
+                here = vector_at(position_out, robot)
                 if robot > base:
                     here = _initial_position(gains, robot, base, measured, robots)
                 moved = 0.0
@@ -262,7 +262,7 @@ def localize_in_join_order(
                         step = _step_of(gains, robot, force, 1.0, measured, robots)
                         moved = step.norm()
                         here += step
-                steps[robot] = taken
+                steps_out[robot] = taken
                 for k in range(dock_offset.shape[1]):
                     item = (robot - base) * dock_offset.shape[1] + k
                     link(cells, s, item, cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing))
@@ -278,6 +278,6 @@ def localize_in_join_order(
                             share = ti.select(j > base, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
                             _move(gains, j, base, s, step, robots, cells)
-                            there = vector_at(position, j)
+                            there = vector_at(position_out, j)
                             _record(trace, frame + sweep // trace_every, j, there, step.norm())
-                            steps[j] += j > base
+                            steps_out[j] += j > base

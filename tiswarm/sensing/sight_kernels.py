@@ -66,22 +66,22 @@ def _is_met_at(limits: Ref, place, a, way, s: Ref, segments: Ref, dock: Ref, cel
 def find_blocked(
     limits: SightLimits, dock: Reals2,
     start: Reals2, end: Reals2, near: Reals2, robots: Ints2,  # Segments
-    head: Ints2, following: Ints2,  # CellList, empty at first
-    blocked: Ints1,
+    head_out: Ints2, following_out: Ints2,  # CellList, empty at first
+    blocked_out: Ints1,
 ):  # fmt: skip
     """Find the segments that meet docks.
 
     Args:
         limits: Radius and cells.
         dock: Centers of docks, robot by robot [R], shape (M, 3).
-        blocked: Written: whether each segment meets a dock, shape (K,).
+        blocked_out: Whether each segment meets a dock, shape (K,).
     """
     segments = ti.static(Segments(start, end, near, robots))
-    cells = ti.static(CellList(head, following))
+    cells = ti.static(CellList(head_out, following_out))
     ti.loop_config(serialize=True)
     for m in range(dock.shape[0]):
         link(cells, 0, m, cube_of(vector_at(dock, m), 1 / limits.edge))
-    for s in range(blocked.shape[0]):
+    for s in range(blocked_out.shape[0]):
         a = vector_at(start, s)
         way = vector_at(end, s) - a
         length = (near[s, 1] - near[s, 0]) * way.norm()
@@ -92,4 +92,4 @@ def find_blocked(
             share = near[s, 0] + (near[s, 1] - near[s, 0]) * k / ti.max(strides, 1)
             is_met = _is_met_at(limits, a + share * way, a, way, s, segments, dock, cells)
             k += 1
-        blocked[s] = is_met
+        blocked_out[s] = is_met

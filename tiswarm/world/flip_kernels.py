@@ -241,15 +241,15 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state: Ints1,
+    limits: ClimbLimits, movers: Ints1, state_out: Ints1,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
-    dock_offset_body: Reals2, near: Reals3,
-    # WalkArrays, written from the first stance on
-    center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
-    last: Ints1, best: Ints1, stay: Ints1,
+    dock_offset_body: Reals2, near_out: Reals3,
+    # WalkArrays, from the first stance on
+    center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
+    on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
 ):  # fmt: skip
     """Walk each mover up its structure, one flip at a time, toward its goal.
 
@@ -261,15 +261,16 @@ def climb(
     Args:
         limits: Terrain, distances and limits.
         movers: Slots of the robots that move, shape (M,).
-        state: Written: how each walk ended, shape (slots,).
+        state_out: How each walk ended, shape (slots,).
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     climbers = ti.static(
-        Climbers(structure, first_stance, goal, patience, settles, dock_offset_body, near)
+        Climbers(structure, first_stance, goal, patience, settles, dock_offset_body, near_out)
     )
-    walks = ti.static(
-        WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
-    )
+    walks = ti.static(WalkArrays(
+        center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
+        best_out, stay_out,
+    ))  # fmt: skip
     for i, idle in ti.ndrange(movers.shape[0], GRAIN):
         if idle == 0:
             m = movers[i]
@@ -279,42 +280,43 @@ def climb(
             best_stance = 0
             best_distance = ti.math.inf
             for earlier in range(stance + 1):
-                distance = (vector_in(center, m, earlier) - target).norm()
+                distance = (vector_in(center_out, m, earlier) - target).norm()
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
-            state[m] = _WALKING
-            while state[m] == _WALKING:
-                here = vector_in(center, m, stance)
-                q = quaternion_at(orientation, m, stance)
+            state_out[m] = _WALKING
+            while state_out[m] == _WALKING:
+                here = vector_in(center_out, m, stance)
+                q = quaternion_at(orientation_out, m, stance)
                 flip = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
                 called = 0
                 for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
                 if called:
-                    state[m] = RECRUITED
+                    state_out[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < patience[m]:
                     for k in range(dock_offset_body.shape[0]):
                         if _is_attached(walks, m, stance, k):
                             other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
                             if other.overflow:
-                                state[m] = SCRATCH_FULL
+                                state_out[m] = SCRATCH_FULL
                             if other.distance < flip.distance:
                                 flip = other
-                if state[m] == _WALKING:
-                    if flip.pivot < 0 or stance + 2 >= center.shape[1]:  # one is kept for settling
-                        state[m] = _ENDED
+                if state_out[m] == _WALKING:
+                    # One is kept for settling.
+                    if flip.pivot < 0 or stance + 2 >= center_out.shape[1]:
+                        state_out[m] = _ENDED
                     else:
-                        pivot_dock[m, stance] = flip.pivot
+                        pivot_dock_out[m, stance] = flip.pivot
                         stance += 1
                         _move_to(walks, m, stance, flip.center, flip.orientation)
                         if flip.distance < best_distance:
                             best_distance = flip.distance
                             best_stance = stance
-            last[m] = stance
-            best[m] = best_stance
-            stay[m] = best_stance
+            last_out[m] = stance
+            best_out[m] = best_stance
+            stay_out[m] = best_stance
             if settles[m]:
                 _settle(limits, structures, climbers, walks, m)

@@ -34,12 +34,12 @@ def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: R
 @ti.kernel
 def join_undisturbed(
     limits: ClimbLimits, first_mover: Ints1, movers: Ints1, wants: Ints1, dock_offset_body: Reals2,
-    # StructureArrays, changed
-    head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # StructureArrays
+    head_out: Ints2, following_out: Ints2, dock_out: Reals3, relay: Ints2, robot_count_out: Ints1,
     # WalkArrays
     center: Reals3, orientation: Reals3, pivot_dock: Ints2, touching: Ints4, on_ground: Ints3,
     last: Ints1, best: Ints1, stay: Ints1,
-    disturbed: Ints1, joined: Ints1,
+    disturbed_out: Ints1, joined_out: Ints1,
 ):  # fmt: skip
     """Let movers that climbed at the same time join one after the other, as far as they can.
 
@@ -53,38 +53,42 @@ def join_undisturbed(
         movers: Slots of the movers, structure by structure, shape (M,).
         wants: Whether each slot's walk ends where it can stay, shape (slots,).
         dock_offset_body: Center to dock in the body frame [R], shape (docks, 3).
-        disturbed: Written: first disturbed stance of each slot, or -1.
-        joined: Written: number under which each slot's robot joined, or -1.
+        disturbed_out: First disturbed stance of each slot, or -1.
+        joined_out: Number under which each slot's robot joined, or -1.
     """
-    structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
+    structures = ti.static(
+        StructureArrays(CellList(head_out, following_out), dock_out, relay, robot_count_out)
+    )
     walks = ti.static(
         WalkArrays(center, orientation, pivot_dock, touching, on_ground, last, best, stay)
     )
     body = ti.static(dock_offset_body)
-    for s, idle in ti.ndrange(robot_count.shape[0], GRAIN):
+    for s, idle in ti.ndrange(robot_count_out.shape[0], GRAIN):
         if idle == 0:
             docks = body.shape[0]
-            newest = docks * robot_count[s]
+            newest = docks * robot_count_out[s]
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
-                joined[m] = -1
+                joined_out[m] = -1
                 passed = -1
-                if docks * robot_count[s] > newest:
+                if docks * robot_count_out[s] > newest:
                     passed = _first_disturbed(limits, structures, s, walks, m, body, newest)
-                if wants[m] and passed < 0 and docks * robot_count[s] < dock.shape[1]:
-                    joined[m] = robot_count[s]
+                if wants[m] and passed < 0 and docks * robot_count_out[s] < dock_out.shape[1]:
+                    joined_out[m] = robot_count_out[s]
                     here = vector_in(center, m, stay[m])
                     q = quaternion_at(orientation, m, stay[m])
                     for k in range(docks):
                         point = here + rotate(q, vector_at(body, k))
-                        item = docks * joined[m] + k
+                        item = docks * joined_out[m] + k
                         for c in ti.static(range(3)):
-                            dock[s, item, c] = point[c]
+                            dock_out[s, item, c] = point[c]
                         link(structures.cells, s, item, cube_of(point, limits.inverse_edge))
-                    robot_count[s] += 1
+                    robot_count_out[s] += 1
             # Only now is it known who has joined beside those that go on.
             for n in range(first_mover[s], first_mover[s + 1]):
                 m = movers[n]
-                disturbed[m] = -1
-                if joined[m] < 0 and docks * robot_count[s] > newest:
-                    disturbed[m] = _first_disturbed(limits, structures, s, walks, m, body, newest)
+                disturbed_out[m] = -1
+                if joined_out[m] < 0 and docks * robot_count_out[s] > newest:
+                    disturbed_out[m] = _first_disturbed(
+                        limits, structures, s, walks, m, body, newest
+                    )

@@ -40,8 +40,7 @@ def trace_capsules(
     # capsules as seen from the eye, by distance within each tile
     tile_start: Ints1, tile_item: Ints1, start: Reals2, end: Reals2, radius: Reals1,
     nearest: Reals1,
-    # out
-    depth: Reals1, seen: Ints1,
+    depth_out: Reals1, seen_out: Ints1,
 ):  # fmt: skip
     """Find the first capsule along each ray.
 
@@ -55,8 +54,8 @@ def trace_capsules(
         end: Other end, shape (P, 3).
         radius: Radius [R], shape (P,).
         nearest: Depth before which a capsule has no point [R], shape (P,).
-        depth: Output: depth of the first capsule [R], shape (n,).
-        seen: Output: index of the first capsule, or -1, shape (n,).
+        depth_out: Depth of the first capsule [R], shape (n,).
+        seen_out: Index of the first capsule, or -1, shape (n,).
     """
     for i in range(pixel.shape[0]):
         right = (pixel[i, 0] - camera[0, 1]) / camera[0, 0]
@@ -80,5 +79,5 @@ def trace_capsules(
                 best = hit
                 which = k
             item += 1
-        depth[i] = best
-        seen[i] = which
+        depth_out[i] = best
+        seen_out[i] = which
