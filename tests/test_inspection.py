@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.inspection import advice_rows, describe_advice, inspect
+from tiswarm.inspection import AdviceTable, advice_rows, inspect
 from tiswarm.measurements import advice
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
@@ -84,7 +84,7 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
 
     estimate = SimpleNamespace(position=center, mirrored=None)
     rows = advice_rows(log, ["contacts", "ground"], estimate)
-    lines = [*describe_advice(rows)]
+    lines = str(rows).splitlines()
     monkeypatch.setattr(advice, "MOST_ROBOTS", 0)
     large = advice_rows(log, ["contacts", "ground"], estimate)
 
@@ -97,4 +97,4 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
         assert row["further measurement"] in line
         assert float(row["with it [R]"]) <= float(row["expected RMSE [R]"])
     assert set(rows[0]) - set(large[0]) == {"expected RMSE [R]", "with it [R]"}
-    assert next(describe_advice([])).startswith("no further contact, height or position")
+    assert str(AdviceTable()).startswith("no further contact, height or position")

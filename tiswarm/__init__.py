@@ -2,6 +2,7 @@
 
     run(scenario, overrides)         grow, sense, localize, evaluate and draw a scenario
     open_run(folder)                 results of an earlier run: data frames and figures
+    compare(runs)                    runs side by side, and differences on the structures they share
     render(run), export(run, "ply")  3D pictures, and files for other programs; of a log, too
     read_log(path)                   read a sensing log
     import_poses(table)              make a log from robot poses of any simulator
@@ -13,7 +14,9 @@
     Localizer(header)                Algorithm 1 of the paper, one robot at a time
     relax(...)                       the step that moves a whole swarm
 
-`help(tiswarm.localize)` explains a call. A mistake in an argument or file is an `InputError`.
+A run, a log and an estimate have `view`, `render` and `export` of their own, and what a call
+returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an argument or file is
+an `InputError`.
 """
 
 from importlib import import_module
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
     from tiswarm.api import (
         advise,
         check,
+        compare,
         export,
         import_poses,
         localize,
@@ -48,6 +52,7 @@ __all__ = [
     "__version__",
     "advise",
     "check",
+    "compare",
     "export",
     "import_poses",
     "localize",

@@ -1,72 +1,86 @@
-"""Functions of `import tiswarm`: they call what the commands call.
+"""Functions of `import tiswarm`, and all that the commands call.
 
 import tiswarm
 
 log = tiswarm.read_log("sensing.jsonl")
-estimate = tiswarm.localize(log, "joint", cues=["contacts", "height"], chains=4)
+estimate = log.localize("joint", cues=["contacts", "height"], chains=4)
+print(estimate)
 estimate.position, estimate.observability.known, estimate.to_frame()
-tiswarm.view(log, estimate, out="view.html")
+estimate.view(out="view.html")
 tiswarm.score("truth.csv", estimate)["RMSE"]
 
 run = tiswarm.run("scenarios/tower.yaml", {"robots": 20, "seeds": 2})
 run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]
+run.export("ply")
 """
 
-import json
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from tiswarm.console import ConsoleProgress
-from tiswarm.errors import InputError
-from tiswarm.inspection import Inspection, explain_estimate, inspect
-from tiswarm.localization import registry
+from tiswarm.errors import InputError, warn
+from tiswarm.inspection import AdviceTable, Inspection, inspect
+from tiswarm.logs import Localized, Log, Truth, method_params, open_log
 from tiswarm.params import AnyArch, AnyFormat, AnyPrecision
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.positions import read_estimate, read_positions_of
-from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.results import Figures, File, Run, as_path, choose, open_run
-from tiswarm.scenario.validation import localization_params
-from tiswarm.verdicts import distrust
+from tiswarm.results import (
+    Comparison,
+    Figures,
+    File,
+    Overrides,
+    Run,
+    as_path,
+    as_texts,
+    choose,
+    open_run,
+)
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from tiswarm.aliases import Reals
+    from tiswarm.evaluation.tables import Scores
     from tiswarm.interop.imports import Imported
-    from tiswarm.report.swarm_view import SwarmView
+
+Source = Run | SensingLog | File
+"""What can be shown: a run or its folder, or a log or its file."""
 
 
-def _plain(values: Mapping[str, object]) -> dict[str, object]:
-    """Convert values to plain data, with lists and numbers for arrays and scalars of NumPy."""
-    found: dict[str, object] = {}
-    for key, value in values.items():
-        try:
-            found[key] = json.loads(json.dumps(value, default=_from_numpy))
-        except TypeError as error:
-            problem = f"{error}; give numbers, strings, lists or dictionaries"
-            raise InputError(problem, key=key) from error
-    return found
+def open_source(
+    source: Source,
+    *,
+    of_log: Mapping[str, object] = MappingProxyType({}),
+    of_run: Mapping[str, object] = MappingProxyType({}),
+) -> Run | Log:
+    """Open a run or a log, unless it is open.
+
+    Args:
+        source: Run or its folder, or a log or its file.
+        of_log: Arguments by name that only a log takes; None where they are not given.
+        of_run: Arguments by name that only a run takes.
+
+    Raises:
+        InputError: the source does not take an argument, is not the folder of a run, or cannot be
+            read.
+    """
+    if isinstance(source, Run):
+        _refuse("a run has its own", of_log)
+        return source
+    if not isinstance(source, SensingLog) and as_path(source, "source").is_dir():
+        _refuse("a run has its own", of_log)
+        return open_run(source)
+    _refuse("a log is no run", of_run)
+    return open_log(source)
 
 
-def _from_numpy(value: object) -> object:
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
-    raise TypeError(f"is of type {type(value).__name__}")
-
-
-def read_log(path: File) -> SensingLog:
+def read_log(path: File) -> Log:
     """Read a sensing log, `sensing.jsonl`.
 
     Raises:
         InputError: the file cannot be read or a line is malformed, with file, line and key.
     """
-    return read_sensing_log(as_path(path, "path"))
+    return open_log(as_path(path, "path"))
 
 
 def localize(
@@ -74,22 +88,28 @@ def localize(
     method: str = "joint",
     *,
     cues: Sequence[str] | None = None,
+    overrides: Overrides = (),
+    solution: int | None = None,
     arch: AnyArch = "cpu",
     threads: int | None = None,
     precision: AnyPrecision = "auto",
+    quiet: bool = True,
     **settings: object,
-) -> Estimate:
+) -> Localized:
     """Estimate the robots' positions from a log, as `tiswarm localize` does.
 
     Args:
         log: Sensing log, or its file.
         method: Name of the method.
         cues: Cues to use; the method's own choice if None.
+        overrides: Settings of the method by dotted key, or as texts `KEY=VALUE`.
+        solution: Return this solution, the likeliest being 1, instead of the mean of all.
         arch: Compute device of `joint`, and of `virtual-force` under the schedule `together`;
             other methods run on the processor. `auto` takes a graphics card if one works.
         threads: CPU threads; all that this process may use if None.
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
+        quiet: Whether to hide progress.
         settings: Settings of the method by name, nested ones as dictionaries.
 
     Returns:
@@ -97,21 +117,18 @@ def localize(
         explain the measurements: `estimate.convergence` has both verdicts and the reason.
 
     Raises:
-        InputError: the log, method, a cue or a setting is invalid.
+        InputError: the log, method, a cue or a setting is invalid, or there is no such solution.
         EnvironmentTroubleError: the machine lacks the device.
     """
-    params = localization_params(method, cues=cues, values=_plain(settings))
-    sensed = log if isinstance(log, SensingLog) else read_log(log)
-    registry.start_device([registry.title(params)], arch, threads=threads, precision=precision)
-    estimate = registry.localize(sensed, params)
-    if warning := distrust(sensed, estimate):
-        warnings.warn(warning, stacklevel=2)
-    return estimate
+    params = method_params(method, cues, overrides, settings)  # a log may take long to read
+    return open_log(log).localize_by(
+        params, solution=solution, arch=arch, threads=threads, precision=precision, quiet=quiet
+    )
 
 
 def run(
     scenario: File,
-    overrides: Mapping[str, object] | None = None,
+    overrides: Overrides | None = None,
     *,
     out: File = "reports",
     arch: AnyArch = "cpu",
@@ -126,7 +143,7 @@ def run(
 
     Args:
         scenario: YAML file, or the name of a shipped scenario.
-        overrides: Values by dotted key that replace the file's.
+        overrides: Values by dotted key that replace the file's, or texts `KEY=VALUE`.
         out: Parent of the run folder.
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
@@ -142,11 +159,8 @@ def run(
     from tiswarm.drawing import draw_all  # noqa: PLC0415 - slow to import
     from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
-    texts = [f"{key}={json.dumps(value)}" for key, value in _plain(overrides or {}).items()]
-    plan, progress = (
-        load_scenario(as_path(scenario, "scenario"), texts),
-        ConsoleProgress(quiet=quiet),
-    )
+    progress = ConsoleProgress(quiet=quiet)
+    plan = load_scenario(as_path(scenario, "scenario"), as_texts(overrides or ()))
     execution = study.Execution(workers=workers)
     result = study.run(
         plan,
@@ -158,7 +172,7 @@ def run(
     )
     draw_all(result, progress, pictures=pictures)
     if result.failed:
-        warnings.warn(result.what_failed, stacklevel=2)
+        warn(result.what_failed)
     return Run(result.folder)
 
 
@@ -185,7 +199,8 @@ def import_poses(
         assumed: Fields of `tiswarm.interop.imports.Assumptions`, such as `dock_radius`.
 
     Returns:
-        Log, positions and notes of each structure by its name in the column `run`, or by "".
+        Log, positions and notes of each structure by its name in the column `run`, or by "". A
+        warning says why contacts are probably wrong.
 
     Raises:
         InputError: the table is malformed, or there is no such field.
@@ -195,13 +210,15 @@ def import_poses(
     for name in assumed:
         choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
     found = imports.import_poses(as_path(poses, "poses"), imports.Assumptions(**assumed))
-    if out is not None:
-        for run, imported in found.items():
+    for run, imported in found.items():
+        if out is not None:
             imports.write_import(imported, as_path(out, "out") / run)
+        if imported.warning:
+            warn(f"run {run}: {imported.warning}" if run else imported.warning)
     return found
 
 
-def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
+def score(truth: File, estimate: Estimate | File) -> "Scores":
     """Compare an estimate, or its table, with a table of true positions.
 
     Returns:
@@ -213,10 +230,34 @@ def score(truth: File, estimate: Estimate | File) -> dict[str, float]:
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
-    return score_files(as_path(truth, "truth"), found)[1]
+    return score_files(as_path(truth, "truth"), found)
 
 
-def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "pd.DataFrame":
+def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> Comparison:
+    """Compare runs in two tables and a figure.
+
+    Args:
+        runs: Two or more runs, or their folders.
+        out: Folder to write to.
+
+    Raises:
+        InputError: there are fewer than two different runs, or one has no results.
+    """
+    from tiswarm import study  # noqa: PLC0415 - slow to import
+    from tiswarm.progress import Progress  # noqa: PLC0415
+    from tiswarm.report.table_figures import draw_comparison  # noqa: PLC0415 - slow to import
+
+    folder = as_path(out, "out")
+    study.compare(
+        [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs], folder
+    )
+    draw_comparison(folder, Progress())
+    return Comparison(folder)
+
+
+def advise(
+    log: SensingLog | File, estimate: Estimate | File | None = None, *, quiet: bool = True
+) -> AdviceTable:
     """List which further contact, height or known position would constrain most robots.
 
     Where the estimate has robots that are mirrored, the list says what excludes one of the images.
@@ -224,64 +265,48 @@ def advise(log: SensingLog | File, estimate: Estimate | File | None = None) -> "
     Args:
         log: Sensing log, or its file.
         estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
-    """
-    import pandas as pd  # noqa: PLC0415 - slow to import
+        quiet: Whether to hide progress.
 
-    sensed, found = _estimated(log, estimate)
-    path = Path("log") if isinstance(log, SensingLog) else as_path(log, "log")
-    rows = pd.DataFrame(explain_estimate(sensed, path, found).advice)
-    for name in rows.columns.drop(["further measurement", "robots determined"], errors="ignore"):
-        rows[name] = pd.to_numeric(rows[name])
-    return rows
+    Returns:
+        Rows of cells by heading, the best first; `to_frame()` makes them a data frame.
+    """
+    return open_log(log).with_estimate(estimate, quiet=quiet).advice
 
 
 def view(
-    log: SensingLog | File,
+    source: Source,
     estimate: Estimate | File | None = None,
-    truth: File | None = None,
+    truth: Truth = None,
     *,
-    out: File = "view.html",
+    out: File | None = None,
+    quiet: bool = True,
 ) -> Path:
     """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open.
 
     Args:
-        log: Sensing log, or its file.
-        estimate: Estimate, or its table; `joint` localizes the log if None.
-        truth: Table of true positions, if there is one.
-        out: Page to write.
+        source: Sensing log or its file, or a run or its folder.
+        estimate: Estimate of a log, or its table; `joint` localizes the log if None.
+        truth: True positions of a log, or their table, if there are any.
+        out: Page to write for a log; `view.html` if None.
+        quiet: Whether to hide progress.
 
     Returns:
-        The page.
+        The page; that of a run is its `report.html`.
 
     Raises:
         InputError: a file is malformed, or a table has other robots than the log.
     """
-    from tiswarm.drawing import draw_log  # noqa: PLC0415 - slow to import
-
-    sensed, found = _estimated(log, estimate)
-    true = _true_positions(sensed, truth)
-    path = Path("sensing log" if isinstance(log, SensingLog) else as_path(log, "log"))
-    findings = explain_estimate(sensed, path, found)
-    draw_log(as_path(out, "out"), sensed, found, name=path.name, true=true, **findings._asdict())
-    return as_path(out, "out")
-
-
-def _estimated(
-    log: SensingLog | File, estimate: Estimate | File | None
-) -> tuple[SensingLog, Estimate]:
-    """Read a log and its estimate as far as they are files; localize without an estimate."""
-    sensed = log if isinstance(log, SensingLog) else read_log(log)
-    if isinstance(estimate, Estimate):
-        return sensed, estimate
-    if estimate is None:
-        return sensed, localize(sensed)
-    return sensed, read_estimate(sensed, as_path(estimate, "estimate"))
+    of_log = {"estimate": estimate, "truth": truth, "out": out}
+    shown = open_source(source, of_log=of_log)
+    if isinstance(shown, Run):
+        return shown.view(quiet=quiet)
+    return shown.view(estimate, truth, out=out or "view.html", quiet=quiet)
 
 
 def render(
-    source: Run | SensingLog | File,
+    source: Source,
     estimate: Estimate | File | None = None,
-    truth: File | None = None,
+    truth: Truth = None,
     *,
     renderer: str | None = None,
     case: str | None = None,
@@ -294,7 +319,7 @@ def render(
     Args:
         source: Run or its folder, or a sensing log or its file.
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
-        truth: Table of a log's true positions, if there is one.
+        truth: True positions of a log, or their table, if there are any.
         renderer: "open3d" or "taichi"; the first that works if None.
         case: Case of a run; the largest if None.
         movie: File format of an animation of a run's growth; none if None.
@@ -304,26 +329,18 @@ def render(
     Returns:
         Figures and renders of the run, or pictures of the log, by name.
     """
-    from tiswarm.drawing import draw, render_log  # noqa: PLC0415 - slow to import
-    from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
-
-    progress = ConsoleProgress(quiet=quiet)
-    if run := _as_run(source):
-        _refuse("a run has its own", estimate=estimate, truth=truth, out=out)
-        data = load_run(run.folder)
-        draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
-        return run.figures
-    _refuse("a log is no run", case=case, movie=movie)
-    view, folder = _view_of(source, estimate, truth), as_path(out or "renders", "out")
-    written = render_log(view, folder, progress, renderer=renderer)
-    return Figures.of(written)
+    of_log = {"estimate": estimate, "truth": truth, "out": out}
+    shown = open_source(source, of_log=of_log, of_run={"case": case, "movie": movie})
+    if isinstance(shown, Run):
+        return shown.render(renderer=renderer, case=case, movie=movie, quiet=quiet)
+    return shown.render(estimate, truth, renderer=renderer, out=out or "renders", quiet=quiet)
 
 
 def export(
-    source: Run | SensingLog | File,
+    source: Source,
     form: AnyFormat = "gltf",
     estimate: Estimate | File | None = None,
-    truth: File | None = None,
+    truth: Truth = None,
     *,
     out: File | None = None,
     case: str | None = None,
@@ -335,7 +352,7 @@ def export(
         source: Run or its folder, or a sensing log or its file.
         form: File format.
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
-        truth: Table of a log's true positions, if there is one.
+        truth: True positions of a log, or their table, if there are any.
         out: Folder to write to; `export`, in the run's folder if there is one, if None.
         case: Case of a run; the largest if None.
         quiet: Whether to hide progress.
@@ -343,46 +360,15 @@ def export(
     Returns:
         The folder with the files.
     """
-    from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
-    from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
-    from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
-
-    if run := _as_run(source):
-        _refuse("a run has its own", estimate=estimate, truth=truth)
-        shown = read_case_view(load_run(run.folder).choose(case))
-    else:
-        _refuse("a log is no run", case=case)
-        shown = _view_of(source, estimate, truth)
-    folder = as_path(out or (run.folder / "export" if run else "export"), "out")
-    export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
-    return folder
+    of_log = {"estimate": estimate, "truth": truth}
+    shown = open_source(source, of_log=of_log, of_run={"case": case})
+    if isinstance(shown, Run):
+        return shown.export(form, out=out, case=case, quiet=quiet)
+    return shown.export(form, estimate, truth, out=out or "export", quiet=quiet)
 
 
-def _as_run(source: Run | SensingLog | File) -> Run | None:
-    """Open a run; None if the source is a log."""
-    if isinstance(source, Run | SensingLog):
-        return source if isinstance(source, Run) else None
-    return open_run(source) if as_path(source, "source").is_dir() else None
-
-
-def _refuse(reason: str, **given: object) -> None:
+def _refuse(reason: str, given: Mapping[str, object]) -> None:
     """Refuse the first argument that has a value."""
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{reason}; leave it out", argument=name)
-
-
-def _view_of(
-    log: Any,  # noqa: ANN401 - what is left of a source
-    estimate: Estimate | File | None,
-    truth: File | None,
-) -> "SwarmView":
-    """Gather what pictures show of a log, its estimate, and the truth if there is one."""
-    from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import
-
-    sensed, found = _estimated(log, estimate)
-    return view_log(sensed, found, _true_positions(sensed, truth))
-
-
-def _true_positions(log: SensingLog, truth: File | None) -> "Reals | None":
-    return None if truth is None else read_positions_of(log, as_path(truth, "truth"))

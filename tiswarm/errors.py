@@ -1,5 +1,7 @@
 """Errors for users, each with its exit status."""
 
+import sys
+import warnings
 from pathlib import Path
 
 _LONGEST = 1000
@@ -62,7 +64,8 @@ class InputError(TiswarmError):
         """Return the error with a command's option in place of a function's argument."""
         if not self.argument:
             return self
-        option = f"--set {self.key}" if self.argument == "overrides" else f"--{self.argument}"
+        differs = {"overrides": f"--set {self.key}", "estimate": "ESTIMATE", "movie": "--animate"}
+        option = differs.get(self.argument, f"--{self.argument}")
         return InputError(
             self.problem, path=self.path, line=self.line, column=self.column, key=option
         )
@@ -85,3 +88,15 @@ class CasesFailedError(TiswarmError):
     """Cases of a study failed; the results of all others are kept."""
 
     exit_status = 3
+
+
+class ResultWarning(UserWarning):
+    """A result is there, but part of it is missing, or not to be trusted."""
+
+
+def warn(text: str) -> None:
+    """Warn of a result, at the line of the caller's own code."""
+    depth, frame = 1, sys._getframe()  # noqa: SLF001 - each Python that we support has it
+    while frame.f_back and frame.f_globals["__name__"].startswith("tiswarm."):
+        depth, frame = depth + 1, frame.f_back
+    warnings.warn(text, ResultWarning, stacklevel=depth)

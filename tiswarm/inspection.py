@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +20,20 @@ from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.verdicts import MOST_SHOWN, cautions, describe_outliers, distrust, named
+from tiswarm.verdicts import (
+    MOST_SHOWN,
+    cautions,
+    describe_outliers,
+    describe_solutions,
+    distrust,
+    headline,
+    named,
+    solution_name,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
@@ -40,18 +55,39 @@ class Inspection(NamedTuple):
     mistakes: Sequence[InputError] = ()
     summary: str = ""
 
+    def __str__(self) -> str:
+        """Give the summary, or the mistakes, in lines."""
+        return self.summary or "\n".join(map(str, self.mistakes))
 
-class Findings(NamedTuple):
-    """An estimate in words."""
 
-    warnings: Sequence[str]
-    """What makes it doubtful."""
+class AdviceTable(tuple[Mapping[str, str], ...]):
+    """Further measurements that would help, the best first, as rows of cells by heading."""
 
-    notes: Sequence[str]
-    """What the log leaves open, and what the method found."""
+    __slots__ = ()
 
-    advice: Sequence[Mapping[str, str]]
-    """Further measurements that would help, as `advice_rows`."""
+    def __str__(self) -> str:
+        """Align the columns, in lines."""
+        if not self:
+            nothing = "no further contact, height or position would help"
+            return f"{nothing}, or there are too many robots or loops"
+        columns = [[heading, *(row[heading] for row in self)] for heading in self[0]]
+        widths = [max(map(len, column)) for column in columns]
+        lines = zip(*columns, strict=True)
+        return "\n".join("  ".join(map(str.ljust, cells, widths)).rstrip() for cells in lines)
+
+    def to_frame(self) -> "pd.DataFrame":
+        """Make a data frame with numbers where cells have numbers."""
+        import pandas as pd  # noqa: PLC0415 - slow to import
+
+        rows = pd.DataFrame(self)
+        for name in rows.columns.drop(
+            ["further measurement", "robots determined"], errors="ignore"
+        ):
+            rows[name] = pd.to_numeric(rows[name])
+        return rows
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame().to_html(index=False))
 
 
 _LACKING = (
@@ -66,16 +102,66 @@ def inspect(path: Path) -> Inspection:
     return _inspect_log(path) if is_log else _inspect_scenario(path)
 
 
-def explain_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Findings:
-    """Explain an estimate; one that was read from a table has no cues."""
-    known, warning = estimate.observability, distrust(log, estimate)
-    warnings = [*([warning] if warning else []), *cautions(log, estimate)]
-    if known is not None and known.cues:
-        cues: Collection[str] = known.cues
-        notes = [*describe_estimate(log, path, estimate)]
-    else:
-        cues, notes = cue_names(), [*unknowns(log, path, by_cue(log)), _LACKING]
-    return Findings(warnings, notes, advice_rows(log, cues, estimate))
+@dataclass(frozen=True)
+class Findings:
+    """An estimate in words: they are found when they are asked for."""
+
+    log: SensingLog
+    path: Path
+    """Name of the log in messages."""
+
+    estimate: Estimate
+    chosen: int | None = None
+    """Number of the solution that the positions are, counted from 1; None for the mean of all."""
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why the estimate cannot be trusted, and what to do; empty if it can."""
+        return distrust(self.log, self.estimate)
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What makes the estimate doubtful, in lines."""
+        return [*([self.doubt] if self.doubt else []), *cautions(self.log, self.estimate)]
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What the log leaves open, and the outliers, in lines."""
+        if self._cues:
+            return [*describe_estimate(self.log, self.path, self.estimate)]
+        return [*unknowns(self.log, self.path, by_cue(self.log)), _LACKING]
+
+    @cached_property
+    def advice(self) -> AdviceTable:
+        """Further measurements that would constrain robots most."""
+        return advice_rows(self.log, self._cues or cue_names(), self.estimate)
+
+    @property
+    def solutions(self) -> list[str]:
+        """The solutions that the method found, in lines."""
+        return [*describe_solutions(self.log, self.estimate)]
+
+    @property
+    def solution(self) -> str:
+        """Name of the chosen solution and a colon; empty for the mean of all."""
+        return f"{solution_name(self.estimate, self.chosen)}: " if self.chosen else ""
+
+    @property
+    def summary(self) -> str:
+        """Number of robots and whether to trust the estimate, in a line."""
+        found = verdict(self.estimate) if self.doubt else headline(self.log, self.estimate)
+        size = counted(self.estimate.robot_count, "robot")
+        return f"{self.solution}{size}{f', {found}' if found else ''}"
+
+    def __str__(self) -> str:
+        """Give notes, cautions and the summary, in lines."""
+        return "\n".join([*self.notes, *cautions(self.log, self.estimate), self.summary])
+
+    @property
+    def _cues(self) -> Collection[str]:
+        """Cues that the method used; none of an estimate that was read from a table."""
+        known = self.estimate.observability
+        return () if known is None else known.cues
 
 
 def describe_estimate(log: SensingLog, path: Path, estimate: Estimate) -> Iterator[str]:
@@ -110,7 +196,7 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
         yield f"{path}: contacts: {counted(more, 'more such contradiction')}"
 
 
-def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> list[dict[str, str]]:
+def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> AdviceTable:
     """Tabulate which further measurements would constrain robots most: cells by heading.
 
     Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
@@ -141,19 +227,7 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> l
             }
             | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
         )
-    return rows
-
-
-def describe_advice(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
-    """Align the columns of `advice_rows`, in lines."""
-    if not rows:
-        nothing = "no further contact, height or position would help"
-        yield f"{nothing}, or there are too many robots or loops"
-        return
-    columns = [[heading, *(row[heading] for row in rows)] for heading in rows[0]]
-    widths = [max(map(len, column)) for column in columns]
-    for cells in zip(*columns, strict=True):
-        yield "  ".join(map(str.ljust, cells, widths)).rstrip()
+    return AdviceTable(rows)
 
 
 def _left_open(log: SensingLog, known: Observability) -> str:

@@ -1,14 +1,19 @@
-"""Results of a run as a caller has them: tables as data frames, figures that notebooks show."""
+"""A run as a caller has it: data frames, figures that notebooks show, pictures and exports."""
 
 import html
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote
 
+import numpy as np
+
+from tiswarm.console import ConsoleProgress
 from tiswarm.errors import InputError
+from tiswarm.params import AnyFormat
 from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
@@ -16,6 +21,9 @@ if TYPE_CHECKING:
 
 File = str | PathLike[str]
 """Path of a file or folder."""
+
+Overrides = Mapping[str, object] | Sequence[str]
+"""Values by dotted key, or as texts `KEY=VALUE`."""
 
 _MOST_NAMED = 9
 """Names that an error lists."""
@@ -81,12 +89,107 @@ class Run:
         """Figures and renders by name; none after a run without pictures."""
         return Figures.of([*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")])
 
+    def view(self, *, quiet: bool = False) -> Path:
+        """Return the run's page, `report.html`; write it if there is none."""
+        from tiswarm.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        page = self.folder / PAGE
+        if not page.exists():
+            draw(load_run(self.folder), ConsoleProgress(quiet=quiet))
+        return page
+
+    def render(
+        self,
+        *,
+        renderer: str | None = None,
+        case: str | None = None,
+        movie: Literal["gif", "mp4"] | None = None,
+        quiet: bool = False,
+    ) -> Figures:
+        """Draw 3D pictures of a case, which the run's page shows too.
+
+        Args:
+            renderer: "open3d" or "taichi"; the first that works if None.
+            case: Case; the largest if None.
+            movie: File format of an animation of the growth; none if None.
+            quiet: Whether to hide progress.
+
+        Returns:
+            Figures and renders of the run by name.
+        """
+        from tiswarm.drawing import draw  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        data, progress = load_run(self.folder), ConsoleProgress(quiet=quiet)
+        draw(data, progress, renders=True, movie=movie, renderer=renderer, case=case)
+        return self.figures
+
+    def export(
+        self,
+        form: AnyFormat = "gltf",
+        *,
+        out: File | None = None,
+        case: str | None = None,
+        quiet: bool = False,
+    ) -> Path:
+        """Write structure, contacts and estimate of a case for other programs.
+
+        Args:
+            form: File format.
+            out: Folder to write to; `export` in the run's folder if None.
+            case: Case; the largest if None.
+            quiet: Whether to hide progress.
+
+        Returns:
+            The folder with the files.
+        """
+        from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+        from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
+
+        shown = read_case_view(load_run(self.folder).choose(case))
+        folder = as_path(out or self.folder / "export", "out")
+        export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
+        return folder
+
     def _repr_html_(self) -> str:
         page, table = self.folder / "report.html", self.table
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.exists() else name
         errors = table.filter(["rmse_R_mean", "procrustes_disparity_mean"])
         return link + table.loc[:, :"cases"].join(errors).to_html(index=False)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs side by side: the folder with `comparison.csv`, `paired.csv` and a figure."""
+
+    folder: Path
+
+    @property
+    def table(self) -> "pd.DataFrame":
+        """Results of all runs by condition."""
+        return self._frame("comparison")
+
+    @property
+    def paired(self) -> "pd.DataFrame":
+        """Differences on the structures that runs share."""
+        return self._frame("paired")
+
+    @property
+    def figure(self) -> Figure:
+        """Errors of all runs."""
+        return Figure(self.folder / "comparison.png")
+
+    def __str__(self) -> str:
+        """Name the files."""
+        return f"comparison.csv, paired.csv and comparison.png in {self.folder}"
+
+    def _frame(self, name: str) -> "pd.DataFrame":
+        from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
+
+        return read_frame(self.folder / f"{name}.csv", empty=True)
 
 
 def open_run(folder: File) -> Run:
@@ -120,3 +223,28 @@ def choose(name: str, names: Sequence[str], argument: str) -> None:
         some = ", ".join([*names[:_MOST_NAMED], *["..."] * (len(names) > _MOST_NAMED)])
         problem = f"there is no {name!r}; choose one of {some}" if some else f"there is no {name!r}"
         raise InputError(f"{problem}{did_you_mean(name, names)}", argument=argument)
+
+
+def plain(values: Mapping[str, object]) -> dict[str, object]:
+    """Convert values to plain data, with lists and numbers for arrays and scalars of NumPy."""
+    found: dict[str, object] = {}
+    for key, value in values.items():
+        try:
+            found[key] = json.loads(json.dumps(value, default=_from_numpy))
+        except TypeError as error:
+            problem = f"{error}; give numbers, strings, lists or dictionaries"
+            raise InputError(problem, key=key) from error
+    return found
+
+
+def as_texts(overrides: Overrides) -> Sequence[str]:
+    """Write overrides as texts `KEY=VALUE`."""
+    if isinstance(overrides, Mapping):
+        return [f"{key}={json.dumps(value)}" for key, value in plain(overrides).items()]
+    return overrides
+
+
+def _from_numpy(value: object) -> object:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"is of type {type(value).__name__}")

@@ -153,11 +153,54 @@ def test_an_estimate_is_scored_and_shown(run, tmp_path):
     pd.testing.assert_frame_equal(estimate.to_frame(), frame)
     assert rmse == library.score(case / "truth.csv", case / "estimate.csv")["RMSE"]
     assert f"RMSE of {rmse:.3g} R" in page.read_text()
-    advised = library.advise(log, estimate)
+    advised = library.advise(log, estimate).to_frame()
     assert set(advised["rank"]) <= {*range(1, 10)}
     assert advised["floppy modes removed"].ge(0).all()  # numbers, not words
     with pytest.raises(InputError, match="estimate: is in mm, the truth in R"):
         library.score(case / "truth.csv", replace(estimate, length_unit="mm"))
+
+
+@pytest.mark.filterwarnings("ignore:not converged")  # so few steps
+def test_results_print_what_commands_print(run, tiswarm, tmp_path):
+    """A notebook shows the words of the command: they stand in one place."""
+    case = run.folder / "cases" / "0-baseline"
+    log, table = case / "sensing.jsonl", tmp_path / "estimate.csv"
+    quick = {"method": "virtual-force", "iterations": 5}
+
+    estimate = library.localize(log, **quick)
+    estimate.write(table)
+    called = {
+        ("check", log): f"{log}: {library.check(log)}",
+        ("localize", log, "--method=virtual-force", "--set=iterations=5", f"--out={table}"): (
+            f"{estimate} -> {table}"
+        ),
+        ("advise", log, table): library.advise(log, table),
+        ("score", case / "truth.csv", table): library.score(case / "truth.csv", estimate),
+    }
+
+    for command, result in called.items():
+        assert tiswarm(*command).stdout == f"{result}\n"
+
+
+@pytest.mark.filterwarnings("ignore:not converged")  # so few steps
+def test_methods_write_what_calls_write(run, tmp_path):
+    """A log, an estimate and a run show themselves by the code that shows files."""
+    case = run.folder / "cases" / "0-baseline"
+    log, truth = library.read_log(case / "sensing.jsonl"), case / "truth.csv"
+    estimate = log.localize("virtual-force", iterations=5)
+    by_call, by_method = tmp_path / "call", tmp_path / "method"
+
+    library.view(case / "sensing.jsonl", estimate, truth, out=tmp_path / "call.html")
+    library.export(log, "csv", estimate, truth, out=by_call, quiet=True)
+    library.export(run.folder, "ply", out=by_call / "run", quiet=True)
+    estimate.view(truth, out=tmp_path / "method.html")
+    estimate.export("csv", truth, out=by_method, quiet=True)
+    run.export("ply", out=by_method / "run", quiet=True)
+
+    assert (tmp_path / "method.html").read_bytes() == (tmp_path / "call.html").read_bytes()
+    assert_same_results(by_call, by_method)
+    assert estimate.log is log
+    assert library.view(run) == run.view() == run.folder / "report.html"
 
 
 @pytest.mark.filterwarnings("ignore:not converged")  # so few steps

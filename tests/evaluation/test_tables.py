@@ -140,9 +140,9 @@ def test_robots_are_matched_by_name(tmp_path):
     write_positions(tmp_path / "truth.csv", np.arange(6), SHAPE, length_unit="mm")
     write_positions(tmp_path / "estimate.csv", order, turned[order], length_unit="mm")
 
-    unit, scores = score_files(tmp_path / "truth.csv", tmp_path / "estimate.csv")
+    scores = score_files(tmp_path / "truth.csv", tmp_path / "estimate.csv")
 
-    assert unit == "mm"
+    assert scores.unit == "mm"
     assert scores["RMSE"] > 1.0
     assert scores["RMSE, yaw and place aligned"] == pytest.approx(0.0, abs=1e-9)
     assert scores["Procrustes disparity"] == pytest.approx(0.0, abs=1e-12)

@@ -13,7 +13,7 @@ import trimesh
 from tests.browser import probe
 from tiswarm.cli import main
 from tiswarm.drawing import draw_log, render_log
-from tiswarm.inspection import explain_estimate
+from tiswarm.inspection import Findings
 from tiswarm.interop.exports import export_view
 from tiswarm.measurements.observability import observability
 from tiswarm.progress import Progress
@@ -114,6 +114,11 @@ def estimate(log, true) -> Estimate:
     )
 
 
+def _explained(log, estimate) -> dict[str, object]:
+    found = Findings(log, Path("log"), estimate)
+    return {name: getattr(found, name) for name in ("warnings", "notes", "advice")}
+
+
 def _page(path, log, estimate, **more) -> tuple[str, dict]:
     """Draw a page; returns its text and the data of its 3D view."""
     draw_log(path / "view.html", log, estimate, name="a log", **more)
@@ -171,7 +176,7 @@ def test_a_page_says_which_robots_are_mirrored_and_what_each_solution_weighs(
         ),
     )
 
-    text, data = _page(tmp_path, log, found, **explain_estimate(log, Path("log"), found)._asdict())
+    text, data = _page(tmp_path, log, found, **_explained(log, found))
 
     assert "Converged; 2 configurations fit, the likeliest has 71 %; mirrored: 1 robot (4)." in text
     assert "<li>mirrored: 1 robot (4); configurations that fit" in text
@@ -196,7 +201,7 @@ def test_a_page_of_an_estimate_that_is_not_trusted_says_why(is_converged, log, e
     )  # fmt: skip
     found = replace(estimate, convergence=verdicts, outlier_robots=np.array([3]))
 
-    text, _ = _page(tmp_path, log, found, **explain_estimate(log, Path("log"), found)._asdict())
+    text, _ = _page(tmp_path, log, found, **_explained(log, found))
 
     verdict = "Not consistent" if is_converged else "Neither converged nor consistent"
     assert f"{verdict}: see Warnings. The estimate judges 1 orientation wrong." in text
@@ -346,7 +351,7 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
         ("render log.jsonl --animate", "--animate: a log is no run; leave it out"),
         ("export log.jsonl --format csv --case 0-a", "--case: a log is no run; leave it out"),
         ("localize log.jsonl --open", "--open: needs a page; add --report PAGE"),
-        ("export . --case 0-a", "contains no summary of a run"),
+        ("export . --case 0-a", "is no run folder with results"),
         ("render nowhere", "nowhere: there is no such file; check the path"),
     ],
 )

@@ -18,11 +18,11 @@ from tests.structures import (
     with_heights,
     with_ranges,
 )
-from tiswarm.drawing import draw_log
 from tiswarm.errors import InputError
-from tiswarm.inspection import explain_estimate, inspect
+from tiswarm.inspection import inspect
 from tiswarm.interop.exports import export_view
 from tiswarm.localization.registry import localize
+from tiswarm.logs import Log
 from tiswarm.params import AnyFormat
 from tiswarm.progress import Progress
 from tiswarm.records.mcap_file import SENSING, encode_messages
@@ -103,7 +103,7 @@ def _localized(path, log, method):
     assert np.isfinite(back.position).all()
     page = path.with_name("view.html")
     for found in (estimate, back):
-        draw_log(page, log, found, name="log", **explain_estimate(log, path, found)._asdict())
+        Log.of(log).with_estimate(found).view(out=page)
     assert "NaN" not in page.read_text().partition('id="data">')[2].partition("</script>")[0]
     return estimate
 

@@ -29,14 +29,14 @@ def check(
     ],
 ) -> None:
     """Check scenarios and sensing logs for mistakes."""
-    from tiswarm.inspection import inspect
+    from tiswarm import api
 
     mistakes: list[InputError] = []
     for path in files:
-        finding = inspect(path)
+        finding = api.check(path)
         mistakes += finding.mistakes
         if not finding.mistakes:
-            typer.echo(f"{path}: {finding.summary}")
+            typer.echo(f"{path}: {finding}")
     for mistake in mistakes[:-1]:
         fail(mistake)
     if mistakes:

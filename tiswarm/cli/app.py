@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import sys
+import warnings
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +16,15 @@ from typer.exceptions import TyperException
 
 import tiswarm
 from tiswarm.console import fail
-from tiswarm.errors import EnvironmentTroubleError, InputError, TiswarmError
+from tiswarm.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.memory import naming_shortage, require_address_space
 from tiswarm.params import AnyArch
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
 """Address space that the libraries of any command take."""
+
+_PYTHON = warnings.showwarning
 
 app = typer.Typer(
     add_completion=False,
@@ -115,6 +118,16 @@ def refuse(given: Mapping[str, object], reason: str) -> None:
             raise InputError(f"{reason}; leave it out", key=name)
 
 
+def _show_warning(
+    message: Warning | str, category: type[Warning], *place: object, **options: object
+) -> None:
+    """Print warnings of tiswarm in one line, and those of libraries as Python does."""
+    if issubclass(category, ResultWarning):
+        sys.stderr.write(f"tiswarm: warning: {message}\n")
+    else:
+        _PYTHON(message, category, *place, **options)  # type: ignore[arg-type]
+
+
 def main() -> None:
     """Run the command line; errors that a user can fix are one line, not a traceback."""
     sys.exit(_status(sys.argv[1:]))
@@ -122,6 +135,8 @@ def main() -> None:
 
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
+    warnings.showwarning = _show_warning
+    warnings.simplefilter("always", ResultWarning)  # whatever PYTHONWARNINGS says
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))

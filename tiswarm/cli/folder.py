@@ -15,13 +15,11 @@ from tiswarm.cli.app import (
     RunFolderPath,
     app,
     chosen_movie,
-    refuse,
     show_page,
 )
-from tiswarm.cli.log import EstimateTable, Truth, read_estimated
+from tiswarm.cli.log import EstimateTable, Truth
 from tiswarm.console import ConsoleProgress
 from tiswarm.params import AnyFormat
-from tiswarm.progress import Progress
 
 _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")]
 
@@ -63,20 +61,12 @@ def render(
     quiet: Quiet = False,
 ) -> None:
     """Draw 3D pictures of a run, or of a log and its estimate."""
-    from tiswarm.drawing import draw, render_log
-    from tiswarm.report.run_data import load_run
-    from tiswarm.report.swarm_view import view_log
+    from tiswarm import api
 
-    progress, animated = ConsoleProgress(quiet=quiet), chosen_movie(movie, animate=animate)
-    if not source.is_dir():
-        refuse({"--animate": animate, "--case": case}, "a log is no run")
-        view = view_log(*read_estimated(source, estimate, progress, truth))
-        render_log(view, out or Path("renders"), progress, renderer=renderer)
-        return
-    refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "a run has its own")
-    draw(
-        load_run(source), progress,
-        renders=True, movie=animated, renderer=renderer, case=case,
+    animated = chosen_movie(movie, animate=animate)
+    api.render(
+        source, estimate, truth,
+        renderer=renderer, case=case, movie=animated, out=out, quiet=quiet,
     )  # fmt: skip
 
 
@@ -91,13 +81,11 @@ def compare(
 
     paired.csv has differences on the structures that the runs share.
     """
-    from tiswarm import study
-    from tiswarm.report.table_figures import draw_comparison
+    from tiswarm import api
 
-    study.compare(runs, out)
-    draw_comparison(out, Progress())
+    found = api.compare(runs, out=out)
     if not quiet:
-        typer.echo(f"comparison.csv, paired.csv and comparison.png in {out}")
+        typer.echo(found)
 
 
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
@@ -117,15 +105,6 @@ def export(
 
     The files have structure, contacts and estimate.
     """
-    from tiswarm.interop.exports import export_view
-    from tiswarm.report.run_data import load_run
-    from tiswarm.report.swarm_view import read_case_view, view_log
+    from tiswarm import api
 
-    progress = ConsoleProgress(quiet=quiet)
-    if source.is_dir():
-        refuse({"ESTIMATE": estimate, "--truth": truth}, "a run has its own")
-        folder, view = source / "export", read_case_view(load_run(source).choose(case))
-    else:
-        refuse({"--case": case}, "a log is no run")
-        folder, view = Path("export"), view_log(*read_estimated(source, estimate, progress, truth))
-    export_view(view, form, out or folder, progress)
+    api.export(source, form, estimate, truth, out=out, case=case, quiet=quiet)

@@ -1,21 +1,13 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
 from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, refuse, show_page
-from tiswarm.console import ConsoleProgress
 from tiswarm.params import AnyPrecision
-from tiswarm.progress import Progress
-
-if TYPE_CHECKING:
-    from tiswarm.aliases import Reals
-    from tiswarm.localization.params import LocalizationParams
-    from tiswarm.records.estimate import Estimate
-    from tiswarm.records.sensing_log import SensingLog
 
 EstimateTable = Annotated[
     Path | None,
@@ -60,69 +52,37 @@ def localize(
     did not converge, or if noise as stated does not explain the measurements; it is written all the
     same.
     """
+    from tiswarm import api
     from tiswarm.errors import NOT_TRUSTED, InputError
-    from tiswarm.inspection import describe_estimate, explain_estimate
-    from tiswarm.localization import registry
-    from tiswarm.records.messages import counted
-    from tiswarm.records.positions import write_estimate
-    from tiswarm.records.sensing_file import read_sensing_log
-    from tiswarm.scenario.validation import localization_params
-    from tiswarm.verdicts import (
-        cautions,
-        describe_solutions,
-        distrust,
-        headline,
-        solution_name,
-        verdict,
-    )
 
     if opened and report is None:
         raise InputError("needs a page; add --report PAGE", key="--open")
-    values = {} if seed is None else {"seed": seed}
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
-    params = localization_params(method, overrides, cues=names, values=values)
-    sensed, progress = read_sensing_log(log), ConsoleProgress(quiet=quiet)
-    titles = [registry.title(params)]
-    running = registry.start_device(titles, arch, threads=threads, precision=precision)
-    if arch != "cpu":
-        progress.info(registry.where(titles, running))
-    estimate = _localized(sensed, params, progress)
-    chosen = ""
-    if solution is not None:
-        estimate = estimate.with_solution(solution)
-        chosen = f"{solution_name(estimate, solution)}: "
-    write_estimate(out, estimate)
-    warning = distrust(sensed, estimate)
-    if warning:
-        typer.echo(f"tiswarm: warning: {warning}", err=True)
-    notes = [*describe_estimate(sensed, log, estimate), *cautions(sensed, estimate)]
-    found = verdict(estimate) if warning else headline(sensed, estimate)
-    size = counted(estimate.robot_count, "robot")
-    result = f"{chosen}{size}{f', {found}' if found else ''} -> {out}"
-    listed = [*describe_solutions(sensed, estimate)] if verbose else []
-    if (count := len(estimate.solutions)) > 1 and solution is None:
-        listed.append(
-            f"the positions are the mean of {count} solutions; --solution 1 writes the likeliest "
-            "consistent configuration, --verbose lists all"
-        )
+    seeded = {} if seed is None else {"seed": seed}
+    found = api.localize(
+        log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
+        threads=threads, precision=precision, quiet=quiet, **seeded,
+    )  # fmt: skip
+    found.write(out)
     if not quiet:
-        typer.echo("\n".join([*notes, result, *listed]))
+        typer.echo(f"{found} -> {out}")
+        typer.echo("".join(f"{line}\n" for line in found.findings.solutions * verbose), nl=False)
+        if (count := len(found.solutions)) > 1 and solution is None:
+            typer.echo(
+                f"the positions are the mean of {count} solutions; --solution 1 writes the "
+                "likeliest consistent configuration, --verbose lists all"
+            )
     if report is not None:
-        from tiswarm.drawing import draw_log
-
-        findings = explain_estimate(sensed, log, estimate)
-        draw_log(report, sensed, estimate, name=f"{chosen}{log.name}", **findings._asdict())
+        found.view(out=report)
         if opened or not quiet:
             show_page(report, opened=opened)
-    if warning:
+    if found.findings.doubt:
         raise typer.Exit(NOT_TRUSTED)
 
 
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
 def view(
-    log: Annotated[
-        Path, Argument(metavar="LOG|RUN", help="Sensing log, or with --live a run folder.")
-    ],
+    log: Annotated[Path, Argument(metavar="LOG|RUN", help="Sensing log or run folder.")],
     estimate: EstimateTable = None,
     truth: Truth = None,
     out: Annotated[
@@ -149,17 +109,12 @@ def view(
         refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return
-    refuse({"--port": port}, "only --live serves a page")
-    out = out or Path("view.html")
-    from tiswarm.drawing import draw_log
-    from tiswarm.inspection import explain_estimate
+    from tiswarm import api
 
-    progress = ConsoleProgress(quiet=quiet)
-    sensed, found, true = read_estimated(log, estimate, progress, truth)
-    findings = explain_estimate(sensed, log, found)
-    draw_log(out, sensed, found, name=log.name, true=true, **findings._asdict())
+    refuse({"--port": port}, "only --live serves a page")
+    page = api.view(log, estimate, truth, out=out, quiet=quiet)
     if opened or not quiet:
-        show_page(out, opened=opened)
+        show_page(page, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv")
@@ -174,48 +129,9 @@ def advise(
     where robots are mirrored, a column has the difference between the two likeliest, and further
     ranges are candidates if LOG has some.
     """
-    from tiswarm.inspection import advice_rows, describe_advice
-    from tiswarm.localization.params import JointParams
+    from tiswarm import api
 
-    sensed, found, _ = read_estimated(log, estimate, ConsoleProgress())
-    rows = advice_rows(sensed, JointParams().cues, found)
-    typer.echo("\n".join(describe_advice(rows)))
-
-
-def read_estimated(
-    log: Path, estimate: Path | None, progress: Progress, truth: Path | None = None
-) -> "tuple[SensingLog, Estimate, Reals | None]":
-    """Read a log, its estimate, and the true positions if there are any.
-
-    Without a table of the estimate, joint localizes the log.
-    """
-    from tiswarm.compute import backend
-    from tiswarm.localization.params import JointParams
-    from tiswarm.records.positions import read_estimate, read_positions_of
-    from tiswarm.records.sensing_file import read_sensing_log
-    from tiswarm.verdicts import distrust
-
-    sensed = read_sensing_log(log)
-    true = None if truth is None else read_positions_of(sensed, truth)
-    if estimate is not None:
-        return sensed, read_estimate(sensed, estimate), true
-    backend.start()
-    found = _localized(sensed, JointParams(), progress)
-    if warning := distrust(sensed, found):
-        typer.echo(f"tiswarm: warning: {warning}", err=True)
-    return sensed, found, true
-
-
-def _localized(
-    sensed: "SensingLog", params: "LocalizationParams", progress: Progress
-) -> "Estimate":
-    """Localize a log and show progress; the backend runs."""
-    from tiswarm.compute import backend
-    from tiswarm.localization import registry
-
-    name = "compile, localize" if backend.current().is_cold else "localize"
-    with progress.task(name, sensed.robot_count) as advance:
-        return registry.localize(sensed, params, on_progress=advance)
+    typer.echo(api.advise(log, estimate, quiet=False))
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
@@ -269,8 +185,8 @@ def import_(
 
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
+    from tiswarm import api
     from tiswarm.errors import InputError
-    from tiswarm.interop.imports import Assumptions, import_poses, write_import
     from tiswarm.interop.poses import read_dock_offsets
     from tiswarm.robot import docks_in_plane
 
@@ -282,7 +198,9 @@ def import_(
         problem = f"{anchor!r} is not a list of robots; write it like 0,5"
         raise InputError(problem, argument="anchor") from None
     body = None if dock_offset is None else docks_in_plane(dock_offset)
-    assumed = Assumptions(
+    found = api.import_poses(
+        poses,
+        out=out,
         dock_radius=dock_radius,
         dock_offset_body=body if docks is None else read_dock_offsets(docks),
         gap=gap,
@@ -296,12 +214,8 @@ def import_(
         yaw_deg=yaw_deg,
         length_unit=length_unit,
     )
-    for run, imported in import_poses(poses, assumed).items():
-        write_import(imported, out / run)
-        if imported.warning:
-            of_run = f"run {run}: " if run else ""
-            typer.echo(f"tiswarm: warning: {of_run}{imported.warning}", err=True)
-        if not quiet:
+    if not quiet:
+        for run, imported in found.items():
             typer.echo("\n".join(imported.notes) + f" -> {out / run}")
 
 
@@ -311,8 +225,6 @@ def score(
     estimate: Annotated[Path, Argument(help="Table of estimated positions.")],
 ) -> None:
     """Print the errors of an estimate, as it is and after alignment."""
-    from tiswarm.evaluation.tables import score_files
+    from tiswarm import api
 
-    unit, scores = score_files(truth, estimate)
-    for name, value in scores.items():
-        typer.echo(f"{name:<28} {value:.4g}{'' if 'disparity' in name else f' {unit}'}")
+    typer.echo(api.score(truth, estimate))

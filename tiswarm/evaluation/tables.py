@@ -1,6 +1,6 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -192,11 +192,24 @@ def _on_anchor(history: History) -> NDArray[np.int32]:
     return touching
 
 
-def score_files(truth: Path, estimate: Path | Estimate) -> tuple[str, dict[str, float]]:
-    """Compare a table of true positions with an estimate or its table, matching robots by name.
+class Scores(dict[str, float]):
+    """Accuracy measures by name, in the length unit of the truth."""
 
-    Returns:
-        The length unit of the tables, and accuracy measures by name in that unit.
+    def __init__(self, values: Mapping[str, float], unit: str) -> None:
+        """Name the unit of all measures but the disparity, which has none."""
+        super().__init__(values)
+        self.unit = unit
+
+    def __str__(self) -> str:
+        """Give a line for each measure."""
+        lines = ((f"{name:<28} {value:.4g}", name) for name, value in self.items())
+        return "\n".join(
+            f"{line}{'' if 'disparity' in name else f' {self.unit}'}" for line, name in lines
+        )
+
+
+def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
+    """Compare a table of true positions with an estimate or its table, matching robots by name.
 
     Raises:
         InputError: if a table is malformed, or the estimate has another unit or other robots.
@@ -214,7 +227,8 @@ def score_files(truth: Path, estimate: Path | Estimate) -> tuple[str, dict[str, 
     if len(missing):
         problem = f"robot {missing[0]} is in one of the two tables only; score the same robots"
         raise InputError(problem, path=path, key="robot")
-    return unit, score_positions(true[names.argsort()], estimated[other_names.argsort()])
+    values = score_positions(true[names.argsort()], estimated[other_names.argsort()])
+    return Scores(values, unit)
 
 
 def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:
