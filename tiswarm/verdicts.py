@@ -8,8 +8,8 @@ import numpy as np
 from tiswarm.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.consistency import HEADER_LINES
 from tiswarm.measurements.contacts import parts, reach
-from tiswarm.measurements.cues import measure
-from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
+from tiswarm.measurements.cues import Measured, measure
+from tiswarm.measurements.odometry import CENTER, UNKNOWN
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
 from tiswarm.records.messages import counted, percent
@@ -244,12 +244,12 @@ def _outlier_places(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     places = estimate.outlier_places
     if places is None or not len(places):
         return
-    walks, center = Odometry(log), estimate.position / log.dock_radius
+    measured, center = Measured(log), estimate.position / log.dock_radius
     wanted, number = np.unique(places, axis=0, return_counts=True)
     listed: dict[tuple[int, ...], list[tuple[float, str, str]]] = {}
     for cue, (key, what) in _PLACES.items():
         cues = [cue, "walk_contacts"] if cue == "ground" else [cue]
-        rows = measure(log, cues, odometry=walks)
+        rows = measured.rows(cues)
         count = len(rows.other)
         missed = np.abs(rows.residual(center, estimate.yaw)) / np.sqrt(rows.variance())
         for point, axis, value, off in zip(

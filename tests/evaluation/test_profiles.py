@@ -13,6 +13,7 @@ from tiswarm.evaluation.profiles import (
 )
 from tiswarm.evaluation.tables import by_robot, score
 from tiswarm.measurements.contacts import hops
+from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.robot import RobotGeometry
@@ -118,7 +119,7 @@ def test_tiny_structures_are_scored(towers, robots):
     )
     truth, log, estimate = _scored(small, np.full(3, 0.5))
 
-    scores = score(truth, log, estimate, RobotGeometry(), cues=("contacts", "height"))
+    scores = score(truth, log, estimate, RobotGeometry(), rows=measure(log, ("contacts", "height")))
     table = by_robot(truth, log, estimate, np.zeros(robots)).assign(join=np.arange(robots))
 
     unknown = {name for name, value in scores.items() if np.isnan(value)}

@@ -9,6 +9,7 @@ from tiswarm.errors import InputError
 from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
+from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
 from tiswarm.records.positions import Truth, write_positions
 from tiswarm.robot import RobotGeometry
@@ -32,7 +33,8 @@ def test_coverage_is_the_share_of_robots_in_their_interval(towers):
     within[1] = 1.1 * MOST_WITHIN
     sure = dataclasses.replace(estimate, sd=error / within)
 
-    silent, calibrated = (score(truth, log, e, history.robot, cues=[]) for e in (estimate, sure))
+    rows = measure(log, [])
+    silent, calibrated = (score(truth, log, e, history.robot, rows=rows) for e in (estimate, sure))
 
     assert "coverage_50" not in silent
     assert calibrated["coverage_50"] == np.mean(within[1:] < HALF_WITHIN)
@@ -72,7 +74,8 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
     )
     judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
 
-    silent, found = (score(truth, log, e, history.robot, cues=[]) for e in (estimate, judged))
+    rows = measure(log, [])
+    silent, found = (score(truth, log, e, history.robot, rows=rows) for e in (estimate, judged))
 
     assert {"converged", "consistent", "mirrored"} & set(silent) == set()
     names = ("converged", "consistent", "misfit_sd", "sd_factor", "mirrored")
@@ -92,7 +95,7 @@ def test_ranges_are_not_judged_as_contacts(towers):
     estimate = localize(log, VirtualForceParams(iterations=1))
     judged = dataclasses.replace(estimate, outlier_contacts=outliers)
 
-    scores = outlier_scores(towers[0], log, judged, cues=["contacts", "ranges"])
+    scores = outlier_scores(towers[0], judged, rows=measure(log, ["contacts", "ranges"]))
 
     assert (scores["outliers"], scores["outlier_precision"]) == (1, 1.0)
     assert scores["wrong_contacts"] == len(wrong)

@@ -380,7 +380,7 @@ def test_wrong_contacts_are_given_up(towers):
     assert total(robust) < 0.7 * total(trusting)
     taken, right, wanted = 0, 0, 0
     for log, history, estimate in zip(logs, towers, robust, strict=True):
-        judged = outlier_scores(history, log, estimate, cues=params.cues)
+        judged = outlier_scores(history, estimate, rows=measure(log, params.cues))
         true = _touched(history)
         felt = [tuple(row) for row in measure(log, CUES).sensed_contacts.tolist()]
         doubted = [tuple(row) for row in estimate.outlier_contacts.tolist()]

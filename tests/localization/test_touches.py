@@ -9,6 +9,7 @@ import pytest
 from tiswarm.evaluation.tables import outlier_scores
 from tiswarm.localization.params import CUES, HopByHopParams, JointParams
 from tiswarm.localization.registry import localize, localize_many
+from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe
 
 QUICK = JointParams(chains=3, steps=800, hold_steps=200)
@@ -35,7 +36,7 @@ def test_touches_place_robots(towers, docks):
         )
         assert error < 0.5 * unaided
         assert "touches" in estimate.observability.cues
-        scores = outlier_scores(history, log, estimate, cues=QUICK.cues)
+        scores = outlier_scores(history, estimate, rows=measure(log, QUICK.cues))
         assert scores.get("wrong_contacts", 0) == 0  # touches are not scored
 
 

@@ -9,7 +9,6 @@ import pytest
 from tests.structures import Rule, structure
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import cues as cues_module
-from tiswarm.measurements import observability as observability_module
 from tiswarm.measurements import rigidity
 from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
@@ -160,8 +159,7 @@ def test_what_is_too_large_to_factor_is_counted_as_far_as_peeling_goes(logs, mon
 def test_walks_are_summed_once_for_all_cues(logs, monkeypatch):
     """They are the same for each cue."""
     summed = []
-    walks = observability_module.Odometry
-    monkeypatch.setattr(observability_module, "Odometry", lambda *a: summed.append(1) or walks(*a))
+    walks = cues_module.Odometry
     monkeypatch.setattr(cues_module, "Odometry", lambda *a: summed.append(1) or walks(*a))
 
     assert len(list(by_cue(logs[0]))) > 2

@@ -1,6 +1,6 @@
 """Tables of a case: scores of its estimate, errors by robot and iteration, growth by join."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from tiswarm.aliases import AnyInts, Ints, Reals
 from tiswarm.errors import InputError
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
-from tiswarm.measurements.cues import measure
+from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
@@ -28,17 +28,17 @@ def score(
     estimate: Estimate,
     robot: RobotGeometry,
     *,
-    cues: Collection[str],
+    rows: Measurements,
 ) -> dict[str, float | int]:
     """Return accuracy measures of an estimate, and properties of the structure that limit them.
 
-    `cues` are the cues of the log that the localizer used; `robot` is for lengths in rho.
+    `rows` are those of the log that the localizer used; `robot` is for lengths in rho.
     """
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
     of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
     place, free = true / log.dock_radius, estimate.yaw is not None
-    modes = floppy_modes(weld(measure(log, cues), place, yaw_unknown=free))
+    modes = floppy_modes(weld(rows, place, yaw_unknown=free))
     return {
         "joined": log.robot_count,
         "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[1:]),
@@ -59,13 +59,12 @@ def score(
 
 
 def outlier_scores(
-    history: History, log: SensingLog, estimate: Estimate, *, cues: Collection[str]
+    history: History, estimate: Estimate, *, rows: Measurements
 ) -> dict[str, float | int]:
     """Return precision and recall of the detected outliers, and the counts behind them.
 
     A contact is wrong if the robots did not touch with these docks in that stance. Touches, whose
-    docks are unknown, are not scored. `cues` are the
-    cues of the log that the localizer used.
+    docks are unknown, are not scored. `rows` are those of the log that the localizer used.
 
     Returns:
         Scores by name; NaN where no contact is wrong or detected; empty where the method detects
@@ -73,13 +72,12 @@ def outlier_scores(
     """
     if estimate.outlier_contacts is None:
         return {}
-    rows = measure(log, cues)
     sensed = _with_docks(rows.sensed_contacts)
     true = history.table("contacts")
     size = tuple(np.concatenate([true, sensed]).max(axis=0, initial=0) + 1)
 
-    def key(rows: AnyInts) -> Ints:  # each row as one number
-        return np.asarray(np.ravel_multi_index(tuple(rows.astype(np.int64).T), size))
+    def key(contacts: AnyInts) -> Ints:  # each row as one number
+        return np.asarray(np.ravel_multi_index(tuple(contacts.astype(np.int64).T), size))
 
     outliers = key(_with_docks(estimate.outlier_contacts))
     wrong = np.setdiff1d(key(sensed), key(true))

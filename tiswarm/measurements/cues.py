@@ -200,6 +200,68 @@ def cue_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for names, _ in CUES for name in names))
 
 
+class Measured:
+    """A log and its rows: lives as long as somebody works on the log.
+
+    It resolves compasses, sums flips and turns each cue into rows once, for all sets of cues.
+    """
+
+    def __init__(
+        self, log: SensingLog, odometry: Odometry | None = None, precision: Precision | None = None
+    ) -> None:
+        """Resolve the compasses and sum the flips.
+
+        Args:
+            log: What was sensed.
+            odometry: Walks of the robots; those of the log if None.
+            precision: Precision of the sensors; the usual one if None.
+        """
+        self.log = with_orientations(log)
+        self.odometry = odometry or Odometry(self.log)
+        self._precision = precision or Precision()
+        self._tables: dict[_Producer, _Rows] = {}
+        self._counts: dict[tuple[_Producer, ...], int] = {}
+        # Rows of many sets at once would take too much memory in large swarms: only the last stay.
+        self._last: tuple[tuple[_Producer, ...], Measurements] | None = None
+
+    def rows(self, cues: Collection[str]) -> Measurements:
+        """Return the rows of some cues; those that are not in `CUES` have none."""
+        used = self._used(cues)
+        if self._last is None or self._last[0] != used:
+            self._last = used, self._gather(used)
+        return self._last[1]
+
+    def count(self, cues: Collection[str]) -> int:
+        """Count the rows of some cues."""
+        used = self._used(cues)
+        if self._last is not None and self._last[0] == used:
+            return len(self._last[1])
+        if used not in self._counts:
+            self._counts[used] = len(self._gather(used))
+        return self._counts[used]
+
+    def _used(self, cues: Collection[str]) -> tuple[_Producer, ...]:
+        """List the producers of some cues that have rows."""
+        used = [produce for names, produce in CUES if set(names) <= set(cues)]
+        return tuple(produce for produce in used if len(self._table(produce).stance))
+
+    def _table(self, produce: _Producer) -> _Rows:
+        if produce not in self._tables:
+            self._tables[produce] = produce(self.log, self.odometry, self._precision)
+        return self._tables[produce]
+
+    def _gather(self, used: Collection[_Producer]) -> Measurements:
+        tables = [*map(self._table, used)]
+        every = Measurements.gather(
+            self.odometry,
+            [table for table in tables if isinstance(table, Distances)],
+            [table for table in tables if isinstance(table, Coordinates)],
+            [table for table in tables if isinstance(table, Offsets)],
+            shared_sd=self.log.source_sd / self.log.dock_radius,
+        )
+        return _once_each(every, self.log)
+
+
 def measure(
     log: SensingLog,
     cues: Collection[str],
@@ -207,27 +269,8 @@ def measure(
     odometry: Odometry | None = None,
     precision: Precision | None = None,
 ) -> Measurements:
-    """Turn a log into rows.
-
-    Args:
-        log: What was sensed.
-        cues: Cues to use; those that are not in `CUES` have no rows.
-        odometry: Walks of the robots; those of the log if None.
-        precision: Precision of the sensors; the usual one if None.
-    """
-    log = with_orientations(log)
-    walks = odometry or Odometry(log)
-    rows = [
-        produce(log, walks, precision or Precision())
-        for names, produce in CUES
-        if set(names) <= set(cues)
-    ]
-    distances = [row for row in rows if isinstance(row, Distances)]
-    offsets = [row for row in rows if isinstance(row, Offsets)]
-    places = [row for row in rows if isinstance(row, Coordinates)]
-    shared_sd = log.source_sd / log.dock_radius
-    every = Measurements.gather(walks, distances, places, offsets, shared_sd=shared_sd)
-    return _once_each(every, log)
+    """Turn a log into the rows of one set of cues; arguments as for `Measured`."""
+    return Measured(log, odometry, precision).rows(cues)
 
 
 def _once_each(rows: Measurements, log: SensingLog) -> Measurements:

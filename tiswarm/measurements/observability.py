@@ -7,8 +7,7 @@ import numpy as np
 from tiswarm.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected, parts
-from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.cues import Measured, cue_names, measure
 from tiswarm.measurements.rigidity import common_motions, floppy_modes, floppy_motions, weld
 from tiswarm.records.estimate import Observability
 from tiswarm.records.sensing_log import SensingLog
@@ -23,7 +22,7 @@ def observability(
     position: Reals | None = None,
     *,
     yaw_unknown: bool = False,
-    odometry: Odometry | None = None,
+    measured: Measured | None = None,
 ) -> Observability:
     """Find what some cues leave undetermined.
 
@@ -33,15 +32,15 @@ def observability(
         position: Estimated centers, in the log's unit, shape (N, 3). If None, they are drawn at
             random: what is determined hardly depends on where robots are.
         yaw_unknown: Whether each robot's yaw is unknown, too.
-        odometry: Walks of the robots; those of the log if None.
+        measured: Rows of the log, if somebody has them.
     """
-    walks = odometry or Odometry(log)
+    measured = measured or Measured(log)
     center = _anywhere(log) if position is None else position / log.dock_radius
-    rows = measure(log, cues, odometry=walks).associated(center)
+    rows = measured.rows(cues).associated(center)
     bodies = weld(rows, center, yaw_unknown=yaw_unknown)
     motions = floppy_motions(bodies)
     return Observability(
-        cues=tuple(_held(log, cues, walks)),
+        cues=tuple(_held(measured, cues)),
         yaw_unknown=yaw_unknown,
         unknowns=bodies.dof * (log.robot_count - 1),
         gauge_yaw_sd=(
@@ -58,13 +57,13 @@ def by_cue(log: SensingLog) -> Iterator[Observability]:
 
     Where the log states that yaw is biased, yaw counts as unknown, and at last as known once more.
     """
-    yaw_unknown, walks = log.yaw_bias > 0.0, Odometry(log)
+    yaw_unknown, measured = log.yaw_bias > 0.0, Measured(log)
     cues: list[str] = []
-    for cue in _held(log, cue_names(), walks):
+    for cue in _held(measured, cue_names()):
         cues.append(cue)
-        yield observability(log, cues, yaw_unknown=yaw_unknown, odometry=walks)
+        yield observability(log, cues, yaw_unknown=yaw_unknown, measured=measured)
     if yaw_unknown:
-        yield observability(log, cues, odometry=walks)
+        yield observability(log, cues, measured=measured)
 
 
 def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
@@ -87,14 +86,14 @@ def _anywhere(log: SensingLog) -> Reals:
     return _SPREAD * normal(0, "anywhere", robot, np.arange(3))
 
 
-def _held(log: SensingLog, cues: Collection[str], walks: Odometry) -> Iterator[str]:
+def _held(measured: Measured, cues: Collection[str]) -> Iterator[str]:
     """List the contacts, and each further cue that adds measurements to those before it."""
     held: list[str] = []
     count = -1
     for cue in cue_names():
         if cue not in cues:
             continue
-        more = len(measure(log, [*held, cue], odometry=walks))
+        more = measured.count([*held, cue])
         if more > count or cue == "contacts":
             held.append(cue)
             count = more

@@ -15,6 +15,7 @@ from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.params import JointParams, LocalizationParams
 from tiswarm.localization.registry import localize_many, start_for, title
+from tiswarm.measurements.cues import measure
 from tiswarm.memory import naming_shortage
 from tiswarm.params import AnyPrecision, Arch
 from tiswarm.progress import Advance, Progress
@@ -224,9 +225,9 @@ class _CaseRunner:
             position=history.position,
             orientation_wxyz=history.orientation_wxyz,
         )
-        cues = case.settings.localization.cues
-        scored = scores.score(truth, log, estimate, history.robot, cues=cues)
-        scored |= scores.outlier_scores(history, log, estimate, cues=cues) | scores.totals(history)
+        rows = measure(log, case.settings.localization.cues)
+        scored = scores.score(truth, log, estimate, history.robot, rows=rows)
+        scored |= scores.outlier_scores(history, estimate, rows=rows) | scores.totals(history)
         record = _record(case, "done", history.ended, scored)
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)

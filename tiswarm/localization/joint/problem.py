@@ -16,7 +16,7 @@ from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
-from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.cues import Measured, Precision
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.orientations import (
@@ -243,13 +243,14 @@ def pose_problem(
         odometry = odometry.widened(disregarded, OutlierRobotSettings.turn_sd)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     cues = [cue for cue in params.cues if cue != "fixes"]
-    rows = measure(log, cues, odometry=odometry, precision=precision)
+    measured = Measured(log, odometry, precision)
+    rows = measured.rows(cues)
     if len(disregarded):
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
-    fixed = measure(log, {*params.cues} & {"fixes"}, odometry=odometry)
+    fixed = measured.rows({*params.cues} & {"fixes"})
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
     tables = [rows.distances], every_place, [rows.offsets]

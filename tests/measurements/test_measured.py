@@ -1,0 +1,69 @@
+"""Work on a log turns each of its cues into rows once."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from tiswarm.evaluation.tables import outlier_scores, score
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.registry import localize
+from tiswarm.measurements import cues
+from tiswarm.measurements.cues import CUES, Measured, cue_names, measure
+from tiswarm.measurements.odometry import Odometry
+from tiswarm.records.positions import Truth
+from tiswarm.sensing import SensingParams, observe
+
+
+@pytest.fixture
+def work(monkeypatch) -> Counter[str]:
+    """Calls of each cue's function, and sums of flips, by name, from now on."""
+    done: Counter[str] = Counter()
+
+    def counted(name, call):
+        def counting(*given, **named):
+            done[name] += 1
+            return call(*given, **named)
+
+        return counting
+
+    monkeypatch.setattr(
+        cues, "CUES", [(names, counted(call.__name__, call)) for names, call in CUES]
+    )
+    monkeypatch.setattr(Odometry, "__init__", counted("Odometry", Odometry.__init__))
+    return done
+
+
+def test_a_case_turns_each_cue_into_rows_three_times(towers, work):
+    """For the method, relative to the anchor; for what the log determines; and for the scores.
+
+    Logs have millions of rows, and what is common to several uses should cost once.
+    """
+    history, params = towers[0], JointParams(chains=1, steps=60, hold_steps=20)
+    log = observe(history, SensingParams())
+
+    estimate = localize(log, params)
+    rows = measure(log, params.cues)
+    truth = Truth(
+        robot_id=log.robot_id,
+        position=history.position,
+        orientation_wxyz=history.orientation_wxyz,
+    )
+    score(truth, log, estimate, history.robot, rows=rows)
+    outlier_scores(history, estimate, rows=rows)
+
+    assert work == dict.fromkeys(["Odometry", *(call.__name__ for _, call in CUES)], 3)
+
+
+def test_rows_are_those_of_a_log_measured_anew(towers):
+    """Sets of cues that were asked for before change nothing."""
+    log = observe(towers[0], SensingParams())
+    measured = Measured(log)
+
+    for count in (*range(len(cue_names()) + 1), 2):
+        some = cue_names()[:count]
+        anew = measure(log, some)
+        assert measured.count(some) == len(anew)
+        assert len(measured.rows(some)) == len(anew)
+        np.testing.assert_array_equal(measured.rows(some).arm, anew.arm)
+        np.testing.assert_array_equal(measured.rows(some).variance(), anew.variance())
