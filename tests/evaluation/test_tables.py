@@ -54,7 +54,7 @@ def test_robots_that_were_located_have_an_error_of_their_own(towers):
         undetermined=np.tile(np.arange(30) >= 4, (3, 1)).T,
     )  # fmt: skip
 
-    scores = score(truth, log, estimate, history.robot, cues=[])
+    scores = score(truth, log, estimate, history.robot, rows=measure(log, []))
 
     assert scores["located"] == pytest.approx(3.0 / 29.0)
     assert scores["rmse_located_R"] == pytest.approx(((1.0 + 4.0 + 9.0) / 3.0) ** 0.5)
