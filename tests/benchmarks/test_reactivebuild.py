@@ -356,10 +356,10 @@ def finished(tmp_path_factory):
     """Call the command with two seeds of eight robots under two conditions."""
     out = tmp_path_factory.mktemp("laws")
     scenario = yaml.safe_load((REPOSITORY / "scenarios" / "reactivebuild-laws.yaml").read_text())
-    scenario |= {"robots": 20, "seeds": 2, "scorecard": "reactivebuild-laws"}  # as it once was
+    scenario |= {"robots": 20, "seeds": 2}
     scenario |= {"conditions": {"a": {}, "b": {"localization.iterations": 2}}}
-    (out / "old.yaml").write_text(yaml.safe_dump(scenario))
-    done = call("reactivebuild", out / "old.yaml", "--set", "robots=8", "--out", out)
+    (out / "laws.yaml").write_text(yaml.safe_dump(scenario))
+    done = call("reactivebuild", out / "laws.yaml", "--set", "robots=8", "--out", out)
     assert done.returncode == 0, done.stderr
     return next(out.glob("reactivebuild-laws-*")), done.stdout
 

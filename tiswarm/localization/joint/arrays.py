@@ -134,7 +134,7 @@ PARTNER, IS_FINAL, IS_OWN, TOUCH = range(4)
 ARMS, LENGTH, VARIANCE, ACROSS, EXTENSION, LEVERS, VECTOR = 0, 3, 4, 5, 6, 7, 11
 
 
-class Measured(NamedTuple):
+class MeasuredColumns(NamedTuple):
     """All that is known of robots."""
 
     robots: Robots

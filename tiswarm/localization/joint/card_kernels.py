@@ -27,7 +27,7 @@ from tiswarm.localization.joint.arrays import (
     Blocks,
     Contacts,
     Copies,
-    Measured,
+    MeasuredColumns,
     Robots,
     Step,
     Subtrees,
@@ -73,7 +73,7 @@ def take_steps_on_card(
     variant = ti.static(variant_of(docks, traits))
     robots = ti.static(Robots(robot_label, robot_weight))
     contacts = ti.static(Contacts(contact_label, contact_value, candidates))
-    measured = ti.static(Measured(robots, contacts, plane))
+    measured = ti.static(MeasuredColumns(robots, contacts, plane))
     trees = ti.static(Subtrees(subtree, subtree_motion_out))
     rows = ti.static(Rows(entry, row_first, row_count))
     swarm = ti.static(Copies(arm_out, position_out, motion_out, heading_out, total_out))

@@ -35,7 +35,7 @@ from tiswarm.localization.joint.arrays import (
     Blocks,
     Contacts,
     Copies,
-    Measured,
+    MeasuredColumns,
     Robots,
     Step,
     Subtrees,
@@ -158,14 +158,14 @@ def take_steps(
         until: Step before which to stop.
         hold: First step that counts for the averages.
         schedule: As `Step` describes it.
-        plane: As `Measured` describes it.
+        plane: As `MeasuredColumns` describes it.
         structure_out: Blocks, or the whole swarm, as structures of `neighbor_kernels`.
         none: Zeros, one a copy and one more: no entry of a row is a connected dock.
     """
     variant = ti.static(variant_of(docks, traits))
     robots = ti.static(Robots(robot_label, robot_weight))
     contacts = ti.static(Contacts(contact_label, contact_value, candidates))
-    measured = ti.static(Measured(robots, contacts, plane))
+    measured = ti.static(MeasuredColumns(robots, contacts, plane))
     trees = ti.static(Subtrees(subtree, subtree_motion_out))
     cells = ti.static(Cells(begin_out, sorted_dock_out, sorted_place_out))
     connections = ti.static(ConnectedDocks(none, none))

@@ -75,6 +75,8 @@ def _without_outlier_robots(
     if before is None or after is None or again.sd is None or not explains(before, after):
         return estimate
     factor = max(before.sd_factor, after.sd_factor)
+    missed = [each.outlier_contacts for each in (estimate, again)]
+    contacts = [each for each in missed if each is not None]
     verdict = replace(
         after,
         consistent=False,
@@ -86,6 +88,8 @@ def _without_outlier_robots(
         convergence=verdict,
         sd=again.sd * (factor / after.sd_factor),
         outlier_robots=np.sort(found.robots),
+        # Wrong contacts make a robot suspect, too: they stay listed.
+        outlier_contacts=np.unique(np.concatenate(contacts), axis=0) if contacts else None,
     )
 
 

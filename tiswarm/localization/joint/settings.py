@@ -219,18 +219,19 @@ class RefineSettings:
     agree about them more often than they are right. Training suites without compasses."""
 
 
+@dataclass(frozen=True)
 class OutlierRobotSettings:
     """Robots whose orientations do not count. Chosen on training structures."""
 
     least: float = 6.0
     """-log10 of the chance that the orientations of a robot are right, from which on it is an
-    outlier. Of 100 robots without errors, one in 10,000 structures would have one."""
+    outlier [1]. Of 100 robots without errors, one in 10,000 structures would have one."""
 
     promising: float = 2.5
-    """The same by a linear prediction, from which on a robot is tried."""
+    """The same by a linear prediction, from which on a robot is tried [1]."""
 
     tried: int = 5
-    """Robots that are tried for each that is found, the most promising first."""
+    """Robots that are tried for each that is found, the most promising first [1]."""
 
     most: float = 0.2
     """Share of robots that can be outliers [1]; where more are, something else is wrong."""
@@ -239,7 +240,7 @@ class OutlierRobotSettings:
     """Part of the misfit that outlier robots may leave [1]."""
 
     rounds: int = 8
-    """Steps toward each minimum."""
+    """Steps toward each minimum [1]."""
 
     turn_sd: float = 1.0
     """Standard deviation of an orientation that does not count, about each axis [rad]: a drift of

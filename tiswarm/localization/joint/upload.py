@@ -56,7 +56,7 @@ from tiswarm.localization.joint.arrays import (
     Blocks,
     Contacts,
     Copies,
-    Measured,
+    MeasuredColumns,
     Robots,
     Traits,
 )
@@ -86,7 +86,7 @@ def measured_arrays(
     *,
     trees: Sequence[Forest],
     lightest: float,
-) -> Measured:
+) -> MeasuredColumns:
     """Put all that is known of robots on the device.
 
     Args:
@@ -118,7 +118,7 @@ def measured_arrays(
         LIGHTEST: np.full(len(order), lightest),
     }
     robots = Robots(label=memory.upload(_packed(label)), weight=memory.upload(_packed(weight)))
-    return Measured(robots=robots, contacts=contacts, plane=planes)
+    return MeasuredColumns(robots=robots, contacts=contacts, plane=planes)
 
 
 def _contact_arrays(
@@ -184,7 +184,7 @@ def _plane_array(
     """Put the planes of all structures on the device, robot by robot.
 
     Returns:
-        First plane of each robot, shape (N + 1,), and `Measured.plane`.
+        First plane of each robot, shape (N + 1,), and `MeasuredColumns.plane`.
     """
     robot = _in_memory([e.planes.robot for e in problems], problems, order)
     table = np.concatenate([_planes_of(*each) for each in zip(problems, params, strict=True)])
@@ -193,7 +193,7 @@ def _plane_array(
 
 
 def _planes_of(problem: Problem, params: JointParams) -> Reals:
-    """Gather the columns of `Measured.plane` of one structure, shape (P, 11)."""
+    """Gather the columns of `MeasuredColumns.plane` of one structure, shape (P, 11)."""
     planes = problem.planes
     robust = AnnealSchedule.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
     return _packed({
