@@ -120,10 +120,11 @@ def localize(
         InputError: the log, method, a cue or a setting is invalid, or there is no such solution.
         EnvironmentTroubleError: the machine lacks the device.
     """
-    params = method_params(method, cues, overrides, settings)  # a log may take long to read
-    return open_log(log).localize_by(
-        params, solution=solution, arch=arch, threads=threads, precision=precision, quiet=quiet
-    )
+    method_params(method, cues, overrides, settings)  # before a log is read, which may take long
+    return open_log(log).localize(
+        method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
+        precision=precision, quiet=quiet, **settings,
+    )  # fmt: skip
 
 
 def run(

@@ -57,25 +57,10 @@ class Log(SensingLog):
         **settings: object,
     ) -> "Localized":
         """Estimate the robots' positions; `tiswarm.localize` explains the arguments."""
-        return self.localize_by(
-            method_params(method, cues, overrides, settings), solution=solution, arch=arch,
-            threads=threads, precision=precision, quiet=quiet,
-        )  # fmt: skip
-
-    def localize_by(
-        self,
-        params: "LocalizationParams",
-        *,
-        solution: int | None = None,
-        arch: AnyArch = "cpu",
-        threads: int | None = None,
-        precision: AnyPrecision = "auto",
-        quiet: bool = True,
-    ) -> "Localized":
-        """Estimate the robots' positions by a method with its settings, which are checked."""
         from tiswarm.compute import backend  # noqa: PLC0415 - slow to import
         from tiswarm.localization import registry  # noqa: PLC0415 - slow to import
 
+        params = method_params(method, cues, overrides, settings)
         progress = ConsoleProgress(quiet=quiet)
         titles = [registry.title(params)]
         running = registry.start_device(titles, arch, threads=threads, precision=precision)
