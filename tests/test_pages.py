@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import tiswarm
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.study.store import RunFolder
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [
@@ -26,6 +28,15 @@ def test_links_lead_to_files(page):
     missing += [name for name in re.findall(NAMED, text) if not (REPOSITORY / name).exists()]
 
     assert missing == []
+
+
+def test_the_readme_names_the_folder_of_the_first_run():
+    """A reader compares what the first command prints; the name changes with the scenario."""
+    scenario = load_scenario(REPOSITORY / "scenarios" / "tower.yaml")
+
+    folder = RunFolder.of(scenario, Path("reports")).path
+
+    assert f"open {folder}/report.html" in (REPOSITORY / "README.md").read_text()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))

@@ -89,7 +89,7 @@ def test_an_estimate_with_outlier_robots_is_not_trusted(estimate):
     """The misfit was that robot's, but smaller drifts may be left, which turn the rest."""
     assert estimate.convergence.misfit_sd < MOST_MISFIT_SD
     assert not estimate.convergence.trusted
-    assert estimate.convergence.reason == "orientations of 1 of the robots are outliers"
+    assert estimate.convergence.reason == "the orientations of 1 robot are outliers"
     assert estimate.convergence.sd_factor > 1.0
 
 

@@ -136,7 +136,7 @@ def main() -> None:
 def _status(arguments: list[str]) -> int:
     """Run a command and return its exit status."""
     warnings.showwarning = _show_warning
-    warnings.simplefilter("always", ResultWarning)  # whatever PYTHONWARNINGS says
+    warnings.simplefilter("always", ResultWarning)  # PYTHONWARNINGS hides none
     os.environ["MPLBACKEND"] = "agg"  # figures go to files; an unknown name would be refused
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads would still reserve memory
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))

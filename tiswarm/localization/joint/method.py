@@ -18,6 +18,7 @@ from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import ChiSquareParams, JointParams
 from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -81,7 +82,7 @@ def _without_outlier_robots(
         after,
         consistent=False,
         sd_factor=factor,
-        reason=f"orientations of {len(found.robots)} of the robots are outliers",
+        reason=f"the orientations of {counted(len(found.robots), 'robot')} are outliers",
     )
     return replace(
         again,

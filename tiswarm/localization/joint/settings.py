@@ -196,8 +196,8 @@ class RefineSettings:
     """Linear problems solved at most [1], each at where the last one led."""
 
     prior_sd: float = 1.2
-    """Prior width around the chain mean [chain sd]; multiplied by sqrt(N), since all robots may
-    share an error and move together."""
+    """Width of the prior that bounds steps and variances of positions [chain sd]; multiplied by
+    sqrt(N), since all robots may share an error and move together."""
 
     least_prior: float = 0.05
     """Least prior width [R]."""
