@@ -30,6 +30,7 @@ Status cuDeviceGetAttribute(int *value, int attribute, int device) {
     case 87: *value = 2; break;           /* rate of f32 over that of f64 */
     case 97: *value = 232448; break;      /* shared memory of a block that asks for more */
     case 106: *value = 32; break;         /* blocks of a multiprocessor */
+    case 115: *value = 1; break;          /* pools of memory */
     default: *value = 0;
     }
     return OK;
