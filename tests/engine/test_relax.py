@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -299,6 +299,7 @@ def test_robots_that_come_back_from_beyond_the_numbers_are_right(small, monkeypa
     repulsion=st.floats(-2, 4).map(lambda power: 10**power),
     ramp=st.floats(0.0, 1.0),
 )
+@example(seed=0, robots=6, attraction=1.0, repulsion=1000.0, ramp=0.99999)
 def test_a_step_in_single_precision_is_within_its_stated_error(
     small, seed, robots, attraction, repulsion, ramp
 ):

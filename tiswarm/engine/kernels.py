@@ -148,14 +148,23 @@ def capped(step, max_step):
 
 
 @ti.func
+def share_at(share: Ref, t):
+    """Read the shares of attraction and repulsion in a step."""
+    return ti.Vector([share[t, 0], share[t, 1]])
+
+
+@ti.func
 def _add_row(
-    grid: Ref, gains: Ref, guided: Static, ramp, base, row, row_docks, rows: Ref, robots: Ref,
+    grid: Ref, gains: Ref, guided: Static, share, base, row, row_docks, rows: Ref, robots: Ref,
     force,
 ):  # fmt: skip
-    """Add Eqs. (1) and (2) over a row; if guided, connected docks nearer than D part."""
+    """Add Eqs. (1) and (2) over a row; if guided, connected docks nearer than D part.
+
+    `share` is a row of `step_robots`' table of that name.
+    """
     flag = 1 << grid.own_bits
-    attraction = gains.attraction_gain * ramp
-    repulsion = gains.repulsion_gain * (1.0 - ramp)
+    attraction = gains.attraction_gain * share[0]
+    repulsion = gains.repulsion_gain * share[1]
     first = rows.first[row]
     for e in range(rows.count[row]):
         entry = rows.entry[first + e * grid.entry_stride]
@@ -168,36 +177,36 @@ def _add_row(
         pull = _pull_of(distance, connected, attraction, repulsion, gains.spacing)
         if ti.static(guided):
             overlap = ti.min(distance - gains.spacing, 0.0)
-            pull += ti.select(connected, gains.parting_gain * ramp * overlap, 0.0)
+            pull += ti.select(connected, gains.parting_gain * share[0] * overlap, 0.0)
         force += pull / ti.max(distance, _TINY) * offset
     return force
 
 
 @ti.func
 def _force_on_robot(
-    on_card: Static, grid: Ref, gains: Ref, guided: Static, ramp, base, robot, rows: Ref,
+    on_card: Static, grid: Ref, gains: Ref, guided: Static, share, base, robot, rows: Ref,
     robots: Ref,
 ):  # fmt: skip
     """Sum the forces of a robot's rows."""
     force = ti.Vector([0.0, 0.0, 0.0])
     if ti.static(on_card):
         for row in range(robot * grid.docks, (robot + 1) * grid.docks):
-            force = _add_row(grid, gains, guided, ramp, base, row, 1, rows, robots, force)
+            force = _add_row(grid, gains, guided, share, base, row, 1, rows, robots, force)
     else:
-        force = _add_row(grid, gains, guided, ramp, base, robot, grid.docks, rows, robots, force)
+        force = _add_row(grid, gains, guided, share, base, robot, grid.docks, rows, robots, force)
     return force
 
 
 @ti.func
 def step_robot(
-    on_card: Static, grid: Ref, gains: Ref, guided: Static, ramp, base, next_base, robot,
+    on_card: Static, grid: Ref, gains: Ref, guided: Static, share, base, next_base, robot,
     rows: Ref, robots: Ref,
 ):  # fmt: skip
     """Move a robot by its forces; return its squared step and distance from its reference.
 
     A robot whose whole numbers would go beyond the WALL stops there; its step is OUT_OF_REACH.
     """
-    force = _force_on_robot(on_card, grid, gains, guided, ramp, base, robot, rows, robots)
+    force = _force_on_robot(on_card, grid, gains, guided, share, base, robot, rows, robots)
     here = vector_at(robots.position, robot)
     if gains.height_gain > 0.0:  # nested, since the language evaluates both sides of an `and`
         if robots.height[robot] != UNKNOWN:
@@ -235,7 +244,7 @@ def step_robots(
     on_card: Static, steps: Static, guided: Static, docks: I32, own_bits: I32, entry_stride: I32,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
-    stray_limit: Float, unit: Float, first_t: I32, ramp: Reals1,
+    stray_limit: Float, unit: Float, first_t: I32, share: Reals2,
     entry: Ints1, row_first: Ints1, row_count: Ints1,  # Rows
     position_out: Reals2, reference: Reals2, height: Reals1, arm: Reals2, dock_out: Reals1,
     mobility: Reals2, last_step_out: Reals2,  # SwarmState
@@ -256,7 +265,8 @@ def step_robots(
         stray_limit: Distance of a robot from its reference at which rows are stale [R].
         unit: What whole centers and docks are numbers of [R]; unused if they are real.
         first_t: Which step comes first.
-        ramp: Share of attraction in each step, shape (T,).
+        share: Shares of attraction and repulsion in each step, shape (T, 2). They add up to 1, but
+            a small difference of numbers near 1 has few digits in f32.
         control_out: Columns as TAKEN and others name them; read, too.
         largest_move_out: Longest step of a robot in step t [R], shape (T,) or longer.
     """
@@ -281,8 +291,8 @@ def step_robots(
             if control_out[STALE] == 0:
                 base = (first_t + k) % 2 * half
                 moved_by, way = step_robot(
-                    on_card, grid, gains, guided, ramp[first_t + k], base, half - base, robot,
-                    rows, robots,
+                    on_card, grid, gains, guided, share_at(share, first_t + k), base, half - base,
+                    robot, rows, robots,
                 )  # fmt: skip
                 if ti.static(on_card):
                     if way > stray_limit * stray_limit:
@@ -295,7 +305,7 @@ def step_robots(
                     ti.atomic_max(strayed, way)
         if control_out[STALE] == 0:
             control_out[TAKEN] = t + 1
-            gone = strayed > stray_limit * stray_limit or t + 1 == ramp.shape[0]
+            gone = strayed > stray_limit * stray_limit or t + 1 == share.shape[0]
             if ti.static(on_card):
                 gone = gone or control_out[STRAYED] == 1
                 moved = ti.bit_cast(control_out[LONGEST], ti.f32)

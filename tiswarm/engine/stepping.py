@@ -83,8 +83,8 @@ class Stepper:
     moves: DeviceArray
     """Longest step of any robot in each step, kept for calls of as many, shape (T,)."""
 
-    ramp: DeviceArray
-    """Share of attraction in each step, kept for calls of as many, shape (T,)."""
+    share: DeviceArray
+    """Shares of attraction and repulsion in each step, kept for calls of as many, shape (T, 2)."""
 
     spacing: float
     """D."""
@@ -128,7 +128,7 @@ class Stepper:
             mobility=memory.upload(share),
             last_step=memory.reals(*share.shape),
         )
-        self.control, self.moves, self.ramp = memory.ints(4), memory.reals(1), memory.reals(1)
+        self.control, self.moves, self.share = memory.ints(4), memory.reals(1), memory.reals(1, 2)
         seldom = memory.for_few_launches()
         self.structure = seldom.upload(swarm.structure[order])
         turns, body = swarm.orientation_wxyz[order], swarm.dock_offset_body
@@ -149,6 +149,7 @@ class Stepper:
         self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / places.scale
         robots, refill = self.robots, self.memory.refill
         start = state.position[self.order]
+        share = np.column_stack([ramp, 1.0 - ramp])
         take = self._by_structure if self.by_structure else self._all_at_once
         while True:
             refill(robots.position, places.to_numbers(start, places.origin))
@@ -158,7 +159,7 @@ class Stepper:
             kernels.place_docks(
                 places.scale, self.structure, robots.position, robots.arm, robots.dock
             )
-            if found := take(gains, ramp):
+            if found := take(gains, share):
                 return found
 
     def state(self) -> RelaxState:
@@ -179,12 +180,12 @@ class Stepper:
         ordered[self.order] = array
         return ordered
 
-    def _all_at_once(self, gains: Gains, ramp: Reals) -> tuple[Reals, int]:
+    def _all_at_once(self, gains: Gains, share: Reals) -> tuple[Reals, int]:
         """Step by step, each with all threads; make rows anew where they are stale."""
-        neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(ramp)
+        neighbors, robots, control, steps = self.neighbors, self.robots, self.control, len(share)
         if self.moves.shape[0] != steps:
-            self.moves, self.ramp = self.memory.reals(steps), self.memory.reals(steps)
-        self.memory.refill(self.ramp, ramp)
+            self.moves, self.share = self.memory.reals(steps), self.memory.reals(steps, 2)
+        self.memory.refill(self.share, share)
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
         most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
         control.fill(0)
@@ -197,7 +198,7 @@ class Stepper:
                         kernels.step_robots(
                             neighbors.on_card, most, self.is_guided, neighbors.docks,
                             neighbors.own_bits, neighbors.entry_stride, *gains,
-                            0.5 * _SKIN * self.spacing, self.places.scale, t, self.ramp,
+                            0.5 * _SKIN * self.spacing, self.places.scale, t, self.share,
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
@@ -206,15 +207,15 @@ class Stepper:
         moves = self.memory.download(self.moves).astype(np.float64)
         return moves, neighbors.builds - builds_before
 
-    def _by_structure(self, gains: Gains, ramp: Reals) -> tuple[Reals, int] | None:
+    def _by_structure(self, gains: Gains, share: Reals) -> tuple[Reals, int] | None:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
-        ramps, moves = self.memory.upload(ramp), self.memory.reals(structures, len(ramp))
+        shares, moves = self.memory.upload(share), self.memory.reals(structures, len(share))
         stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
         with backend.fast_arithmetic():
             relax_structures(
                 self.is_guided, neighbors.own_bits, neighbors.cutoff, stray_limit,
-                self.places.scale, *gains, ramps, neighbors.structure, *neighbors.cells,
+                self.places.scale, *gains, shares, neighbors.structure, *neighbors.cells,
                 *neighbors.connections, *neighbors.rows, *self.robots, moves,
             )  # fmt: skip
         if (entries := neighbors.fullest()) > neighbors.capacity:

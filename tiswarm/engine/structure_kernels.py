@@ -15,7 +15,7 @@ from tiswarm.compute.neighbor_kernels import (
     list_structure,
 )
 from tiswarm.compute.sorting_kernels import Cells
-from tiswarm.engine.kernels import Gains, SwarmState, step_robot
+from tiswarm.engine.kernels import Gains, SwarmState, share_at, step_robot
 
 
 @ti.kernel
@@ -23,7 +23,7 @@ def relax_structures(
     guided: Static, own_bits: I32, cutoff: Float, stray_limit: Float, unit: Float,
     attraction_gain: Float, repulsion_gain: Float, height_gain: Float, spacing: Float,
     max_step: Float, parting_gain: Float, momentum: Float,  # Gains
-    ramp: Reals1, structure_out: Ints2,
+    share: Reals2, structure_out: Ints2,
     begin_out: Ints1, sorted_dock_out: Ints1, sorted_place_out: Reals1,  # Cells
     connection_start: Ints1, connection: Ints1,  # ConnectedDocks
     entry_out: Ints1, row_first_out: Ints1, row_count_out: Ints1,  # Rows
@@ -39,7 +39,7 @@ def relax_structures(
         guided: Whether robots have a mobility and inertia.
         own_bits: First number of `grid`.
         stray_limit: As for `step_robots`, like `unit`.
-        ramp: Share of attraction in each step, shape (T,).
+        share: Shares of attraction and repulsion in each step, shape (T, 2).
         structure_out: Columns as `neighbor_kernels` names them, shape (S, 10).
         largest_move_out: Longest step of a robot by structure and step [R], shape (S, T).
     """
@@ -65,7 +65,7 @@ def relax_structures(
             )  # fmt: skip
             begin_structure(s, table)
             stale = 1
-            for t in range(ramp.shape[0]):
+            for t in range(share.shape[0]):
                 base = t % 2 * half
                 if stale == 1 and fits(s, table):
                     list_structure(grid, s, base, dock_out, cells, connections, rows, table)
@@ -77,8 +77,8 @@ def relax_structures(
                     moved = 0.0
                     for robot in range(first, end):
                         moved_by, way = step_robot(
-                            False, grid, gains, guided, ramp[t], base, half - base, robot, rows,
-                            robots,
+                            False, grid, gains, guided, share_at(share, t), base, half - base,
+                            robot, rows, robots,
                         )  # fmt: skip
                         moved = ti.max(moved, moved_by)
                         if way > stray_limit * stray_limit:
