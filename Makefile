@@ -11,7 +11,7 @@ GPU_OPTIONS =
 SYSTEM_LIBRARIES = yes
 
 bin = .venv/bin
-inputs = pyproject.toml constraints.txt tiswarm/version.py
+inputs = pyproject.toml constraints.txt tiswarm/base/version.py
 # Each of these files stands for a step that was done; a step is done again once they are older
 # than its inputs.
 installed = .venv/.installed
@@ -100,7 +100,7 @@ $(installed_dev): $(inputs) | $(bin)/python
 	@touch $(installed) $@
 
 # Taichi, open3d and the tests of devices need libraries that pip cannot bring.
-.venv/.system-checked: tiswarm/doctor.py $(installed)
+.venv/.system-checked: tiswarm/app/doctor.py $(installed)
 	@missing=$$($(bin)/tiswarm doctor --missing-packages) \
 		|| { echo "warning: could not look for system libraries" >&2; exit 0; }; \
 	if test -z "$$missing"; then \

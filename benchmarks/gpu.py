@@ -30,14 +30,14 @@ from benchmarks.swarm_step.engines.registry import ENGINES
 from benchmarks.swarm_step.machine import describe
 from benchmarks.swarm_step.process import EngineProcess
 from benchmarks.swarm_step.scenes import Scene, StepParams, make
-from tiswarm import doctor
+from tiswarm.app import doctor
+from tiswarm.base.params import ARCHS
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, cards
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
-from tiswarm.params import ARCHS
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams

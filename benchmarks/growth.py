@@ -14,8 +14,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.robot import RobotGeometry
 from tiswarm.study.provenance import machine, peak_memory_mb
 from tiswarm.world import growth, mechanics
 from tiswarm.world.growth import grow

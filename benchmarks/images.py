@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.compute import backend
 from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import FORCE_COLORS, colors_along

@@ -19,13 +19,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse, robot_errors
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import METHODS
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.study.provenance import machine, peak_memory_mb
 from tiswarm.world.growth import grow

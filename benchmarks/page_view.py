@@ -17,10 +17,10 @@ import pandas as pd
 
 import tiswarm
 from tests.browser import probe
-from tiswarm.aliases import Reals
-from tiswarm.drawing import draw_log
+from tiswarm.app.drawing import draw_log
+from tiswarm.base.aliases import Reals
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.records.positions import read_estimate, read_positions_of
-from tiswarm.robot import RobotGeometry
 
 _ERROR_SD = 0.5  # of estimates [R]
 _TURN = """

@@ -8,8 +8,8 @@ os.environ["TISWARM_DEBUG"] = "1"  # read when the backend starts
 import pytest
 
 from tests import runs
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
-from tiswarm.robot import RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import TowerParams

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 import pytest
 
 from tests.runs import REPOSITORY, environment
-from tiswarm.doctor import find_software_vulkan
+from tiswarm.app.doctor import find_software_vulkan
 
 ARCH = os.environ.get("TISWARM_TEST_ARCH", "vulkan")
 LIBRARIES = [name for name in ("taichi", "quadrants") if find_spec(name)]

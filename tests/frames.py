@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiswarm.robot import RobotGeometry
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.world.mechanics import Frames, Loads, MechanicsParams
 
 BODY = RobotGeometry().dock_offset_body

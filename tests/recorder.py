@@ -1,6 +1,6 @@
 """A receiver of progress reports that keeps them."""
 
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 
 
 class Recorder(Progress):

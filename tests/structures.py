@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import AnyInts
+from tiswarm.base.aliases import AnyInts
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.history import History
 

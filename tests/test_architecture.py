@@ -69,3 +69,11 @@ def test_a_class_name_has_one_meaning():
     )
 
     assert {name for name, count in names.items() if count > 1} == set()
+
+
+def test_the_package_has_at_most_18_entries():
+    """A stranger who lists the folder sees the rooms and little else."""
+    package = REPOSITORY / "tiswarm"
+    entries = {path.name for path in package.iterdir()} - {"__pycache__", "py.typed"}
+
+    assert len(entries) <= 18, sorted(entries)

@@ -22,7 +22,7 @@ an `InputError`.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from tiswarm.version import __version__
+from tiswarm.base.version import __version__
 
 if TYPE_CHECKING:
     from tiswarm.api import (
@@ -38,16 +38,18 @@ if TYPE_CHECKING:
         score,
         view,
     )
+    from tiswarm.app.results import Run, open_run
+    from tiswarm.base.errors import EnvironmentTroubleError, InputError
+    from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
-    from tiswarm.errors import EnvironmentTroubleError, InputError
     from tiswarm.localization.virtual_force import Localizer
-    from tiswarm.results import Run, open_run
 
 __all__ = [
     "EnvironmentTroubleError",
     "InputError",
     "Localizer",
     "RelaxResult",
+    "RobotGeometry",
     "Run",
     "__version__",
     "advise",
@@ -66,12 +68,13 @@ __all__ = [
 ]
 
 _HOME = {
-    "EnvironmentTroubleError": "tiswarm.errors",
-    "InputError": "tiswarm.errors",
+    "EnvironmentTroubleError": "tiswarm.base.errors",
+    "InputError": "tiswarm.base.errors",
     "Localizer": "tiswarm.localization.virtual_force",
     "RelaxResult": "tiswarm.engine.relax",
-    "Run": "tiswarm.results",
-    "open_run": "tiswarm.results",
+    "RobotGeometry": "tiswarm.base.robot",
+    "Run": "tiswarm.app.results",
+    "open_run": "tiswarm.app.results",
     "relax": "tiswarm.engine.relax",
 }
 """Module of each name that is not in `tiswarm.api`."""

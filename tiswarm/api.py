@@ -20,14 +20,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
-from tiswarm.console import ConsoleProgress
-from tiswarm.errors import InputError, warn
-from tiswarm.inspection import AdviceTable, Inspection, inspect
-from tiswarm.logs import Localized, Log, Truth, method_params, open_log
-from tiswarm.params import AnyArch, AnyFormat, AnyPrecision
-from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
-from tiswarm.results import (
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.app.inspection import AdviceTable, Inspection, inspect
+from tiswarm.app.logs import Localized, Log, Truth, method_params, open_log
+from tiswarm.app.results import (
     Comparison,
     Figures,
     File,
@@ -38,6 +34,10 @@ from tiswarm.results import (
     choose,
     open_run,
 )
+from tiswarm.base.errors import InputError, warn
+from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.evaluation.tables import Scores
@@ -157,7 +157,7 @@ def run(
         EnvironmentTroubleError: the machine lacks the device.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
-    from tiswarm.drawing import draw_all  # noqa: PLC0415 - slow to import
+    from tiswarm.app.drawing import draw_all  # noqa: PLC0415 - slow to import
     from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
     progress = ConsoleProgress(quiet=quiet)
@@ -245,7 +245,7 @@ def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> 
         InputError: there are fewer than two different runs, or one has no results.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
-    from tiswarm.progress import Progress  # noqa: PLC0415
+    from tiswarm.base.progress import Progress  # noqa: PLC0415
     from tiswarm.report.table_figures import draw_comparison  # noqa: PLC0415 - slow to import
 
     folder = as_path(out, "out")

@@ -22,7 +22,7 @@ import tiswarm
 from benchmarks.reactivebuild.figures import CAPTIONS, draw_figures
 from benchmarks.reactivebuild.laws import count_verdicts, curves_of, law_points, measure, scorecard
 from benchmarks.reactivebuild.structures import read_structures
-from tiswarm.errors import TiswarmError
+from tiswarm.base.errors import TiswarmError
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, show_pictures
 from tiswarm.report.page_tables import PageTable

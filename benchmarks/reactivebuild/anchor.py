@@ -19,11 +19,11 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rms_radius
 from tiswarm.evaluation.tables import totals
-from tiswarm.robot import RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams

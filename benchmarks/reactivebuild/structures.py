@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import plan
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tiswarm.robot import RobotGeometry
+from tiswarm.base.robot import RobotGeometry
 
 ROBOT = RobotGeometry()
 PITCH = 2.9

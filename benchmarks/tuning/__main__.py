@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.tuning.fit import tune
-from tiswarm.console import ConsoleProgress
-from tiswarm.errors import TiswarmError
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.base.errors import TiswarmError
 from tiswarm.scenario.expansion import load_scenario
 
 

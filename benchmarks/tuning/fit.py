@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Progress
+from tiswarm.base.version import __version__
 from tiswarm.compute import backend
-from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
-from tiswarm.progress import Progress
 from tiswarm.records.io import write_text
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Variant, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import observe
 from tiswarm.study.provenance import all_code
-from tiswarm.version import __version__
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 

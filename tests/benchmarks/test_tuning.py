@@ -8,10 +8,10 @@ import pytest
 from benchmarks.tuning.fit import GAINS, tune
 from tests.benchmarks.commands import call
 from tests.runs import REPOSITORY
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 
 PAPER = REPOSITORY / "scenarios" / "paper.yaml"

@@ -11,7 +11,7 @@ import pytest
 
 import tiswarm as library
 from tests.runs import assert_same_results
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 
 SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
 

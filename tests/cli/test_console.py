@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm import console
-from tiswarm.errors import InputError
+from tiswarm.app import console
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import by_share
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
-from tiswarm.progress import by_share
 from tiswarm.scenario.expansion import find_mistakes
 from tiswarm.scenario.yaml_source import read_yaml
 from tiswarm.sensing import SensingParams, observe

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.runs import REPOSITORY
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.shipped import describe_scenarios, find_scenario, shipped_scenarios
 

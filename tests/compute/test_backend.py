@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import LIBRARY, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
-from tiswarm.errors import EnvironmentTroubleError, InputError
 
 
 def test_a_missing_device_is_refused_not_replaced():

@@ -16,8 +16,8 @@ import pytest
 import tiswarm
 from tests.devices import require, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import backend
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.kernels import note_places
 from tiswarm.localization.joint.problem import pose_problem

@@ -10,16 +10,16 @@ from tests import runs
 from tests.devices import ARCH, LIBRARIES, device_environment, run_child
 from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tiswarm import study
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
 from tiswarm.engine import kernels
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization import registry
 from tiswarm.localization.joint import annealing
 from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.progress import Progress
 from tiswarm.records.positions import write_estimate
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
@@ -47,9 +47,9 @@ _RELAX = """
 import json, sys
 from tests.compute.test_devices import _relaxed
 from tests.devices import ARCH
-from tiswarm import doctor
+from tiswarm.app import doctor
 from tiswarm.compute import backend, cards
-from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.base.errors import EnvironmentTroubleError
 card = cards.find_card(ARCH)
 assert backend.start("auto").arch == ("cpu" if card and card.is_software else ARCH)
 if ARCH == "vulkan":
@@ -102,7 +102,7 @@ import numpy as np
 from tests.compute.test_devices import _annealed
 from tests.devices import ARCH
 from tiswarm.compute import backend
-from tiswarm.robot import RobotGeometry
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
@@ -130,7 +130,7 @@ from tests.devices import ARCH
 from tiswarm.compute import backend
 from tiswarm.localization.params import Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.robot import RobotGeometry
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import lang
-from tiswarm.errors import EnvironmentTroubleError
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 MOST_PARAMETERS = 10

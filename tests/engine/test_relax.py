@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from tests.oracle import swarm_step
 from tiswarm import relax
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, neighbor_list
 from tiswarm.engine import relax as engine
 from tiswarm.engine import stepping
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.robot import RobotGeometry
 
 ROBOT = RobotGeometry()
 GAINS = {"attraction_gain": 0.3, "repulsion_gain": 0.1, "max_step": 0.3}

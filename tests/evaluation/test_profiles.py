@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.evaluation.profiles import (
     BINS,
@@ -16,7 +17,6 @@ from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 
 RNG = np.random.default_rng(3)

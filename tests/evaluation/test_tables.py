@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import by_join, outlier_scores, score, score_files, totals
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import measure
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Convergence
 from tiswarm.records.positions import Truth, write_positions
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import BridgeParams, CantileverParams

@@ -14,15 +14,15 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.params import AnyFormat
+from tiswarm.base.progress import Progress
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.interop.exports import export_view
-from tiswarm.params import AnyFormat
-from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.mcap_file import encode_messages
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.swarm_view import view_log
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing.observation import observe
 from tiswarm.sensing.params import SensingParams
 

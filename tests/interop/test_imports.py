@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tests.runs import REPOSITORY
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.interop.imports import GAINS, Assumptions, import_poses, write_import
 from tiswarm.interop.poses import read_dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
@@ -15,7 +16,6 @@ from tiswarm.localization.registry import localize
 from tiswarm.records.positions import read_positions
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingNoise
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 
 BODY = RobotGeometry().dock_offset_body

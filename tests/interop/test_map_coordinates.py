@@ -13,9 +13,9 @@ import trimesh
 from mcap.reader import make_reader
 
 from tests.structures import Rule, structure
+from tiswarm.base.params import AnyFormat
+from tiswarm.base.progress import Progress
 from tiswarm.interop.exports import export_view
-from tiswarm.params import AnyFormat
-from tiswarm.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.report.swarm_view import view_log
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import tiswarm
+from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.errors import InputError
 from tiswarm.localization.params import BackPropagation, LeastSquaresParams, VirtualForceParams
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe

@@ -9,6 +9,7 @@ import pytest
 from tests import oracle
 from tests.localization.test_problem import true_yaw
 from tests.structures import with_directions, with_fixes, with_ranges
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
@@ -29,7 +30,6 @@ from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.mechanics import MechanicsParams

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import foreign
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.mixture import minimum, mix
@@ -16,7 +17,6 @@ from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import MixtureSettings
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams

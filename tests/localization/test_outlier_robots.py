@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint import outliers
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.odometry import Odometry
+from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.verdicts import describe_outliers
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

@@ -7,6 +7,7 @@ import pytest
 
 import tiswarm
 from tests.runs import REPOSITORY
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import (
     BackPropagation,
     JointParams,
@@ -18,7 +19,6 @@ from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import in_plane
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History

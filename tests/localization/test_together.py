@@ -8,14 +8,14 @@ import pytest
 from tests.engine.test_relax import swarm
 from tests.localization.test_virtual_force import _pair
 from tests.oracle import swarm_step
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
 

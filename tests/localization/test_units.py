@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.params import (
     BackPropagation,
@@ -19,7 +20,6 @@ from tiswarm.localization.params import (
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.consistency import contradictions
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import ClimbParams, TowerParams

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records import io
 from tiswarm.records.positions import read_positions
 
@@ -24,7 +24,7 @@ MAGIC = b"\x89MCAP0\r\n"
 READ = """
 import sys
 from pathlib import Path
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.sensing_file import read_sensing_log
 try:
     read_sensing_log(Path(sys.argv[1]))

@@ -8,8 +8,8 @@ import pytest
 
 from tests.robustness.mutations import Random, damaged
 from tests.runs import REPOSITORY
-from tiswarm.errors import InputError
-from tiswarm.inspection import inspect
+from tiswarm.app.inspection import inspect
+from tiswarm.base.errors import InputError
 from tiswarm.records import io
 from tiswarm.records.positions import read_positions_of, write_positions
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log

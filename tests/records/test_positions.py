@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tests.structures import Rule, structure
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate, Observability
 from tiswarm.records.positions import (
     read_estimate,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.run_folder import check_folders, read_manifest
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records import io
 from tiswarm.records.sensing_file import read_sensing_log
 

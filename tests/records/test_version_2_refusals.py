@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tests.records.test_sensing_refusals import ANCHOR, HEADER, JOINER, STANCE
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import NEW_LISTS, REPEATABLE
 

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.robot import RobotGeometry
 
 ROBOTS = 12
 POSE = "x_R,y_R,z_R,qw,qx,qy,qz,x_est_R,y_est_R,z_est_R,qw_sensed,qx_sensed,qy_sensed,qz_sensed"

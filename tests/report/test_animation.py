@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.progress import Progress
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.render.animation import LAST_MS, animate_run
 from tiswarm.report.run_data import load_run

@@ -6,8 +6,8 @@ from PIL import Image
 
 from tests.recorder import Recorder
 from tests.report.conftest import is_blank, write_case, write_summary, write_table
-from tiswarm.errors import InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.report import figure_style, figures, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,

@@ -11,12 +11,12 @@ import pytest
 import trimesh
 
 from tests.browser import probe
+from tiswarm.app.drawing import draw_log, render_log
+from tiswarm.app.inspection import Findings
+from tiswarm.base.progress import Progress
 from tiswarm.cli import main
-from tiswarm.drawing import draw_log, render_log
-from tiswarm.inspection import Findings
 from tiswarm.interop.exports import export_view
 from tiswarm.measurements.observability import observability
-from tiswarm.progress import Progress
 from tiswarm.records.estimate import MOST_WITHIN, Convergence, Estimate, Solution
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.render import pictures

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from tests.report.conftest import write_summary, write_table
-from tiswarm.errors import InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from tests.report.conftest import is_blank, write_case, write_summary
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Progress
 from tiswarm.report.render.pictures import build_pictures, render_run
 from tiswarm.report.render.raycast import draw_scenes
 from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side

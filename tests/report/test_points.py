@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tests.report.conftest import write_case, write_summary, write_table
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.report import figure_style, figures, table_figures
 from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.report.run_data import load_run

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.report.conftest import write_case, write_summary
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.run_data import load_run
 from tiswarm.report.swarm_view import read_case_view

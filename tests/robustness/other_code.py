@@ -24,8 +24,8 @@ import pytest
 
 import tiswarm
 from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.engine.relax import PreparedSwarm
-from tiswarm.errors import EnvironmentTroubleError, InputError
 
 Call = Callable[[], str]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_results, call, environment
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import Execution, run
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.robustness.mutations import damaged
 from tests.runs import REPOSITORY, assert_same_bytes
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import run
 from tiswarm.study.store import RunFolder

@@ -18,18 +18,18 @@ from tests.structures import (
     with_heights,
     with_ranges,
 )
-from tiswarm.errors import InputError
-from tiswarm.inspection import inspect
+from tiswarm.app.inspection import inspect
+from tiswarm.app.logs import Log
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import AnyFormat
+from tiswarm.base.progress import Progress
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.interop.exports import export_view
 from tiswarm.localization.registry import localize
-from tiswarm.logs import Log
-from tiswarm.params import AnyFormat
-from tiswarm.progress import Progress
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
-from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.sensing.suites import STATIONS

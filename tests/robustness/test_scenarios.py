@@ -7,7 +7,7 @@ import yaml
 
 from tests.robustness.mutations import damaged, mutated
 from tests.runs import REPOSITORY
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.yaml_source import read_yaml
 

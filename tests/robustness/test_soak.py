@@ -7,7 +7,7 @@ import psutil
 import pytest
 
 from tests.runs import REPOSITORY
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario

@@ -7,9 +7,9 @@ import pytest
 from pydantic import Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import STRICT
 from tiswarm.localization.params import JointParams, VirtualForceParams
-from tiswarm.params import STRICT
 from tiswarm.scenario import model
 from tiswarm.scenario.expansion import MAX_LABEL, find_mistakes, variants
 from tiswarm.scenario.model import Scenario

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.base.errors import InputError
 from tiswarm.cli import main
-from tiswarm.errors import InputError
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario.expansion import find_mistakes, load_scenario, variants
 from tiswarm.scenario.validation import localization_params

@@ -8,8 +8,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.robot import SHAPES, RobotGeometry
 from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash, scenario_schema
 from tiswarm.sensing import SensingParams

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.scenario.yaml_source import parse_yaml, read_yaml
 
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tests import oracle, oracle_terrain
 from tests.strategies import vectors
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import RobotGeometry
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.sight import Views, find_lookouts, in_sight
 from tiswarm.world.history import History, Walk

@@ -6,7 +6,7 @@ import pandas as pd
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.cases import batches, plan

@@ -4,8 +4,8 @@ import pandas as pd
 import pytest
 
 from tests.runs import REPOSITORY
-from tiswarm.errors import InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import compare, run
 

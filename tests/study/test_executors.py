@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.runs import REPOSITORY, assert_same_results
+from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError
+from tiswarm.base.progress import Progress
 from tiswarm.compute import backend
-from tiswarm.errors import CasesFailedError, EnvironmentTroubleError
-from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import Execution, run, runner
 
@@ -182,8 +182,8 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
 def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""
-        import tiswarm.version
-        tiswarm.version.code_digest = lambda *_, **__: "0123456789ab"
+        import tiswarm.base.version
+        tiswarm.base.version.code_digest = lambda *_, **__: "0123456789ab"
     """)
     one = ("seeds=1", "conditions={a: {}}")
 

@@ -9,10 +9,11 @@ import pytest
 from PIL import Image
 
 from tests.runs import REPOSITORY, assert_same_bytes
-from tiswarm import drawing, study
-from tiswarm.progress import Progress
+from tiswarm import study
+from tiswarm.app import drawing
+from tiswarm.base.progress import Progress
+from tiswarm.base.robot import SHAPES
 from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.robot import SHAPES
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study.run import RunResult
 

@@ -6,8 +6,8 @@ import pytest
 
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
+from tiswarm.base.progress import Progress
 from tiswarm.localization import virtual_force
-from tiswarm.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner
 from tiswarm.study.runner import SAMPLE_ROBOTS

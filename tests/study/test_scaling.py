@@ -9,7 +9,7 @@ import pytest
 
 from tests.runs import REPOSITORY
 from tiswarm import study
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.report.curve_figures import SCALING_PANELS, draw_scaling
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario

@@ -12,8 +12,8 @@ import pytest
 from tests.recorder import Recorder
 from tests.runs import REPOSITORY, assert_same_bytes
 from tiswarm import study
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Progress
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner, store
 from tiswarm.study.cases import plan

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiswarm.robot import RobotGeometry
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import BridgeParams, CantileverParams, ChainParams

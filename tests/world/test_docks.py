@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests import frames, oracle
-from tiswarm.robot import SHAPES, RobotGeometry
+from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.world.growth import grow
 from tiswarm.world.params import CantileverParams, ClimbParams, TowerParams
 from tiswarm.world.validity import find_fault

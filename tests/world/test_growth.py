@@ -8,9 +8,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from tests import frames, oracle
+from tiswarm.base.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import uniform
-from tiswarm.robot import TANGENT_RHO, RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow, recruit, relay
 from tiswarm.world.history import History

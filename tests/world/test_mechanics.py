@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tests import frames, oracle_frames
 from tests.frames import BODY, Standing
-from tiswarm.robot import SHAPES, RobotGeometry
+from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.world import mechanics
 from tiswarm.world.mechanics import Frames, MechanicsParams, StructureFailure, stiffness
 

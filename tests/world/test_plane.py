@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import frames, oracle
+from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.measurements.cues import measure
-from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History, read_history, write_history

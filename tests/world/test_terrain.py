@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from tests import oracle, oracle_terrain
 from tests.strategies import unit_vectors
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.lang import Reals2, ti
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import RobotGeometry
 from tiswarm.world.climb_arrays import ClimbLimits
 from tiswarm.world.params import ClimbParams
 from tiswarm.world.turn_kernels import slab_angles

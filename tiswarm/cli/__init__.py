@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from tiswarm.app.console import fail
+from tiswarm.base.errors import InputError
 from tiswarm.cli.app import app, main
-from tiswarm.console import fail
-from tiswarm.errors import InputError
 
 # Each module adds its commands, in the order of the help.
 # isort: off
@@ -85,7 +85,7 @@ def doctor(
 
     The list names what to install for the others.
     """
-    from tiswarm.doctor import examine, missing_packages
+    from tiswarm.app.doctor import examine, missing_packages
 
     if only_packages:
         typer.echo(" ".join(missing_packages()))

@@ -15,10 +15,10 @@ from typer import Argument, Option
 from typer.exceptions import TyperException
 
 import tiswarm
-from tiswarm.console import fail
-from tiswarm.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
-from tiswarm.memory import naming_shortage, require_address_space
-from tiswarm.params import AnyArch
+from tiswarm.app.console import fail
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
+from tiswarm.base.memory import naming_shortage, require_address_space
+from tiswarm.base.params import AnyArch
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700

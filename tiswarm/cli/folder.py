@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.base.params import AnyFormat
 from tiswarm.cli.app import (
     Animate,
     Movie,
@@ -18,8 +20,6 @@ from tiswarm.cli.app import (
     show_page,
 )
 from tiswarm.cli.log import EstimateTable, Truth
-from tiswarm.console import ConsoleProgress
-from tiswarm.params import AnyFormat
 
 _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sensing log.")]
 
@@ -30,7 +30,7 @@ def report(
 ) -> None:
     """Redraw tables, figures and report.html of a run."""
     from tiswarm import study
-    from tiswarm.drawing import PAGE, draw
+    from tiswarm.app.drawing import PAGE, draw
     from tiswarm.report.headline import headline
     from tiswarm.report.run_data import load_run
 

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from tiswarm.base.params import AnyPrecision
 from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, refuse, show_page
-from tiswarm.params import AnyPrecision
 
 EstimateTable = Annotated[
     Path | None,
@@ -53,7 +53,7 @@ def localize(
     same.
     """
     from tiswarm import api
-    from tiswarm.errors import NOT_TRUSTED, InputError
+    from tiswarm.base.errors import NOT_TRUSTED, InputError
 
     if opened and report is None:
         raise InputError("needs a page; add --report PAGE", key="--open")
@@ -104,7 +104,7 @@ def view(
     cases of a run that is still computed, and the 3D view of one; Ctrl-C ends the command.
     """
     if live:
-        from tiswarm.live import serve
+        from tiswarm.app.live import serve
 
         refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
@@ -186,9 +186,9 @@ def import_(
     A column `run` names the structure of each row; each then has a folder of its own in --out.
     """
     from tiswarm import api
-    from tiswarm.errors import InputError
+    from tiswarm.base.errors import InputError
+    from tiswarm.base.robot import docks_in_plane
     from tiswarm.interop.poses import read_dock_offsets
-    from tiswarm.robot import docks_in_plane
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")

@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.base.errors import CasesFailedError, InputError
 from tiswarm.cli.app import (
     Animate,
     Movie,
@@ -20,8 +22,6 @@ from tiswarm.cli.app import (
     chosen_movie,
     show_page,
 )
-from tiswarm.console import ConsoleProgress
-from tiswarm.errors import CasesFailedError, InputError
 from tiswarm.records.messages import counted
 
 ScenarioFile = Annotated[
@@ -84,7 +84,7 @@ def run(
         lacking = counted(result.missing, "case")
         progress.info(f"part {shard} is done; other parts still lack {lacking}")
     else:
-        from tiswarm.drawing import PAGE, draw_all
+        from tiswarm.app.drawing import PAGE, draw_all
         from tiswarm.report.headline import headline
 
         draw_all(result, progress, pictures=pictures, pdf=pdf, movie=animated)

@@ -24,13 +24,13 @@ import scipy.linalg.blas
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.memory import naming_shortage, require_address_space
+from tiswarm.base.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 from tiswarm.compute import cards, kernel_cache, program
 from tiswarm.compute.lang import LIBRARY, DeviceArray, ti
 from tiswarm.compute.math_kernels import probe_arithmetic
 from tiswarm.compute.program import Array
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.memory import naming_shortage, require_address_space
-from tiswarm.params import ARCHS, AnyArch, AnyPrecision, Arch, Precision
 
 _START_MB, _THREAD_MB = 1550, 10
 """Address space of a start and a small run, and of each thread; a gigabyte of it is never used."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.params import Arch
+from tiswarm.base.params import Arch
 
 _SUCCESS = 0
 _CUDA_RATE, _CUDA_MULTIPROCESSORS = 87, 16

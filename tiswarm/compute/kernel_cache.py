@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 
-from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.base.errors import EnvironmentTroubleError
 
 _SEAL = "seal"
 

@@ -30,7 +30,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.base.errors import EnvironmentTroubleError
 
 LIBRARIES = {"taichi": "TI", "quadrants": "QD"}
 """The implementations, best first, with the prefix of their environment variables."""

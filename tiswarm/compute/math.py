@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 
 
 def dock_offsets(orientation_wxyz: Reals, dock_offset_body: Reals) -> Reals:

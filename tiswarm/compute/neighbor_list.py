@@ -11,13 +11,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.compute import neighbor_kernels as kernels
 from tiswarm.compute import sorting_kernels as sorting
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.compute.neighbor_kernels import ConnectedDocks, Rows
-from tiswarm.errors import InputError
 
 MOST_ITEMS = 2**31 - 1
 """Largest number that the kernels' integers can hold."""

@@ -17,9 +17,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import kernel_cache
 from tiswarm.compute.lang import LIBRARIES, LIBRARY, ti
-from tiswarm.errors import EnvironmentTroubleError
 
 _PROGRAM = "prog" if LIBRARY == "taichi" else "_prog"
 """Where the library's record of a program has the program itself; it has None after its end."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.engine.kernels import OUT_OF_REACH, UNKNOWN
 
 _SMALLEST = 32.0

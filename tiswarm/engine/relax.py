@@ -14,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import AnyArch, AnyPrecision, Precision
+from tiswarm.base.robot import Robot
 from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Backend
 from tiswarm.engine.kernels import Gains
 from tiswarm.engine.places import Places
 from tiswarm.engine.stepping import RelaxState, Stepper
 from tiswarm.engine.swarm import Swarm
-from tiswarm.errors import InputError
-from tiswarm.params import AnyArch, AnyPrecision, Precision
-from tiswarm.robot import Robot
 
 SMALL = 2_000
 """Most robots of a structure that one thread relaxes by itself, without a pause."""
@@ -76,7 +76,7 @@ def relax(
 
     The bytes of the result depend on the arguments alone, not on threads.
 
-    >>> from tiswarm.robot import RobotGeometry
+    >>> from tiswarm.base.robot import RobotGeometry
     >>> places, level = [[0, 0, 0], [6, 0, 0]], [[1, 0, 0, 0]] * 2
     >>> gains = {"attraction_gain": 0.1, "repulsion_gain": 0.1, "ramp": 1.0}
     >>> result = relax(places, level, [[0, 0, 1, 0]], robot=RobotGeometry(), steps=50, **gains)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import DeviceArray

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import Robot
 from tiswarm.compute.neighbor_list import MOST_ITEMS
-from tiswarm.errors import InputError
-from tiswarm.robot import Robot
 
 _NORM_SLACK = 1e-6
 """Largest deviation of a quaternion's norm from 1."""

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
-from tiswarm.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Reals
 
 
 def robot_errors(estimate: Reals, truth: Reals) -> Reals:

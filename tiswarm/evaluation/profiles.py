@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.measurements.contacts import hops
 from tiswarm.records.estimate import Estimate

@@ -8,8 +8,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-from tiswarm.aliases import AnyInts, Ints, Reals
-from tiswarm.errors import InputError
+from tiswarm.base.aliases import AnyInts, Ints, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
 from tiswarm.measurements.model import Measurements
@@ -18,7 +19,6 @@ from tiswarm.measurements.rigidity import floppy_modes, weld
 from tiswarm.records.estimate import HALF_WITHIN, MOST_WITHIN, Estimate
 from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.robot import RobotGeometry
 from tiswarm.world.history import History
 
 

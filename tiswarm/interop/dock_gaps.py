@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.robot import TANGENT_RHO, docks_in_plane
 from tiswarm.compute.math import dock_offsets
-from tiswarm.robot import TANGENT_RHO, docks_in_plane
 
 FARTHEST_SHOWN = 0.5
 """Gaps and overlaps up to this many dock radii are in the histogram."""

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.params import AnyFormat
+from tiswarm.base.progress import Progress
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import EnvironmentTroubleError
 from tiswarm.interop.factor_graph import encode_factor_graph
 from tiswarm.interop.particles import encode_gsd
-from tiswarm.params import AnyFormat
-from tiswarm.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.sensing_file import log_entries

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.report.swarm_view import SwarmView

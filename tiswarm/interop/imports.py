@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.errors import InputError
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.robot import FIREANT_RHO, docks_in_plane
 from tiswarm.interop.dock_gaps import FARTHEST_SHOWN, guess_dock_offset, histogram, surface_gaps
 from tiswarm.interop.poses import Poses, read_contacts, read_poses
 from tiswarm.measurements.contacts import dock_pairs
@@ -22,7 +23,6 @@ from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
 from tiswarm.records.sensing_format import MOST_CONTACTS
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
-from tiswarm.robot import FIREANT_RHO, docks_in_plane
 
 TOLERANCE = 0.02
 """Largest gap and overlap of a contact unless stated otherwise [dock radii]."""

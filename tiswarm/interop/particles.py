@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.errors import EnvironmentTroubleError
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.report.swarm_view import SwarmView
 
 _MOST_FRAMES = 200

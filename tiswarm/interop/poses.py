@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.records.io import CsvFile
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
 from tiswarm.records.sensing_log import FARTHEST

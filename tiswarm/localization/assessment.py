@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
 from tiswarm.localization.params import CUES, LARGE, ChiSquareParams

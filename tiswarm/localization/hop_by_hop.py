@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.params import HopByHopParams
 from tiswarm.localization.trilateration import POINTS, Ties, Trilateration, length, outer, unit
@@ -34,7 +35,6 @@ from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING
-from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -9,7 +9,8 @@ from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
 from tiswarm.localization.hop_by_hop import place
 from tiswarm.localization.joint.chains import Annealed
@@ -19,7 +20,6 @@ from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.rows import SPACING
-from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

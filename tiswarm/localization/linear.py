@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 
 _DRAWS = 64

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from tiswarm.base.params import STRICT
 from tiswarm.measurements.cues import cue_names
-from tiswarm.params import STRICT
 
 CUES = (
     "contacts",

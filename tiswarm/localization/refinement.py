@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.linear import NOMINAL, Linear, LinearRows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned

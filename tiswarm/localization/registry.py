@@ -6,17 +6,17 @@ from types import ModuleType
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.progress import Advance, by_share, ignore
 from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Backend
-from tiswarm.errors import InputError
 from tiswarm.localization import hop_by_hop, least_squares, virtual_force
 from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.orientations import with_orientations
-from tiswarm.params import AnyArch, AnyPrecision
-from tiswarm.progress import Advance, by_share, ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

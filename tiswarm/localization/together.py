@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.engine.relax import SMALL, PreparedSwarm
@@ -26,7 +27,6 @@ from tiswarm.localization.params import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.rows import SPACING
-from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING
 

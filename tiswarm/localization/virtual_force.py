@@ -18,11 +18,12 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import ignore
 from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.localization import together
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
@@ -38,7 +39,6 @@ from tiswarm.localization.virtual_force_arrays import (
 from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
 from tiswarm.measurements.cues import in_plane, measure
-from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder

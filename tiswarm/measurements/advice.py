@@ -26,7 +26,7 @@ import numpy as np
 from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
 from scipy.spatial.distance import cdist
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array, coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.sensing_log import SensingLog
 

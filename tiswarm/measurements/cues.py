@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry

@@ -23,7 +23,7 @@ from itertools import product
 import numpy as np
 from scipy.sparse import csc_array
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.rows import (
     NO_COORDINATES,

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import Measured, cue_names, measure

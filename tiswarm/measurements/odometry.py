@@ -8,7 +8,7 @@ from copy import copy
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.orientations import ASSUMED, with_orientations
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.records.sensing_format import STANCE_LISTS
 from tiswarm.records.sensing_log import SensingLog, SensingNoise

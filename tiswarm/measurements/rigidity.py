@@ -13,7 +13,7 @@ from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from tiswarm.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.measurements.model import Measurements
 

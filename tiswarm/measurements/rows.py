@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import UNKNOWN, Odometry

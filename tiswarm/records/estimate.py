@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.errors import InputError
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.io import damaged, run_file, write_text
 
 _GREATEST = 1e12

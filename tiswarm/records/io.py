@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 
 if sys.version_info >= (3, 14):
     from compression import zstd

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.io import MAX_LINE_BYTES, decode, unpacked, unreadable
 
 SENSING = "sensing"

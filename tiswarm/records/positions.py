@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.errors import InputError
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate, Observability, position_columns
 from tiswarm.records.io import CsvFile, write_text
 from tiswarm.records.sensing_log import SensingLog

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ConfigDict, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.io import read_json, write_json
 
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")

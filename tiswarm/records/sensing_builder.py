@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.messages import shown
 from tiswarm.records.sensing_format import (
     MOST_CONTACTS,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
 from tiswarm.records.mcap_file import sensing_lines
 from tiswarm.records.sensing_builder import SensingLogBuilder

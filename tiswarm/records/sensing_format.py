@@ -26,8 +26,8 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from tiswarm.errors import InputError
-from tiswarm.params import STRICT
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import STRICT
 from tiswarm.records.messages import dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, SensingNoise
 

@@ -9,8 +9,8 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from tiswarm.aliases import Ints, Reals
-from tiswarm.params import STRICT
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.params import STRICT
 from tiswarm.records.messages import counted
 
 FARTHEST = 1e10

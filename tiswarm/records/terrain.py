@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
 
 EDGE_RADIUS = 1.0
 """Radius of a rounded edge, and half the thickness of a slab [R]."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:

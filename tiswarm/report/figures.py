@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiswarm.aliases import Reals
-from tiswarm.progress import Progress
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.records.terrain import EDGE_RADIUS, NO_EDGE, Terrain
 
 _STANDING = 0.1  # gap to the ground below which a dock stands on it [R]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
 from tiswarm.report.run_data import swept_columns, swept_words

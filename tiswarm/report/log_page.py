@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.measurements.advice import IMAGES_APART
 from tiswarm.measurements.contacts import contact_count
+from tiswarm.measurements.verdicts import distrust, headline, verdict
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
@@ -17,7 +18,6 @@ from tiswarm.report.page import Page
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
 from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
-from tiswarm.verdicts import distrust, headline, verdict
 
 
 def gather_log_page(

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from PIL import Image
 
-from tiswarm.errors import InputError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import InputError
+from tiswarm.base.progress import Progress
 from tiswarm.records.io import damaged, run_file, write_text
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from tiswarm.measurements.verdicts import describe_misfit
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
 from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import swept_columns, swept_words
-from tiswarm.verdicts import describe_misfit
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""

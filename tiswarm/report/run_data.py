@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from tiswarm.aliases import Reals
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.run_folder import case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.estimate import MOST_WITHIN
 from tiswarm.report.ground import ground_pieces

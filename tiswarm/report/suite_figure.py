@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, marker_style, new_panels, shortened
 from tiswarm.report.headline import FEWEST_FOR_CI

@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
-from tiswarm.errors import InputError
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame

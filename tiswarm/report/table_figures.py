@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from tiswarm.progress import Progress
+from tiswarm.base.progress import Progress
 from tiswarm.records.frames import read_frame
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted

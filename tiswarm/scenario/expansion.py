@@ -16,7 +16,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
 from tiswarm.scenario.shipped import find_scenario

@@ -23,9 +23,9 @@ from pydantic import (
 )
 from pydantic.dataclasses import dataclass
 
+from tiswarm.base.params import STRICT
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
-from tiswarm.params import STRICT
-from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, validate
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams

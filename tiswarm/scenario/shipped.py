@@ -5,9 +5,9 @@ from pathlib import Path
 
 import yaml
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 
-_FOLDER = Path(__file__).parents[1] / "scenarios"
+_FOLDER = Path(__file__).parent / "files"
 
 
 def shipped_scenarios() -> dict[str, Path]:

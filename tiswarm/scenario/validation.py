@@ -12,9 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from pydantic_core import ErrorDetails
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import STRICT
 from tiswarm.localization.params import CUES, LocalizationParams
-from tiswarm.params import STRICT
 from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 

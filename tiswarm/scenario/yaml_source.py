@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.io import decode, unreadable
 from tiswarm.records.messages import Part, dotted
 

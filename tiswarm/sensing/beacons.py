@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import normal
 from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.sight import Lookouts, in_sight

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import AnyInts, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal, uniform
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
 from tiswarm.sensing.beacons import sense_fixes
@@ -27,7 +27,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     A random draw depends on the seed of the history, the robot, and the stance or contact only.
     The only positions of the log are the anchor's and, if set, measured ones: spawns and fixes.
 
-    >>> from tiswarm.robot import RobotGeometry
+    >>> from tiswarm.base.robot import RobotGeometry
     >>> from tiswarm.world.growth import grow
     >>> from tiswarm.world.params import TowerParams
     >>> [history] = grow(TowerParams(), robots=3, seeds=[0], robot=RobotGeometry())

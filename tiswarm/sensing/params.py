@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
-from tiswarm.params import STRICT
+from tiswarm.base.params import STRICT
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
 from tiswarm.sensing.suites import SUITES, SuiteName
 

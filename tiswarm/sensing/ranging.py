@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import normal
 from tiswarm.sensing.params import SensingParams
 from tiswarm.sensing.sight import Lookouts, Views, in_sight

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import make_folder
 from tiswarm.study.store import CaseRecord, RunFolder

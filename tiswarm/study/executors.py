@@ -22,11 +22,11 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
-from tiswarm.child import child_command
+from tiswarm.base.child import child_command
+from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.compute.backend import available_threads
-from tiswarm.errors import EnvironmentTroubleError, TiswarmError
-from tiswarm.progress import Progress
 from tiswarm.study.runner import Job, Outcome, run_job
 
 CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer

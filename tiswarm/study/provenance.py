@@ -17,6 +17,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
+from tiswarm.base.version import __version__, code_digest
 from tiswarm.compute.backend import Backend
 from tiswarm.compute.machine import machine
 from tiswarm.localization import registry
@@ -26,7 +27,6 @@ from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.study.cases import ROBOTS_AT_ONCE, structure_kind
-from tiswarm.version import __version__, code_digest
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 

@@ -6,17 +6,17 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiswarm.compute import backend
-from tiswarm.errors import (
+from tiswarm.base.errors import (
     CasesFailedError,
     EnvironmentTroubleError,
     InputError,
     OutOfMemoryError,
     TiswarmError,
 )
+from tiswarm.base.params import AnyArch, Arch
+from tiswarm.base.progress import Progress
+from tiswarm.compute import backend
 from tiswarm.localization import registry
-from tiswarm.params import AnyArch, Arch
-from tiswarm.progress import Progress
 from tiswarm.records.frames import write_frame
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted

@@ -9,6 +9,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from tiswarm.base.memory import naming_shortage
+from tiswarm.base.params import AnyPrecision, Arch
+from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation import tables as scores
@@ -16,9 +19,6 @@ from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.params import JointParams, LocalizationParams
 from tiswarm.localization.registry import localize_many, start_for, title
 from tiswarm.measurements.cues import measure
-from tiswarm.memory import naming_shortage
-from tiswarm.params import AnyPrecision, Arch
-from tiswarm.progress import Advance, Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog

@@ -16,8 +16,9 @@ import pandas as pd
 from pydantic import ConfigDict, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.params import STRICT
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.params import STRICT
+from tiswarm.base.version import __version__
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame
 from tiswarm.records.io import (
@@ -36,7 +37,6 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, series_text, structure_key
 from tiswarm.study.provenance import Cost, case_code, structure_code
-from tiswarm.version import __version__
 from tiswarm.world.history import History, read_history, write_history
 
 _COST = "cost.json"

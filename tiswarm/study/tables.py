@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.records.frames import read_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
-from tiswarm.robot import RobotGeometry
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES

@@ -18,12 +18,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.progress import Advance, ignore
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
-from tiswarm.progress import Advance, ignore
-from tiswarm.robot import RobotGeometry
 from tiswarm.world.climb_arrays import StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.mechanics import Frames, StructureFailure

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.io import replacing
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world.params import StructureParams
 
 

@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
-from tiswarm.aliases import AnyInts, Reals
+from tiswarm.base.aliases import AnyInts, Reals
+from tiswarm.base.params import STRICT
 from tiswarm.compute import backend, program
-from tiswarm.params import STRICT
 from tiswarm.world.elimination_kernels import (
     HALF_COLUMNS,
     NODE_COLUMNS,

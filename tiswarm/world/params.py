@@ -7,10 +7,10 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from tiswarm.aliases import Reals
-from tiswarm.params import STRICT
+from tiswarm.base.aliases import Reals
+from tiswarm.base.params import STRICT
+from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
-from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world.mechanics import MechanicsParams
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from tiswarm.aliases import Reals
-from tiswarm.errors import TiswarmError
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import TiswarmError
+from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.terrain import Terrain
-from tiswarm.robot import PlanarRobot, RobotGeometry
 from tiswarm.world import flip_kernels
 from tiswarm.world.climb_arrays import (
     EDGE,

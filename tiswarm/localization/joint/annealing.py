@@ -9,7 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import ignore
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator, Backend
 from tiswarm.compute.lang import GRAIN, DeviceArray
@@ -42,7 +43,6 @@ from tiswarm.localization.joint.upload import (
 )
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.rows import SPACING
-from tiswarm.progress import ignore
 from tiswarm.records.sensing_log import SensingLog
 
 _BYTES = 1_000

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem

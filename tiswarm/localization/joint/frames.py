@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.measurements.model import Measurements
 
 _UNRESISTED = 1e-6

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
@@ -16,7 +17,6 @@ from tiswarm.localization.joint.outliers import disregard, explains
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.params import ChiSquareParams, JointParams
-from tiswarm.progress import ignore
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog

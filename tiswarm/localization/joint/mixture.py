@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import misfit_by_robot
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further

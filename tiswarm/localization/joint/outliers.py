@@ -14,7 +14,7 @@ from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.problem import NO_ROBOTS, Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule, OutlierRobotSettings

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.planes import Planes, measured_planes
 from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import ChiSquareParams

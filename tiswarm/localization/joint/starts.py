@@ -5,7 +5,7 @@ from scipy.linalg import eigh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.measurements.rows import SPACING
 

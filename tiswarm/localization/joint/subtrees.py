@@ -12,7 +12,7 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse.csgraph import dijkstra
 
-from tiswarm.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.localization.joint.arrays import WEIGHT, Subtrees
 from tiswarm.localization.joint.problem import Problem

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.backend import Allocator
 from tiswarm.compute.lang import DeviceArray
 from tiswarm.localization.joint.arrays import (

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from PIL import Image
 
-from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.progress import Progress
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.render.pictures import Rendered, Scale, add_legend

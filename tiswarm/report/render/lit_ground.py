@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report.ground import Slab, shown_slabs, standing_docks
 from tiswarm.report.render.shade import Array32, blocked_light

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Ints
+from tiswarm.base.aliases import Ints
 from tiswarm.report.render.scene import Scene
 from tiswarm.report.render.shade import Array32
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import Progress
 from tiswarm.measurements.contacts import hops
-from tiswarm.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import (

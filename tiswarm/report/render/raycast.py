@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.aliases import Bools, Ints, Reals
-from tiswarm.errors import EnvironmentTroubleError, InputError
-from tiswarm.progress import Advance, ignore
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Advance, ignore
 from tiswarm.report.render.mesh import mesh_capsules
 from tiswarm.report.render.scene import Scene, color_of_capsules, relative_light
 from tiswarm.report.render.shade import Array32

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from tiswarm.aliases import Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report.ground import shown_slabs
 from tiswarm.report.render.lit_ground import Ground, lay_ground

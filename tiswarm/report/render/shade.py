@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 
 Array32 = NDArray[np.float32]
 

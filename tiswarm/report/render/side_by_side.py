@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageChops, ImageDraw, ImageFont
 
-from tiswarm.aliases import Reals
+from tiswarm.base.aliases import Reals
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.report.figure_style import ERROR_COLORS, colors_along
 from tiswarm.report.render.raycast import Picture, draw_scenes

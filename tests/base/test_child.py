@@ -4,7 +4,7 @@ import os
 import subprocess
 
 from tests.runs import REPOSITORY
-from tiswarm.child import child_command
+from tiswarm.base.child import child_command
 
 
 def test_a_child_imports_nothing_of_the_working_folder(tmp_path):

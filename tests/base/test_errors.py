@@ -3,7 +3,7 @@
 import pickle
 from pathlib import Path
 
-from tiswarm.errors import EnvironmentTroubleError, InputError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 
 
 def test_what_a_terminal_obeys_is_escaped():

@@ -13,8 +13,8 @@ from pydantic import Field, ValidationInfo, field_validator
 from pydantic.dataclasses import dataclass
 from scipy.spatial.distance import pdist
 
-from tiswarm.aliases import Reals
-from tiswarm.params import STRICT
+from tiswarm.base.aliases import Reals
+from tiswarm.base.params import STRICT
 
 FIREANT_RHO = 1.506
 TANGENT_RHO = 2.0 / math.sqrt(3.0)

@@ -12,11 +12,11 @@ import numpy as np
 import psutil
 import pytest
 
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, OutOfMemoryError
+from tiswarm.base.memory import naming_shortage
 from tiswarm.cli import main
 from tiswarm.compute import backend
 from tiswarm.compute.lang import ti
-from tiswarm.errors import EnvironmentTroubleError, InputError, OutOfMemoryError
-from tiswarm.memory import naming_shortage
 
 KERNELS = "[host_memory_pool.cpp:allocate_raw_memory@62] Virtual memory allocation (777 B) failed."
 

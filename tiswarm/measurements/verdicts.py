@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiswarm.aliases import AnyInts, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Ints, Reals
 from tiswarm.measurements.consistency import HEADER_LINES
 from tiswarm.measurements.contacts import parts, reach
 from tiswarm.measurements.cues import Measured, measure

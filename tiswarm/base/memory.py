@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tiswarm.errors import EnvironmentTroubleError, OutOfMemoryError
+from tiswarm.base.errors import EnvironmentTroubleError, OutOfMemoryError
 
 _SHORTAGE = re.compile(
     r"memory allocation|out of (device |host )?memory|malloc fails", re.IGNORECASE

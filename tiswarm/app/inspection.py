@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.measurements.advice import IMAGES_APART, advise
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.units import COLUMNS, Slip, slips
-from tiswarm.records.estimate import Estimate, Observability
-from tiswarm.records.messages import counted
-from tiswarm.records.sensing_file import read_sensing_log
-from tiswarm.records.sensing_log import SensingLog
-from tiswarm.verdicts import (
+from tiswarm.measurements.verdicts import (
     MOST_SHOWN,
     cautions,
     describe_outliers,
@@ -31,6 +27,10 @@ from tiswarm.verdicts import (
     solution_name,
     verdict,
 )
+from tiswarm.records.estimate import Estimate, Observability
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_file import read_sensing_log
+from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     import pandas as pd

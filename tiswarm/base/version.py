@@ -16,7 +16,7 @@ _IMPORT = re.compile(
 def code_digest(
     modules: Iterable[str],
     apart: Mapping[str, Collection[str]] | None = None,
-    package: Path = Path(__file__).parent,
+    package: Path = Path(__file__).parents[1],
 ) -> str:
     """Return twelve hex digits of the source of modules and of all that they import.
 

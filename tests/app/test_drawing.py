@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from tests.runs import assert_same_results
-from tiswarm import drawing
-from tiswarm.drawing import draw_all
-from tiswarm.progress import Progress
+from tiswarm.app import drawing
+from tiswarm.app.drawing import draw_all
+from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import read_manifest
 from tiswarm.report.render.pictures import Rendered
 from tiswarm.report.run_data import load_run

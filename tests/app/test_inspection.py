@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.inspection import AdviceTable, advice_rows, inspect
+from tiswarm.app.inspection import AdviceTable, advice_rows, inspect
 from tiswarm.measurements import advice
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from tiswarm import doctor
-from tiswarm.doctor import draw_test_picture, missing_packages
+from tiswarm.app import doctor
+from tiswarm.app.doctor import draw_test_picture, missing_packages
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ _PARTS = 64
 
 
 class Progress:
-    """Receiver of progress reports; this one ignores them, `tiswarm.console` shows them."""
+    """Receiver of progress reports; this one ignores them, `tiswarm.app.console` shows them."""
 
     def info(self, text: str) -> None:
         """Report one line."""

@@ -11,9 +11,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from tiswarm.console import ConsoleProgress
-from tiswarm.errors import InputError
-from tiswarm.params import AnyFormat
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.base.errors import InputError
+from tiswarm.base.params import AnyFormat
 from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Run:
 
     def view(self, *, quiet: bool = False) -> Path:
         """Return the run's page, `report.html`; write it if there is none."""
-        from tiswarm.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
+        from tiswarm.app.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         page = self.folder / PAGE
@@ -118,7 +118,7 @@ class Run:
         Returns:
             Figures and renders of the run by name.
         """
-        from tiswarm.drawing import draw  # noqa: PLC0415 - slow to import
+        from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
 
         data, progress = load_run(self.folder), ConsoleProgress(quiet=quiet)

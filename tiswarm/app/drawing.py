@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tiswarm.aliases import Reals
-from tiswarm.progress import Progress
+from tiswarm.base.aliases import Reals
+from tiswarm.base.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import digest, make_folder, write_bytes, write_text
 from tiswarm.records.run_folder import Origin, read_manifest, write_manifest

@@ -10,8 +10,8 @@ from typing import Any
 import rich.progress
 from rich.console import Console
 
-from tiswarm.errors import InputError, TiswarmError
-from tiswarm.progress import Advance, Progress, ignore
+from tiswarm.base.errors import InputError, TiswarmError
+from tiswarm.base.progress import Advance, Progress, ignore
 
 _LINE_EVERY_S = 30.0
 """Least time between two progress lines where there is no terminal to draw a bar on."""

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiswarm.aliases import Reals
-from tiswarm.console import ConsoleProgress
-from tiswarm.errors import warn
-from tiswarm.inspection import AdviceTable, Findings
-from tiswarm.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.app.console import ConsoleProgress
+from tiswarm.app.inspection import AdviceTable, Findings
+from tiswarm.app.results import Figures, File, Overrides, as_path, as_texts, plain
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import warn
+from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
-from tiswarm.results import Figures, File, Overrides, as_path, as_texts, plain
 
 if TYPE_CHECKING:
     from tiswarm.localization.params import LocalizationParams
@@ -185,7 +185,7 @@ class Localized(Estimate):
         Returns:
             The page.
         """
-        from tiswarm.drawing import draw_log  # noqa: PLC0415 - slow to import
+        from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
 
         page, findings = as_path(out, "out"), self.findings
         draw_log(
@@ -214,7 +214,7 @@ class Localized(Estimate):
         Returns:
             The pictures by name.
         """
-        from tiswarm.drawing import render_log  # noqa: PLC0415 - slow to import
+        from tiswarm.app.drawing import render_log  # noqa: PLC0415 - slow to import
 
         shown, progress = self._shown(truth), ConsoleProgress(quiet=quiet)
         return Figures.of(render_log(shown, as_path(out, "out"), progress, renderer=renderer))

@@ -8,12 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiswarm.errors import InputError
+from tiswarm.base.errors import InputError
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, Solution
-from tiswarm.records.messages import percent
-from tiswarm.sensing import SensingParams, observe
-from tiswarm.verdicts import (
+from tiswarm.measurements.verdicts import (
     MOST_SHOWN,
     cautions,
     describe_outliers,
@@ -22,6 +19,9 @@ from tiswarm.verdicts import (
     headline,
     verdict,
 )
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, Solution
+from tiswarm.records.messages import percent
+from tiswarm.sensing import SensingParams, observe
 
 LOG = Path("log.jsonl")
 GOOD = Convergence(converged=True, consistent=True, misfit_sd=-0.3, chains=8, restarted=0)

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from tiswarm import version
+from tiswarm.base import version
 from tiswarm.localization import registry
 from tiswarm.study import provenance
 from tiswarm.study.provenance import all_code, case_code, structure_code
 
-PACKAGE = Path(__file__).parents[1] / "tiswarm"
+PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(registry.METHODS)
 
 
@@ -40,7 +40,7 @@ def _edit(path):
     ("name", "changed"),
     [
         ("world/growth.py", {*METHODS, "structures", "all"}),
-        ("robot.py", {*METHODS, "structures", "all"}),
+        ("base/robot.py", {*METHODS, "structures", "all"}),
         ("evaluation/metrics.py", {*METHODS, "all"}),
         ("sensing/observation.py", {*METHODS, "all"}),
         ("study/runner.py", {*METHODS, "all"}),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from tiswarm.robot import FIREANT_RHO, SHAPES, RobotGeometry
+from tiswarm.base.robot import FIREANT_RHO, SHAPES, RobotGeometry
 
 EDGES = {  # edge of the regular shape whose corners are 1 from the center
     "line": 2.0,

@@ -17,7 +17,7 @@ from urllib.parse import quote, unquote, urlsplit
 import pandas as pd
 
 from tiswarm import study
-from tiswarm.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, render
 from tiswarm.report.page_tables import PageTable, case_table

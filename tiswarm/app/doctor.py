@@ -17,14 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tiswarm.child import child_command
+from tiswarm.base.child import child_command
+from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.params import ARCHS, Arch
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.machine import machine
-from tiswarm.errors import EnvironmentTroubleError
-from tiswarm.params import ARCHS, Arch
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
 from tiswarm.report.render.scene import DrawnRobots, Look, build_scene
-from tiswarm.robot import RobotGeometry
 
 _PROBE_SECONDS = 60
 _ROBOTS, _STEPS = 10_000, 20
@@ -44,8 +44,8 @@ _TAICHI_LIBRARIES = frozenset({"libX11.so.6"})
 
 _PROBE = """
 import sys
-from tiswarm import doctor
-from tiswarm.errors import TiswarmError
+from tiswarm.app import doctor
+from tiswarm.base.errors import TiswarmError
 try:
     print(getattr(doctor, sys.argv[1])(sys.argv[2]))
 except TiswarmError as error:

@@ -1,0 +1,1 @@
+"""What every room uses: errors, checks of parameters, progress, the version, a robot's docks."""
