@@ -4,8 +4,10 @@ import warnings
 
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from tiswarm.records.frames import read_frame
+from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import replacing, write_bytes, write_text
 
 
@@ -66,3 +68,13 @@ def test_a_wide_table_takes_further_columns(tmp_path, monkeypatch):
         warnings.simplefilter("error")
         table["further"] = 1.0
     assert table.shape == (1, 151)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.floats(-1e12, 1e12), min_size=1, max_size=40))
+def test_a_table_reads_back_to_the_same_bits(tmp_path, numbers):
+    """No number of a run changes because a figure or a report read it from a table."""
+    path = tmp_path / "table.csv"
+    write_frame(pd.DataFrame({"x": numbers}), path)
+
+    assert read_frame(path, numbers=["x"])["x"].astype(float).tolist() == numbers

@@ -1,4 +1,9 @@
-"""Tables of a run as data frames: written whole, read with errors by file, line and column."""
+"""Tables of a run as data frames: written whole, read with errors by file, line and column.
+
+Tables of users are read by `records.io.CsvFile`, which names the line of every mistake and imports
+no pandas. Tables of a run are our own, and may have a million rows, for which text would take too
+much memory.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,8 +47,13 @@ def read_frame(
         InputError: the table is missing or malformed; names file, line and column.
     """
     run_file(path)
-    # Only empty cells are unknown: a condition may be called `NA` or `null`.
-    read: dict[str, Any] = {"keep_default_na": False, "na_values": [""], "low_memory": False}
+    read: dict[str, Any] = {
+        # Only empty cells are unknown: a condition may be called `NA` or `null`.
+        "keep_default_na": False, "na_values": [""],
+        # The quicker default is wrong in the last bit of half of all numbers.
+        "float_precision": "round_trip",
+        "low_memory": False,
+    }  # fmt: skip
     try:
         found = list(pd.read_csv(path, nrows=0, **read).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
