@@ -3,8 +3,8 @@
     python -m tests.robustness.mutate_code --count 300 --seed 0
 
 A mutant is a copy of the code with one small mistake: another sign, operator, constant, comparison,
-function or index. First all tests of the numerical rooms run once, but for what takes too long,
-which notes how long each takes and what lines it executes. Then each mutant is given the tests that
+function or index. First all tests of the numerical rooms run once, which notes how long each takes
+and what lines it executes. Then each mutant is given the tests that
 execute its line, the quickest first, until one fails. The table `mutants.csv` has a row for each:
 number, file, line, the line before and after, outcome, and the test that noticed it. What no test
 notices is equal in effect, only slower, or a hole of the tests: a person has to look.
@@ -21,7 +21,6 @@ import os
 import random
 import re
 import shutil
-import signal
 import subprocess
 import sys
 from collections import defaultdict
@@ -29,7 +28,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
 from coverage import Coverage, CoverageData
 
 REPOSITORY = Path(__file__).parents[2]
@@ -222,23 +220,6 @@ def pytest_runtest_logstart(nodeid):
     """Note the lines of a test with its fixtures."""
     if "MUTANTS_RECORD" in os.environ:
         _coverage.switch_context(nodeid)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_call():
-    """Skip a test that takes too long to be given to mutants."""
-
-    def skip(*_):
-        pytest.skip("too slow for a mutant")
-
-    if "MUTANTS_RECORD" in os.environ:
-        signal.signal(signal.SIGALRM, skip)
-        signal.setitimer(signal.ITIMER_REAL, SLOWEST_S)
-
-
-def pytest_runtest_teardown():
-    """Stop the clock of a test."""
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def pytest_runtest_logreport(report):
