@@ -15,7 +15,8 @@ from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
-from tiswarm.report.headline import conclusion, result_of
+from tiswarm.report.comparison import conclusion
+from tiswarm.report.headline import result_of
 from tiswarm.report.page import show_pictures, write_page
 from tiswarm.report.page_tables import (
     case_table,
@@ -195,30 +196,56 @@ def test_cases_that_are_not_consistent_are_named_with_the_reason():
     assert too_good.endswith("At most, chi-square is below its expectation by 8 sd.")
 
 
+def _pairs(first, second, *, rmse=(1.0, 2.0), equal=True, structures=2, **point):
+    """Return the difference of two conditions on some structures, in all of which it has a sign."""
+    smaller = structures if rmse[1] < rmse[0] else 0
+    return {
+        "condition": second, "against": first, **point, "measure": "rmse_R",
+        "structures": structures, "smaller": smaller, "equal_measurements": equal,
+    }  # fmt: skip
+
+
 def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():
     """Conditions are compared at the same sweep point only."""
     table = pd.DataFrame({"condition": [*"abab"], "tilt": [0, 0, 1, 1], "cases": 2})
-    wins = [table.assign(rmse_R_mean=rmse) for rmse in ([1.0, 2.0, 9.0, 3.0], [1.0, 2.0, 1.0, 3.0])]
+    texts = []
+    for rmse in ([1.0, 2.0, 9.0, 3.0], [1.0, 2.0, 1.0, 3.0]):
+        pairs = [_pairs("a", "b", rmse=rmse[:2], tilt=0), _pairs("a", "b", rmse=rmse[2:], tilt=1)]
+        texts.append(conclusion(table.assign(rmse_R_mean=rmse), pd.DataFrame(pairs)))
 
-    assert conclusion(wins[0]) == "a has the smallest RMSE at 1 of 2 sweep points, b at 1"
-    assert conclusion(wins[1]) == "a has the smallest RMSE at 2 of 2 sweep points"
+    same = "with the same measurements, a has the smallest RMSE at "
+    assert texts == [same + "1 of 2 points, b at 1", same + "2 of 2 points"]
 
 
 def test_swept_methods_are_compared_under_each_condition():
     """Conditions are levels of noise there, and no noise would always win."""
     table = pd.DataFrame({"condition": ["none", "much"] * 2, "cases": 2})
     table.insert(1, "localization.method", [*"aabb"])
+    rmse = np.array([1.0, 9.0, 2.0, 10.0])
+    table = table.assign(rmse_R_mean=rmse, rmse_R_least=rmse - 0.1, rmse_R_most=rmse + 0.1)
 
-    text = conclusion(table.assign(rmse_R_mean=[1.0, 9.0, 2.0, 10.0]))
+    text = conclusion(table.assign(measurements="contacts"), pd.DataFrame())
 
-    assert text == "a has the smallest RMSE under 2 of 2 conditions"
+    assert text == "with the same measurements, a has the smallest RMSE under 2 of 2 conditions"
+    others = ["contacts", "contacts", "ranges", "ranges"]
+    assert conclusion(table.assign(measurements=others), pd.DataFrame()) == ""
 
 
 def test_large_ratios_have_no_exponent():
     """Nobody reads 2.56e+03 at a glance."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [0.001, 2.56]})
 
-    assert conclusion(table).endswith("that of b is 2560 times as large")
+    text = conclusion(table, pd.DataFrame([_pairs("a", "b")]))
+
+    assert text.endswith("that of b is 2560 times as large")
+
+
+@pytest.mark.parametrize("change", [{"equal_measurements": False}, {"smaller": 1}])
+def test_conditions_that_cannot_be_compared_are_not(change):
+    """More measurements are no better method, and half of the structures no proof."""
+    table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [1.0, 2.0]})
+
+    assert conclusion(table, pd.DataFrame([_pairs("a", "b") | change])) == ""
 
 
 def test_intervals_need_some_structures():
@@ -249,9 +276,11 @@ def test_disconnected_robots_are_stated_beside_the_error():
     assert shown.frame["robots disconnected"].tolist() == ["0", "15"]
     assert "No method can place" in shown.note
     assert "robots disconnected" not in headline_table(table).frame
-    one = result_of(full.head(1))
+    one = result_of(full.head(1), pd.DataFrame())
     assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
-    assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(full)
+    assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(
+        full, pd.DataFrame()
+    )
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():

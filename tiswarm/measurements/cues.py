@@ -231,6 +231,16 @@ class Measured:
             self._last = used, self._gather(used)
         return self._last[1]
 
+    def used(self, cues: Collection[str]) -> tuple[str, ...]:
+        """List the cues with rows in the log, and those that need none."""
+        used = self._used(cues)
+        with_rows = {name for names, produce in CUES if produce in used for name in names}
+        names = cue_names()
+        return (
+            *(name for name in names if name in with_rows),
+            *sorted(set(cues) - set(names)),
+        )
+
     def count(self, cues: Collection[str]) -> int:
         """Count the rows of some cues."""
         used = self._used(cues)

@@ -29,6 +29,7 @@ def read_frame(
     numbers: Sequence[str] = (),
     *,
     gaps: Sequence[str] = (),
+    notes: Sequence[str] = (),
     numbers_after: str = "",
     empty: bool = False,
 ) -> pd.DataFrame:
@@ -39,6 +40,7 @@ def read_frame(
         words: Columns of text that the table must have; an empty cell is NaN.
         numbers: Columns of numbers that it must have, without an empty cell.
         gaps: Columns of numbers that it must have, where an empty cell is NaN.
+        notes: Columns of text that it may have.
         numbers_after: Column that it must have; columns after it are of this kind, `robots` too.
             Those before it have words, unless they are listed.
         empty: Whether the table may have no rows; it then needs no columns of numbers.
@@ -57,7 +59,7 @@ def read_frame(
     try:
         found = list(pd.read_csv(path, nrows=0, **read).columns)
         before = found[: found.index(numbers_after)] if numbers_after in found else []
-        named = {*before} - {*numbers, *gaps, "robots"} | {*words}
+        named = {*before} - {*numbers, *gaps, "robots"} | {*words, *notes}
         table: pd.DataFrame = pd.read_csv(path, dtype=dict.fromkeys(named, str), **read)
     except (OSError, ValueError) as error:
         raise damaged(path, error) from error
@@ -73,6 +75,7 @@ def read_frame(
     if table.empty and not empty:
         raise InputError("there are no rows; run the scenario again", path=path, line=2)
     after = found[found.index(numbers_after) + 1 :] if numbers_after else []
+    after = [name for name in after if name not in notes]
     swept = [name for name in found if name == "robots"]
     for column in [*columns, *after, *swept]:
         _check_numbers(table[column], path, gaps=column not in numbers)

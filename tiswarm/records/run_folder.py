@@ -18,6 +18,9 @@ _TOLERANT = ConfigDict(strict=True, allow_inf_nan=False)  # of entries of other 
 
 _Facts = Mapping[str, str | int | None]
 
+TABLE_NOTES = ("measurements",)
+"""Columns of text that `table.csv` has after its first numbers; older ones have none."""
+
 
 @dataclass(frozen=True, kw_only=True, config=_TOLERANT)
 class Spent:

@@ -1,7 +1,6 @@
 """The result of a run in words, from its `table.csv`."""
 
 import math
-from collections import Counter
 from collections.abc import Hashable
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,8 @@ import pandas as pd
 from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
+from tiswarm.records.run_folder import TABLE_NOTES
+from tiswarm.report.comparison import conclusion
 from tiswarm.report.run_data import swept_columns, swept_words
 
 FEWEST_FOR_CI = 4
@@ -19,7 +20,6 @@ FEWEST_FOR_CI = 4
 _MEASURES = [
     "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
 ]  # fmt: skip
-_METHOD = "localization.method"
 _DISCONNECTED = "disconnected_mean"
 _Row = dict[Hashable, Any]
 
@@ -29,51 +29,40 @@ def headline(folder: Path) -> str:
     path = folder / "table.csv"
     if not path.exists():
         raise InputError("has no table.csv; give a folder that `tiswarm run` made", path=folder)
-    table = read_frame(path, ["condition"], ["cases"], gaps=_MEASURES, numbers_after="cases")
+    table = read_frame(
+        path, ["condition"], ["cases"], gaps=_MEASURES, notes=TABLE_NOTES, numbers_after="cases"
+    )
     swept = swept_columns(table)
     table[swept] = swept_words(table)[swept]
-    best = conclusion(table)
+    best = conclusion(table, read_pairs(folder))
     return "\n".join([*map(_in_words, table.to_dict("records")), *([best] if best else [])])
 
 
-def conclusion(table: pd.DataFrame) -> str:
-    """Name the condition with the least error; empty where there is none to compare with.
-
-    Where methods are swept, they are compared instead, under each condition.
-    """
-    rows = table[table["cases"] > 0].to_dict("records")
-    names = table.columns[: table.columns.get_loc("cases")]
-    compared = _METHOD if _METHOD in names else "condition"
-    points: dict[str, list[_Row]] = {}
-    for row in rows:
-        points.setdefault(str([row[key] for key in names if key != compared]), []).append(row)
-    best = [min(each, key=lambda row: row["rmse_R_mean"]) for each in points.values()]
-    if not best or len(points) == len(rows):
-        return ""
-    if len(best) == 1:
-        other = next(row for row in rows if row is not best[0])
-        error, name = best[0]["rmse_R_mean"], best[0][compared]
-        times = other["rmse_R_mean"] / error if error else math.inf
-        digits = f"{times:.3g}" if times < 1000.0 else f"{times:.0f}"  # noqa: PLR2004 - no exponent
-        ratio = f"{digits} times as large" if error else "larger"
-        return f"{name} has the smallest RMSE, {error:.3g} R; that of {other[compared]} is {ratio}"
-    (first, most), *others = Counter(str(row[compared]) for row in best).most_common()
-    where = ("under", "condition") if [*names[1:]] == [_METHOD] else ("at", "sweep point")
-    texts = [f"{first} has the smallest RMSE {where[0]} {most} of {counted(len(best), where[1])}"]
-    return ", ".join(texts + [f"{name} {where[0]} {count}" for name, count in others])
+def read_pairs(folder: Path) -> pd.DataFrame:
+    """Read the differences of conditions of a run on the same structures; it may have none."""
+    words = ["condition", "against", "measure"]
+    numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
+    path = folder / "paired.csv"
+    if not path.exists():
+        return pd.DataFrame()
+    pairs = read_frame(path, words, gaps=numbers, numbers_after="measure", empty=True)
+    pairs = pairs.assign(equal_measurements=pairs.get("equal_measurements", False))
+    swept = swept_columns(pairs, before="measure")
+    pairs[swept] = swept_words(pairs, before="measure")[swept]
+    return pairs
 
 
-def result_of(table: pd.DataFrame) -> str:
+def result_of(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
     """Write the result of a run in one sentence; empty where the table lacks its measures."""
     rows = table[table["cases"] > 0]
     if len(rows) and not set(_MEASURES) <= set(rows):
         return ""
-    text = conclusion(rows)
+    text = conclusion(rows, pairs)
     if not text and len(rows) < 2:  # noqa: PLR2004 - one or none
         text = "; ".join(map(_in_words, rows.to_dict("records"))) or "no case was finished"
     if not text:
         least, most = rows["rmse_R_mean"].min(), rows["rmse_R_mean"].max()
-        text = f"mean RMSE from {least:.3g} R to {most:.3g} R at {len(rows)} sweep points"
+        text = f"mean RMSE from {least:.3g} R to {most:.3g} R in {len(rows)} rows of the table"
     return f"{text}{_disconnected_somewhere(rows)}."
 
 

@@ -19,7 +19,7 @@ from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.captions import caption_of
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, TRUE_BLUE
-from tiswarm.report.headline import result_of
+from tiswarm.report.headline import read_pairs, result_of
 from tiswarm.report.page_tables import (
     PageTable,
     case_table,
@@ -129,21 +129,19 @@ def _gather(run: RunData) -> Page:
     manifest = read_manifest(run.folder)
     numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
-    words = ["condition", "against", "measure"]
-    numbers = ["structures", "difference_mean", "smaller", "wilcoxon_p"]
-    paired = run.table("paired.csv", words, numbers, after="measure", optional=True)
+    pairs = read_pairs(run.folder)
     words = ["condition", "suite", "way", "needs"]
     suites = run.table("suites.csv", words, ["rmse_R_mean"], after="cases", optional=True)
     arch = manifest.backend.get("arch", "cpu")
     return Page(
         name=stated.get("name", run.folder.name),
         description=stated.get("description", ""),
-        result=result_of(table),
+        result=result_of(table, pairs),
         what=_in_words(run, manifest),
         warnings=warnings_of(run.summary),
         notes=notes_of(run.summary, manifest),
         headline=headline_table(table),
-        tables=result_tables(table, paired, suites),
+        tables=result_tables(table, pairs, suites),
         view=build_view(run),
         rows=case_table(run.summary),
         rows_example=f"{table['condition'].iloc[0]} done",

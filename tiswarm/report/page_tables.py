@@ -98,6 +98,8 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     columns = _means(rows, _ACCURACY)
     if "disconnected_mean" in rows and (rows["disconnected_mean"] > 0.0).any():
         columns["robots disconnected"] = _mean(rows, "disconnected")
+    if len(set(rows.get("measurements", ()))) > 1:
+        columns["measurements"] = rows["measurements"].str.replace("_", " ")
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -221,6 +223,7 @@ def _differences(paired: pd.DataFrame) -> PageTable:
     columns = {
         "difference": _mean(rows, "difference", sign="+"),
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
+        "measurements": np.where(rows["equal_measurements"] == 1, "the same", "others"),
         "p": _numbers(p).mask(p < 1e-4, "< 0.0001"),  # noqa: PLR2004 - a limit of the test
     }
     note = (

@@ -14,7 +14,7 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
-from tiswarm.records.run_folder import case_folder, check_folders
+from tiswarm.records.run_folder import TABLE_NOTES, case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE
 
 
@@ -140,7 +140,9 @@ class RunData:
         path = self.folder / name
         if optional and not path.exists():
             return pd.DataFrame()
-        table = read_frame(path, words, gaps=gaps, numbers_after=after, empty=optional)
+        table = read_frame(
+            path, words, gaps=gaps, notes=TABLE_NOTES, numbers_after=after, empty=optional
+        )
         swept = [key for key in swept_columns(table, before=after) if key not in words]
         table[swept] = swept_words(table, before=after)[swept]
         return table

@@ -162,7 +162,7 @@ def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[Ca
     written = {
         "summary": tables.summary(records, settings),
         "table": tables.table(records, settings),
-        "paired": tables.paired(records),
+        "paired": tables.paired(records, settings),
         "profiles": tables.profiles(records, folder.cases),
     }
     if len({setting.robots for setting in settings}) > 1:

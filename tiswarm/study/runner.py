@@ -18,7 +18,7 @@ from tiswarm.evaluation import tables as scores
 from tiswarm.evaluation.profiles import by_hops_apart
 from tiswarm.localization.params import JointParams, LocalizationParams
 from tiswarm.localization.registry import localize_many, start_for, title
-from tiswarm.measurements.cues import measure
+from tiswarm.measurements.cues import Measured
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
@@ -225,10 +225,12 @@ class _CaseRunner:
             position=history.position,
             orientation_wxyz=history.orientation_wxyz,
         )
-        rows = measure(log, case.settings.localization.cues)
+        cues, measured = case.settings.localization.cues, Measured(log)
+        rows = measured.rows(cues)
         scored = scores.score(truth, log, estimate, history.robot, rows=rows)
         scored |= scores.outlier_scores(history, estimate, rows=rows) | scores.totals(history)
         record = _record(case, "done", history.ended, scored)
+        record = replace(record, measurements=", ".join(measured.used(cues)))
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(

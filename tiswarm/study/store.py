@@ -58,6 +58,7 @@ class CaseRecord:
     point: Mapping[str, Any]  # values of the swept keys
     status: Literal["done", "failed"]
     reason: str = ""  # reason of the failure, or of the early end of growth
+    measurements: str = ""  # cues that the method used and the log has
     distrust: str = ""  # why the estimate did not converge, or is not consistent
     scores: Mapping[str, float | int | bool | None] = field(default_factory=dict)  # None: unknown
     version: str = __version__  # version of the package that computed the case

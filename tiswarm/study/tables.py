@@ -11,7 +11,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "kind": setting.structure.kind,
             **point_cells(record.point),
             "robots": setting.robots,
+            "measurements": record.measurements,
             "status": record.status,
             "distrust": record.distrust,
             "reason": record.reason,
@@ -89,7 +90,8 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
             setting = setting_of[first.case]
-            row = {"condition": first.condition, **point_cells(first.point), **ours}
+            used = {"measurements": _shared(record.measurements for record in group)}
+            row = {"condition": first.condition, **point_cells(first.point), **ours, **used}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
         base = (of_paper or at_point)[0]
@@ -160,17 +162,31 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     return full
 
 
-def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
-    """Tabulate differences between conditions of a point on the same structures, by measure."""
+def _shared(measurements: Iterable[str]) -> str:
+    """Return the measurements of all structures; empty if these differ, or none is known."""
+    found = {each for each in measurements if each}
+    return found.pop() if len(found) == 1 else ""
+
+
+def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
+    """Tabulate differences between conditions of a point on the same structures, by measure.
+
+    Measurements of two conditions are equal if robots sense alike and the methods use the same.
+    """
+    sensed = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
     for of_point in _grouped(records, lambda record: point_text(record.point)):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
             names = {"condition": second[0].condition, "against": first[0].condition}
+            used = {_shared(record.measurements for record in group) for group in (first, second)}
+            senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}
+            is_equal = len(used) == len(senses) == 1 and "" not in used
             rows += differences(
                 {**names, **point_cells(first[0].point)},
                 accuracy_by_key({record.seed: record for record in first}),
                 accuracy_by_key({record.seed: record for record in second}),
+                equal_measurements=is_equal,
             )
     return pd.DataFrame(rows, columns=None if rows else ["condition", "against", "measure"])
 
@@ -182,7 +198,10 @@ def accuracy_by_key(records: Mapping[Any, CaseRecord]) -> pd.DataFrame:
 
 
 def differences(
-    first_columns: Mapping[str, Any], before: pd.DataFrame, after: pd.DataFrame
+    first_columns: Mapping[str, Any],
+    before: pd.DataFrame,
+    after: pd.DataFrame,
+    **last_columns: object,
 ) -> list[dict[str, Any]]:
     """Return a row for each measure: difference `after - before` over shared structures."""
     a, b = before.align(after, join="inner", axis=0)
@@ -190,7 +209,9 @@ def differences(
         name: paired_difference(a[name].to_numpy(float), b[name].to_numpy(float))
         for name in _ACCURACY
     }
-    return [{**first_columns, "measure": name, **row} for name, row in found.items()]
+    return [
+        {**first_columns, "measure": name, **row, **last_columns} for name, row in found.items()
+    ]
 
 
 def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
