@@ -153,6 +153,55 @@ class _Sources(HTMLParser):
         self.found += [value for name, value in attrs if name in {"src", "href"}]
 
 
+MOTION = """
+const byId = (id) => document.getElementById(id);
+const wait = (time) => new Promise((done) => setTimeout(done, time));
+(async () => {
+  found.beside = byId("beside").value;
+  found.panes = [...document.querySelectorAll(".panes canvas:not([hidden])")].length;
+  byId("play").click();
+  await wait(2000);
+  found.joining = [byId("play").textContent, byId("joins").valueAsNumber];
+  view.dispatchEvent(Object.assign(new Event("keydown"), {key: " "}));
+  found.paused = byId("play").textContent;
+  byId("track").value = "iterations";
+  byId("track").dispatchEvent(new Event("change"));
+  const titles = [];
+  const write = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...place) {
+    titles.push(text);
+    write.call(this, text, ...place);
+  };
+  for (const at of [0, 200]) {
+    byId("joins").value = at;
+    byId("joins").dispatchEvent(new Event("input"));
+    await wait(200);
+  }
+  found.titles = titles.filter((text) => text.includes("iteration"));
+  document.body.dataset.found = JSON.stringify(found);
+})();
+"""
+
+
+def test_the_view_moves(small_run, tmp_path):
+    """Robots join while it plays, a key stops it, and estimates converge in both panes."""
+    page = (small_run / "report.html").read_text()
+
+    moved = probe(page, MOTION, tmp_path, more=("--window-size=1280,800",))
+
+    assert moved["troubles"] == []
+    assert (moved["beside"], moved["panes"]) == ("1", 2)
+    word, robots = moved["joining"]
+    assert word == "Pause"
+    assert 1 < robots < len(pd.read_csv(small_run / "cases/0-baseline/truth.csv"))
+    assert moved["paused"] == "Play"
+    first, *_, last = [text for text in moved["titles"] if text.startswith("0-baseline")]
+    rmse = pd.read_csv(small_run / "cases/0-baseline/convergence.csv")["rmse_R"]
+    assert first.startswith("0-baseline, iteration 0, RMSE ")
+    shown = [float(re.search(r"RMSE ([\d.]+) R", text)[1]) for text in (first, last)]
+    assert shown == pytest.approx([rmse.iloc[0], rmse.iloc[-1]], rel=0.01)  # three digits
+
+
 def test_the_page_is_one_small_file(small_run):
     """It loads no other file, and its links lead to its own headings."""
     page = small_run / "report.html"
@@ -168,7 +217,8 @@ def test_the_page_is_one_small_file(small_run):
 
 def test_the_page_says_what_the_tables_say(small_run):
     """It contains means with their ranges, and the command that repeats the run."""
-    page = (small_run / "report.html").read_text().replace("\u00a0", " ")
+    text = (small_run / "report.html").read_text()
+    page = re.sub(r" <span class=.spread.>(.*?)</span>", r" \1", text)
 
     for row in pd.read_csv(small_run / "table.csv").to_dict("records"):
         mean, *ends = (three_digits(row[f"rmse_R_{name}"]) for name in ("mean", "least", "most"))

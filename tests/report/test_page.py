@@ -15,8 +15,10 @@ from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.headline import conclusion, result_of
-from tiswarm.report.page import show_pictures, write_page
+from tiswarm.report.page import write_page
+from tiswarm.report.page_pictures import show_pictures
 from tiswarm.report.page_tables import (
     case_table,
     headline_table,
@@ -95,6 +97,35 @@ def test_every_picture_of_a_run_has_a_caption(run_folder):
         "structure", "truth-and-estimate", "error", "sd", "contact-graph", "sensed-force",
     ]  # fmt: skip
     assert all(picture.caption.endswith("Case 0-joint.") for picture in shown)
+
+
+def test_a_figure_brings_no_script_into_the_page(run_folder):
+    """A run folder can come from anybody; of an SVG, only what draws lines and letters is kept."""
+    draw_figures(load_run(run_folder), Progress())
+    drawing = run_folder / "figures" / "convergence.svg"
+    harm = (
+        '<script>boom()</script><image href="https://elsewhere.org/a.png"/>'
+        '<g onclick="boom()" style="fill: url(https://elsewhere.org)"><text>Iteration</text></g>'
+    )
+    drawing.write_text(drawing.read_text().replace("</svg>", f"{harm}</svg>"))
+
+    shown = show_pictures(run_folder / "figures")
+
+    (text,) = [picture.drawing for picture in shown if "convergence" in picture.file]
+    assert not re.search("script|boom|elsewhere", text)
+    assert "Iteration" in text
+    assert "stroke: currentColor" in text  # as light as the letters of a dark page
+    assert "#000000" not in text
+
+
+def test_a_damaged_figure_is_refused_by_name(run_folder):
+    """Half a file, as a full disk leaves it."""
+    draw_figures(load_run(run_folder), Progress())
+    drawing = run_folder / "figures" / "convergence.svg"
+    drawing.write_bytes(drawing.read_bytes()[:2000])
+
+    with pytest.raises(InputError, match=r"convergence\.svg: is no SVG picture"):
+        show_pictures(run_folder / "figures")
 
 
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])

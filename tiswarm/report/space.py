@@ -21,6 +21,8 @@ SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 _DIGITS = 4  # decimals of positions
+_TRACE_DIGITS = 2  # decimals of positions in motion
+_MOST_PLACES = 100_000  # positions in motion, in all cases together
 
 
 class View(NamedTuple):
@@ -62,7 +64,8 @@ def build_view(run: RunData) -> View | None:
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
-            shown.append(data)
+            places = sum(_places(each) for each in [*shown, data])
+            shown.append(data if places <= _MOST_PLACES else {**data, "trace": None})
         if len(view.robot) > MOST_ROBOTS:
             notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
     if not shown:
@@ -75,6 +78,11 @@ def build_view(run: RunData) -> View | None:
         choice="Case",
         note=" ".join(notes),
     )
+
+
+def _places(data: dict[str, Any]) -> int:
+    """Count the positions in motion of a case."""
+    return len(data["robot"]) * len(data["trace"]["iteration"]) if data["trace"] else 0
 
 
 def space_data(
@@ -93,6 +101,7 @@ def space_data(
         "cases": cases,
         "radius": radius,
         "unit": unit,
+        "score": "RMSE" if any(case["true"] for case in cases) else "",
         "sphere": MOST_WITHIN,  # radius of a sphere [sd]
     }
 
@@ -120,6 +129,7 @@ def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, 
         ],
         "contacts": _contacts(view, known),
         "ground": _ground(view, true if len(true) else estimated),
+        "trace": _trace(view, known),
     }
 
 
@@ -140,6 +150,15 @@ def _contacts(view: SwarmView, known: Ints) -> list[list[int]]:
     contacts[:, [0, 2]] = place[contacts[:, [0, 2]]]
     found: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
     return found
+
+
+def _trace(view: SwarmView, known: Ints) -> dict[str, list[Any]] | None:
+    """List the centers of known robots at some iterations; None where none are stored."""
+    trace = view.read_trace()
+    if trace is None:
+        return None
+    center = trace.center[:, known].round(_TRACE_DIGITS).tolist()
+    return {"iteration": trace.iteration.tolist(), "center": center}
 
 
 def _ground(view: SwarmView, pose: Reals) -> list[Any]:
