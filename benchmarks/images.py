@@ -32,7 +32,7 @@ def draw_methods(run: RunData, renderer: str) -> Image.Image:
     tiles: list[Tile] = []
     keys: Keys | Scale = ()
     for condition, title in _COMPARED.items():
-        case = next(case for case in run.cases if case.done and case.condition == condition)
+        case = next(case for case in run.cases if case.done and case.name.partition("-")[2] == condition)
         view = read_case_view(case)
         picture = build_pictures(view)["truth-and-estimate"]
         keys = picture.legend

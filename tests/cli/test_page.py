@@ -195,9 +195,9 @@ def test_the_view_moves(small_run, tmp_path):
     assert word == "Pause"
     assert 1 < robots < len(pd.read_csv(small_run / "cases/0-baseline/truth.csv"))
     assert moved["paused"] == "Play"
-    first, *_, last = [text for text in moved["titles"] if text.startswith("0-baseline")]
+    first, *_, last = [text for text in moved["titles"] if text.startswith("baseline")]
     rmse = pd.read_csv(small_run / "cases/0-baseline/convergence.csv")["rmse_R"]
-    assert first.startswith("0-baseline, iteration 0, RMSE ")
+    assert first.startswith("baseline, seed 0, iteration 0, RMSE ")
     shown = [float(re.search(r"RMSE ([\d.]+) R", text)[1]) for text in (first, last)]
     assert shown == pytest.approx([rmse.iloc[0], rmse.iloc[-1]], rel=0.01)  # three digits
 

@@ -142,7 +142,7 @@ def test_the_view_shows_each_series_once(run_folder):
     view = build_view(load_run(run_folder))
 
     names = [case["name"] for case in view.data["cases"]]
-    assert names == ["0-baseline", "0-no-z"]
+    assert names == ["baseline, seed 0", "no-z, seed 0"]
     assert view.note == "The view contains 2 of 3 cases."
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))

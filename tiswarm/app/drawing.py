@@ -99,7 +99,7 @@ def draw(
     if movie:
         animated = animate_run(run, movie, progress=progress, renderer=renderer, case=case)
         written.append(animated.path)
-    written += [write_page(run, progress), *run.folder.glob("*.csv")]
+    written += [write_page(run, progress), *run.folder.glob("*.csv"), run.folder / "scenario.yaml"]
     digests = {path.relative_to(run.folder).as_posix(): digest(path) for path in written}
     write_manifest(run.folder, replace(manifest, drawn={**manifest.drawn, **digests}))
 

@@ -17,6 +17,7 @@ from tiswarm.base.params import AnyFormat
 from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
+    import matplotlib.figure
     import pandas as pd
 
 File = str | PathLike[str]
@@ -88,6 +89,17 @@ class Run:
     def figures(self) -> Figures:
         """Figures and renders by name; none after a run without pictures."""
         return Figures.of([*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")])
+
+    def figure(self, name: str) -> "matplotlib.figure.Figure":
+        """Draw a figure again, as matplotlib has it: change its axes, and save it.
+
+        Raises:
+            InputError: the run has no figure of that name; names those that it has.
+        """
+        from tiswarm.report.figures import draw_figure  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        return draw_figure(load_run(self.folder), name)
 
     def view(self, *, quiet: bool = False) -> Path:
         """Return the run's page, `report.html`; write it if there is none."""

@@ -18,20 +18,20 @@ _DIGITS = 3  # decimals of a coordinate
 _COLUMNS = ["iteration", "robot", "x_R", "y_R", "z_R"]
 
 
-class Trace(NamedTuple):
+class EstimateTrace(NamedTuple):
     """Centers of N robots at K iterations."""
 
     iteration: Ints  # ascending, shape (K,)
     center: Reals  # shape (K, N, 3)
 
 
-def thinned(estimate: Estimate) -> Trace | None:
+def thinned(estimate: Estimate) -> EstimateTrace | None:
     """Take a few iterations of an estimate in its unit, the last one too; None if it has no two."""
     frames = len(estimate.trace)
     if frames < 2 or len(estimate.robot_id) > MOST_ROBOTS:  # noqa: PLR2004 - no motion
         return None
     kept = np.linspace(0, frames - 1, min(frames, _MOST_FRAMES)).round().astype(int)
-    return Trace(estimate.iteration[kept], estimate.trace[kept])
+    return EstimateTrace(estimate.iteration[kept], estimate.trace[kept])
 
 
 def write_trace(path: Path, estimate: Estimate) -> None:
@@ -46,7 +46,7 @@ def write_trace(path: Path, estimate: Estimate) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read_trace(path: Path, robots: int) -> Trace | None:
+def read_trace(path: Path, robots: int) -> EstimateTrace | None:
     """Read the trace of an estimate of N robots [R]; None if none was stored.
 
     Raises:
@@ -58,4 +58,4 @@ def read_trace(path: Path, robots: int) -> Trace | None:
     if len(table) % robots or len(table) < 2 * robots:
         raise damaged(path, f"its {len(table)} rows are no iterations of {robots} robots")
     frames = table.reshape(-1, robots, len(_COLUMNS))
-    return Trace(frames[:, 0, 0].astype(np.int64), frames[:, :, 2:])
+    return EstimateTrace(frames[:, 0, 0].astype(np.int64), frames[:, :, 2:])

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, did_you_mean
 from tiswarm.report import figure_style
 from tiswarm.report.curve_figures import (
     compares_rounds,
@@ -93,6 +94,23 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
         if not path.is_dir():
             path.unlink()
     return written
+
+
+def draw_figure(run: RunData, name: str) -> "Figure":
+    """Draw one figure of a run, to be changed and saved by the caller.
+
+    Raises:
+        InputError: the run has no figure of that name; lists those that it has.
+    """
+    from matplotlib import style
+
+    painters = _painters(run) if run.series else {}
+    if name not in painters:
+        some = f"; choose one of {', '.join(painters)}" if painters else ""
+        problem = f"there is no figure {name!r}{some}{did_you_mean(name, [*painters])}"
+        raise InputError(problem, argument="name")
+    with style.context(["default", figure_style.STYLE]):
+        return painters[name](run)
 
 
 def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,7 +58,8 @@ def build_view(run: RunData) -> View | None:
     shown: list[dict[str, Any]] = []
     notes = []
     for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
-        view = read_case_view(case)
+        seed = case.name.partition("-")[0]
+        view = replace(read_case_view(case), name=f"{case.series or case.name}, seed {seed}")
         values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])

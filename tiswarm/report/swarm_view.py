@@ -17,7 +17,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import Terrain
-from tiswarm.records.trace import Trace, read_trace, thinned
+from tiswarm.records.trace import EstimateTrace, read_trace, thinned
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.render.scene import DrawnRobots, Look
 from tiswarm.report.run_data import StoredCase
@@ -43,7 +43,7 @@ class SwarmView:
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
     terrain: Terrain | None  # the ground; None where there is none
     read_log: Callable[[], SensingLog]  # slow for many robots
-    read_trace: Callable[[], Trace | None] = lambda: None  # centers by iteration [R]
+    read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
 
     @cached_property
     def log(self) -> SensingLog:
