@@ -243,13 +243,13 @@ def test_the_command_on_the_page_repeats_the_run(tiswarm, small_run, tmp_path):
 
 
 def test_an_animation_becomes_part_of_the_page(tiswarm, tmp_path):
-    """`--animate` adds it to the page even without other pictures."""
+    """`--movie` adds it to the page even without other pictures."""
     done = tiswarm(
         "run", "tests/tower.yaml", "--set", "robots=4", "--set", "seeds=1",
-        "--set", "conditions={baseline: {}}", "--no-pictures", "--animate", "--out", tmp_path,
+        "--set", "conditions={baseline: {}}", "--no-pictures", "--movie", "webp", "--out", tmp_path,
     )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
     run = next(tmp_path.iterdir())
-    movie = base64.b64encode((run / "renders" / "growth.gif").read_bytes()).decode()
-    assert f"data:image/gif;base64,{movie}" in (run / "report.html").read_text()
+    movie = base64.b64encode((run / "renders" / "growth.webp").read_bytes()).decode()
+    assert f"data:image/webp;base64,{movie}" in (run / "report.html").read_text()

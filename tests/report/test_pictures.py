@@ -22,8 +22,8 @@ PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["structure"].scene.shrunk(
-        4
+    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["structure"].scene.within(
+        365, 365
     )
 
 

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyFormat
+from tiswarm.base.params import AnyFormat, AnyMovie
 from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class Run:
         *,
         renderer: str | None = None,
         case: str | None = None,
-        movie: Literal["gif", "mp4"] | None = None,
+        movie: AnyMovie | None = None,
         quiet: bool = False,
     ) -> Figures:
         """Draw 3D pictures of a case, which the run's page shows too.

@@ -33,7 +33,9 @@ _FIRST = (
 )
 """Beginnings of the names of the first pictures; others follow by name."""
 
-_RENDER_SHARE, _MOVIE_SHARE = 0.36, 0.72  # width on the page over that of the file
+_SUFFIXES = {".png", ".gif", ".webp", ".mp4"}
+_RENDER_SHARE = 0.36  # width on the page over that of the file
+_MOVIE_WIDTH = 420  # of an animation on the page
 _FIGURE_SHARE = 0.42  # of a figure without SVG, as runs of earlier versions have
 _PIXELS = 96.0 / 72.0  # of a point of an SVG
 
@@ -68,6 +70,11 @@ class Shown(NamedTuple):
     stacked: str = ""  # the same for narrow screens: panels one below the other
 
     @property
+    def is_film(self) -> bool:
+        """Whether it is a film, which the reader starts."""
+        return self.file.endswith(".mp4")
+
+    @property
     def size(self) -> int:
         """What it adds to the page [bytes]."""
         return len(self.source) + len(self.drawing) + len(self.stacked)
@@ -79,7 +86,7 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
     `case` is what pictures show whose names do not say it.
     """
     pictures = []
-    paths = sorted([*folder.glob("*.png"), *folder.glob("*.gif")], key=_place)
+    paths = sorted([path for path in folder.glob("*") if path.suffix in _SUFFIXES], key=_place)
     with warnings.catch_warnings(), ThreadPoolExecutor() as pool:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         shown = list(pool.map(_shown, paths))
@@ -112,22 +119,24 @@ def _shown(path: Path) -> Shown:
         return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, stacked=narrow)
     kind, data, (width, height) = _encoded(path)
     share = {"renders": _RENDER_SHARE}.get(path.parent.name, _FIGURE_SHARE)
-    share = _MOVIE_SHARE if kind == "gif" else share  # GIFs have a screen's resolution
-    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-    return Shown(source, "", "", width, height, wide=round(width * share))
+    source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
+    wide = round(width * share) if path.suffix == ".png" else _MOVIE_WIDTH
+    return Shown(source, "", "", width, height, wide=wide)
 
 
 def _encoded(path: Path) -> tuple[str, bytes, tuple[int, int]]:
     """Read a picture; returns its format on the page, its data and its size [pixels]."""
     form = path.suffix[1:].upper()
     run_file(path)
+    if form == "MP4":
+        return "video/mp4", path.read_bytes(), (0, 0)
     try:
         with Image.open(path, formats=[form]) as image:
-            if form == "GIF":
-                return "gif", path.read_bytes(), image.size
+            if form != "PNG":
+                return f"image/{form.lower()}", path.read_bytes(), image.size
             stream = io.BytesIO()
             image.convert("RGB").save(stream, "WEBP", quality=85, method=4)
-            return "webp", stream.getvalue(), image.size
+            return "image/webp", stream.getvalue(), image.size
     except Exception as error:  # a damaged picture can raise any error
         raise _unreadable(path, error) from error
 
