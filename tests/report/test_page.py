@@ -331,7 +331,6 @@ def test_published_numbers_have_a_table_of_their_own():
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
             "RMSE [R]": "2.00 ± 0.10",
-            "RMSE [mm]": "65.8 ± 3.3",
         }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())
