@@ -29,7 +29,7 @@ _MOST_PLACES = 100_000  # positions in motion, in all cases together
 class View(NamedTuple):
     """The cases of the 3D view."""
 
-    data: dict[str, Any]  # as `space_data` returns it
+    data: dict[str, Any]  # as `space_data` returns it; `compared` if it starts with two cases
     title: str
     choice: str  # what the menu offers
     note: str
@@ -75,7 +75,7 @@ def build_view(run: RunData) -> View | None:
     if len(shown) < (done := sum(case.done for case in run.cases)):
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
-        data=space_data(view.dock_offset_body, shown),
+        data=space_data(view.dock_offset_body, shown) | {"compared": True},
         title="True and estimated positions",
         choice="Case",
         note=" ".join(notes),

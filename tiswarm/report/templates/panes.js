@@ -2,6 +2,7 @@
 
 const GROWTH_MS = 6000, STEPS = 12; // duration of a motion; its steps where the reader wants less motion
 const WHOLE = 200; // places of the slider along iterations
+const WIDE = 960; // width of a window from which two cases are shown [pixels]
 const CALM = matchMedia("(prefers-reduced-motion: reduce)");
 
 // Root mean square error of estimated centers; NaN without a truth.
@@ -66,6 +67,14 @@ function paneOf(view, data) {
   return pane;
 }
 
+// The places of the most accurate case of the first structure, and of the first other one; that is empty if there is none.
+function firstCases(cases) {
+  const structure = JSON.stringify(cases[0].true), errors = cases.map(({ true: truth, estimate }) => rmseOf(truth, estimate));
+  const alike = cases.flatMap((each, n) => (each.true.length && JSON.stringify(each.true) === structure ? [n] : []));
+  const best = alike.reduce((least, n) => (errors[n] < errors[least] ? n : least), alike[0] ?? 0);
+  return [best, alike.find((n) => n !== best) ?? ""];
+}
+
 // What a pane shows, in words.
 function titleOf(at, { name }, { radius, unit, score }) {
   const rmse = radius * rmseOf(at.true, at.estimate);
@@ -86,10 +95,8 @@ function showSpace(view) {
   let look = { ...START }, panes = [], box, due = 0, began = null;
   data.cases.forEach((each, n) => { picker.add(new Option(each.name, n)); beside.add(new Option(each.name, n)); });
   beside.parentElement.hidden = data.cases.length < 2;
-  // Wide screens start with two cases, if both are of one structure.
-  const isAlike = ({ true: truth }) => truth.length && JSON.stringify(truth) === JSON.stringify(data.cases[0].true);
-  const other = data.cases.findIndex((each, n) => n > 0 && isAlike(each));
-  if (other > 0 && innerWidth > 960) beside.value = other;
+  if (data.compared) [picker.value, beside.value] = firstCases(data.cases);
+  if (innerWidth <= WIDE) beside.value = "";
 
   const isTracked = () => track.value === "iterations";
   const draw = () => {
