@@ -63,7 +63,7 @@ _GROWS = {
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG, as SVG and, if wanted, as PDF too.
 
-    A second SVG has the panels one below the other, for narrow screens.
+    A second SVG of a wide figure has the panels one below the other, for narrow screens.
     Cases that failed are left out, and a note on each figure states their number. A figure of an
     earlier call that the run no longer has is removed; an existing PDF is redrawn.
 
@@ -85,10 +85,11 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
                     write_bytes(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
-            stack(figure)
-            path = run.subfolder("figures") / f"{name}{STACKED}.svg"
-            write_bytes(path, svg(figure))
-            written.append(path)
+            if figure.get_size_inches()[0] > COLUMN_WIDTH:
+                stack(figure)
+                path = run.subfolder("figures") / f"{name}{STACKED}.svg"
+                write_bytes(path, svg(figure))
+                written.append(path)
     folder = run.folder / "figures"
     for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
         if not path.is_dir():
