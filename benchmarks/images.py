@@ -5,26 +5,33 @@ python -m benchmarks.images reports/tower-* reports/cantilever-* reports/bridge-
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute import backend
 from tiswarm.records.messages import three_digits
-from tiswarm.report.figure_style import FORCE_COLORS, colors_along
+from tiswarm.report.figure_style import ERROR_COLORS, FORCE_COLORS, colors_along
+from tiswarm.report.render.animation import FRAME_MS, LAST_MS, draw_joins, encode_webp
 from tiswarm.report.render.pictures import Keys, Scale, add_legend, build_pictures
 from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.render.side_by_side import Tile, draw_side_by_side
-from tiswarm.report.run_data import RunData, load_run
+from tiswarm.report.run_data import RunData, StoredCase, load_run
 from tiswarm.report.swarm_view import read_case_view
 
 _IMAGES = Path("docs/images")
 _COMPARED = {"joint": "joint", "algorithm-1": "Algorithm 1 of the paper"}
-"""Conditions of the tower, and what the picture calls them."""
+"""Conditions of the tower with equal measurements, and what the picture calls them."""
 
 _WIDTH = 1200  # [pixels]
+_FRAMES = 60
+_FRAME = (420, 480)  # most columns and rows of a structure in the animation [pixels]
+_BELOW = 64  # rows for its title [pixels]
+_QUALITY = 70
 
 
 def draw_methods(run: RunData, renderer: str) -> Image.Image:
@@ -32,14 +39,56 @@ def draw_methods(run: RunData, renderer: str) -> Image.Image:
     tiles: list[Tile] = []
     keys: Keys | Scale = ()
     for condition, title in _COMPARED.items():
-        case = next(case for case in run.cases if case.done and case.condition == condition)
-        view = read_case_view(case)
+        view = read_case_view(_case_of(run, condition))
         picture = build_pictures(view)["truth-and-estimate"]
         keys = picture.legend
         rmse = three_digits(float(np.sqrt(np.nanmean(view.error**2))))
         level = np.array([*view.pose[:, :2].mean(axis=0), 0.0])
         tiles.append(Tile(picture.scene, level, f"{title}\nRMSE {rmse} R"))
     return add_legend(draw_side_by_side(tiles, renderer), keys)
+
+
+def draw_growing(run: RunData, renderer: str) -> bytes:
+    """Animate the first structure beside the estimates of two methods, as WebP."""
+    views = [read_case_view(_case_of(run, condition)) for condition in _COMPARED]
+    truth = views[0].robots(views[0].pose, views[0].color_by_join, TRUE_SIZE)
+    greatest = max(float(np.nanmax(view.error)) for view in views)
+    columns = [("true structure", truth)]
+    for view, title in zip(views, _COMPARED.values(), strict=True):
+        color = colors_along(np.nan_to_num(view.error) / greatest, ERROR_COLORS)
+        columns.append((title, view.robots(view.estimated_pose, color, TRUE_SIZE)))
+    around = np.concatenate([robots.dock.reshape(-1, 3) for _, robots in columns])
+    joined = np.linspace(1, len(views[0].pose), _FRAMES).round().astype(int).tolist()
+    drawn = [
+        draw_joins(robots, views[0].terrain, joined, _FRAME, renderer, around=around)[0]
+        for _, robots in columns
+    ]
+    legend = Scale(ERROR_COLORS, "error [R]  0", f"{three_digits(greatest)}")
+    frames = []
+    for count, *pictures in zip(joined, *drawn, strict=True):
+        errors = [np.nan, *(float(np.sqrt(np.mean(v.error[:count] ** 2))) for v in views)]
+        titles = [title for title, _ in columns]
+        frames.append(_beside(pictures, titles, errors, legend))
+    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_MS]
+    return encode_webp(frames, durations, _QUALITY)
+
+
+def _beside(
+    pictures: Sequence[NDArray[np.uint8]],
+    titles: Sequence[str],
+    errors: Sequence[float],
+    legend: Scale,
+) -> Image.Image:
+    """Put pictures side by side, each with its title and RMSE [R] below."""
+    height, width, _ = pictures[0].shape
+    frame = Image.new("RGB", (len(pictures) * width, height + _BELOW), "white")
+    pen, font = ImageDraw.Draw(frame), ImageFont.load_default(20)
+    for place, (picture, title, error) in enumerate(zip(pictures, titles, errors, strict=True)):
+        frame.paste(Image.fromarray(picture), (place * width, 0))
+        text = title if np.isnan(error) else f"{title}\nRMSE {three_digits(error)} R"
+        middle = ((place + 0.5) * width, height + _BELOW / 2)
+        pen.multiline_text(middle, text, (40, 40, 40), font, anchor="mm", align="center")
+    return add_legend(frame, legend)
 
 
 def draw_kinds(runs: list[RunData], renderer: str) -> Image.Image:
@@ -55,6 +104,12 @@ def draw_kinds(runs: list[RunData], renderer: str) -> Image.Image:
     return add_legend(draw_side_by_side(tiles, renderer), legend)
 
 
+def _case_of(run: RunData, condition: str) -> StoredCase:
+    """Find the first case of a condition, by its name in the scenario."""
+    cases = (case for case in run.cases if case.done)
+    return next(case for case in cases if case.name.partition("-")[2] == condition)
+
+
 def _middle(dock: Reals) -> Reals:
     """Find the middle of the box around docks [R], shape (3,)."""
     place = dock.reshape(-1, 3)
@@ -63,7 +118,7 @@ def _middle(dock: Reals) -> Reals:
 
 
 def main() -> None:
-    """Draw both pictures."""
+    """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("runs", type=Path, nargs="+", help="run folders; the first is the tower")
     parser.add_argument("--renderer", default="open3d", choices=["open3d", "taichi"])
@@ -74,6 +129,7 @@ def main() -> None:
         "tower": draw_methods(runs[0], arguments.renderer),
         "kinds": draw_kinds(runs, arguments.renderer),
     }
+    (_IMAGES / "growing.webp").write_bytes(draw_growing(runs[0], arguments.renderer))
     for name, image in images.items():
         height = round(image.height * _WIDTH / image.width)
         small = image.resize((_WIDTH, height), Image.Resampling.LANCZOS)

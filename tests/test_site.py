@@ -38,6 +38,9 @@ def test_the_site_can_be_built(tmp_path):
 
     assert done.returncode == 0, done.stderr
     assert "localizes the robots from the contacts" in (tmp_path / "site/index.html").read_text()
+    front = (tmp_path / "site/index.html").read_text()
+    assert front.index("growing.webp") < front.index('id="start"')
+    assert 'id="view"' in (tmp_path / "site/example.html").read_text()
     assert 'id="tiswarm.localize"' in (tmp_path / "site/api.html").read_text()
 
 

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import AdviceTable, Inspection, inspect
@@ -35,7 +35,7 @@ from tiswarm.app.results import (
     open_run,
 )
 from tiswarm.base.errors import InputError, warn
-from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.base.params import AnyArch, AnyFormat, AnyMovie, AnyPrecision
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -311,7 +311,7 @@ def render(
     *,
     renderer: str | None = None,
     case: str | None = None,
-    movie: Literal["gif", "mp4"] | None = None,
+    movie: AnyMovie | None = None,
     out: File | None = None,
     quiet: bool = False,
 ) -> Figures:

@@ -56,6 +56,18 @@ def test_figures_show_themselves(run):
         run.figures["convergance"]
 
 
+def test_a_figure_can_be_changed_and_saved(run, tmp_path):
+    """Who writes a paper has a style of their own."""
+    figure = run.figure("accuracy")
+
+    figure.axes[0].set_xlabel("Error [R]")
+    figure.savefig(tmp_path / "mine.svg")
+
+    assert "Error [R]" in (tmp_path / "mine.svg").read_text().replace("<!-- ", "")
+    with pytest.raises(InputError, match=r"^name: there is no figure 'error'; choose one of conv"):
+        run.figure("error")
+
+
 @pytest.mark.parametrize("name", ["run", "read_log", "check", "open_run", "localize", "view"])
 def test_what_is_no_path_is_refused(name):
     """A dictionary in place of a file is a mistake of the caller, not of `pathlib`."""

@@ -85,7 +85,8 @@ def test_cases_appear_as_they_are_finished(served):
     status, page = served.get(link)
     assert status == 200
     assert '<canvas id="view"' in page
-    assert f'"name":"{served.late}"' in page
+    seed, _, condition = served.late.partition("-")
+    assert f'"name":"{condition}, seed {seed}"' in page
     after = {path: path.stat().st_mtime_ns for path in served.run.rglob("*")}
     late = served.run / "cases"
     assert {path: time for path, time in after.items() if path in before and path != late} == {

@@ -1,6 +1,7 @@
 """Animations show the growth of a structure, and figures exist as vectors too."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from PIL import Image
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.progress import Progress
 from tiswarm.report.figures import draw_figures
-from tiswarm.report.render.animation import LAST_MS, animate_run
+from tiswarm.report.render.animation import FRAME_MS, LAST_MS, animate_run, best_movie, draw_joins
+from tiswarm.report.render.raycast import draw_scenes
+from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import load_run
+from tiswarm.report.swarm_view import read_case_view
 
 
 def colored(frame):
@@ -37,6 +41,39 @@ def test_robots_appear_one_after_the_other_and_stay(run_folder):
     assert max(shown) == shown[-1] == LAST_MS
 
 
+def test_frames_look_as_if_each_were_drawn_alone(run_folder):
+    """Only what new robots change is drawn again, and nobody sees it."""
+    view = read_case_view(load_run(run_folder).cases[0])
+    robots = view.robots(view.pose, view.color_by_join, TRUE_SIZE)
+    joined = [3, 7, 12]
+
+    frames, _, _ = draw_joins(robots, view.terrain, joined, (300, 300), "taichi")
+
+    around = robots.dock.reshape(-1, 3)
+    camera = build_scene(robots, view.terrain).within(300, 300).camera
+    for count, frame in zip(joined, frames, strict=True):
+        part = replace(
+            robots, center=robots.center[:count], dock=robots.dock[:count],
+            color=robots.color[:count],
+        )  # fmt: skip
+        scene = build_scene(part, view.terrain, around=around).seen_by(camera)
+        (alone,), _, _ = draw_scenes([scene], "taichi")
+        off = np.abs(frame.astype(int) - alone)
+        assert (off.max(axis=2) > 12).mean() < 0.01  # 5 % of the brightness, on edges of light
+
+
+def test_without_a_video_library_the_best_movie_is_a_webp(run_folder, monkeypatch):
+    """Every browser shows it, and it has all colors."""
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+
+    form = best_movie()
+    drawn = animate_run(load_run(run_folder), form, progress=Progress(), renderer="taichi")
+
+    with Image.open(drawn.path) as movie:
+        assert (movie.format, movie.n_frames) == ("WEBP", 12)
+        assert movie.width <= 960
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its reader leaks
 def test_a_movie_for_slides_holds_the_same(run_folder):
     """MP4 is read back frame by frame by the library that wrote it."""
@@ -48,7 +85,7 @@ def test_a_movie_for_slides_holds_the_same(run_folder):
 
     frames = iio.imread(drawn.path)
     assert drawn.path.name == "growth-0-no-z.mp4"
-    assert len(frames) == 12 + LAST_MS // 90
+    assert len(frames) == 12 + LAST_MS // FRAME_MS
     assert colored(Image.fromarray(frames[11])) > 5 * colored(Image.fromarray(frames[0]))
 
 

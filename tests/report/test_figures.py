@@ -1,5 +1,7 @@
 """Figures show what the tables say, in any run that has results."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -28,13 +30,34 @@ FIGURES = ["convergence", "error-against-height"]
 
 
 def test_every_figure_is_drawn(run_folder):
-    """Each figure is a PNG file that shows something."""
+    """Each figure is a PNG file that shows something, and an SVG; a wide one, a stacked one too."""
     written = draw_figures(load_run(run_folder), Progress())
 
-    assert {path.stem for path in written} == set(FIGURES)
-    for path in written:
+    pictures = [path for path in written if path.suffix == ".png"]
+    assert {path.stem for path in pictures} == set(FIGURES)
+    drawings = {path.stem for path in written if path.suffix == ".svg"}
+    assert drawings == {*FIGURES, "error-against-height-stacked"}
+    for path in pictures:
         with Image.open(path) as image:
             assert not is_blank(image)
+
+
+def test_a_stacked_figure_is_narrow_and_each_panel_has_numbers(run_folder):
+    """A phone shows it at its size: five points of a letter remain five."""
+    panels = 3
+    figure, axes = figure_style.new_panels(7.0, 2.0, panels, panels, share="y")
+    axes[0].plot([1.0, 2.0], [3.0, 4.0], label="a condition")
+    figure_style.add_key(figure, axes[0], "mean", 2)
+
+    figure_style.stack(figure)
+    figure_style.svg(figure)
+
+    assert figure.get_size_inches()[0] == figure_style.COLUMN_WIDTH
+    places = [panel.get_position() for panel in axes]
+    assert all(low.y1 < high.y0 for high, low in pairwise(places))
+    assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in axes)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a condition"]
 
 
 def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
@@ -89,7 +112,7 @@ def test_one_case_of_two_robots_is_enough(tmp_path):
     (folder / "robots.csv").write_text("\n".join([header, robots[0], ",".join(lost)]) + "\n")
     write_summary(tmp_path, "case,status", [["0-baseline", "done"]])
 
-    assert len(draw_figures(load_run(tmp_path), Progress())) == len(FIGURES)
+    assert len(draw_figures(load_run(tmp_path), Progress())) == 2 * len(FIGURES)
 
 
 def test_a_case_that_ended_early_keeps_its_last_rmse(tmp_path):
@@ -171,12 +194,12 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    written = [path.stem for path in draw_figures(load_run(tmp_path), Progress())]
+    monkeypatch.setattr(figures, "stack", lambda figure: None)
 
-    assert written == [
-        "convergence",
-        "error-along-growth",
-    ]
+    files = draw_figures(load_run(tmp_path), Progress())
+
+    written = [path.stem for path in files if path.suffix == ".png"]
+    assert written == ["convergence", "error-along-growth"]
     titles = [axes.get_title() for axes in drawn[0].axes]
     assert titles == ["tower", "cantilever"]
     assert [len(axes.lines) for axes in drawn[0].axes] == [2, 2]

@@ -231,8 +231,8 @@ def test_a_page_leaves_out_measures_that_it_does_not_know(run, measure):
 def test_a_full_disk_ends_in_one_line(run, monkeypatch, command):
     """Pictures and tables appear whole or not at all, and cases stay as they are."""
     drawn = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    for room in (pictures, animation):
-        monkeypatch.setattr(room, "draw_scenes", lambda of, *_: ([drawn] * len(of), "none", ""))
+    for room, name in ((pictures, "draw_scenes"), (animation, "draw_growth")):
+        monkeypatch.setattr(room, name, lambda of, *_: ([drawn] * len(of), "none", ""))
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
     with no_room(), pytest.raises(EnvironmentTroubleError, match="free space"):

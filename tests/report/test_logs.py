@@ -58,7 +58,7 @@ const pixels = () => {
   found.missing = !document.getElementById("no-spheres").hidden;
   const data = JSON.parse(document.getElementById("data").textContent), [shown] = data.cases;
   const box = boxOf([shown], data.radius), {clientWidth: width, clientHeight: height} = view;
-  const {place} = cameraOf(box, START, fitOf(box, width, height), width, height);
+  const {place} = cameraOf(box, START, fitOf(box, width, height).fit, width, height);
   found.scale = place(shown.estimate[7])[2];
   document.body.dataset.found = JSON.stringify(found);
 })();

@@ -16,8 +16,10 @@ from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
 from tiswarm.report.comparison import conclusion
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.headline import result_of
-from tiswarm.report.page import show_pictures, write_page
+from tiswarm.report.page import write_page
+from tiswarm.report.page_pictures import show_pictures
 from tiswarm.report.page_tables import (
     case_table,
     headline_table,
@@ -98,6 +100,35 @@ def test_every_picture_of_a_run_has_a_caption(run_folder):
     assert all(picture.caption.endswith("Case 0-joint.") for picture in shown)
 
 
+def test_a_figure_brings_no_script_into_the_page(run_folder):
+    """A run folder can come from anybody; of an SVG, only what draws lines and letters is kept."""
+    draw_figures(load_run(run_folder), Progress())
+    drawing = run_folder / "figures" / "convergence.svg"
+    harm = (
+        '<script>boom()</script><image href="https://elsewhere.org/a.png"/>'
+        '<g onclick="boom()" style="fill: url(https://elsewhere.org)"><text>Iteration</text></g>'
+    )
+    drawing.write_text(drawing.read_text().replace("</svg>", f"{harm}</svg>"))
+
+    shown = show_pictures(run_folder / "figures")
+
+    (text,) = [picture.drawing for picture in shown if "convergence" in picture.file]
+    assert not re.search("script|boom|elsewhere", text)
+    assert "Iteration" in text
+    assert "stroke: currentColor" in text  # as light as the letters of a dark page
+    assert "#000000" not in text
+
+
+def test_a_damaged_figure_is_refused_by_name(run_folder):
+    """Half a file, as a full disk leaves it."""
+    draw_figures(load_run(run_folder), Progress())
+    drawing = run_folder / "figures" / "convergence.svg"
+    drawing.write_bytes(drawing.read_bytes()[:2000])
+
+    with pytest.raises(InputError, match=r"convergence\.svg: is no SVG picture"):
+        show_pictures(run_folder / "figures")
+
+
 @pytest.mark.parametrize("name", ["scenario.yaml", "table.csv"])
 def test_a_damaged_run_is_refused_by_name(odd_run, name):
     """The message names the file."""
@@ -112,7 +143,7 @@ def test_the_view_shows_each_series_once(run_folder):
     view = build_view(load_run(run_folder))
 
     names = [case["name"] for case in view.data["cases"]]
-    assert names == ["0-baseline", "0-no-z"]
+    assert names == ["baseline, seed 0", "no-z, seed 0"]
     assert view.note == "The view contains 2 of 3 cases."
     for case in view.data["cases"]:
         assert case["robot"] == list(range(12))
@@ -329,7 +360,6 @@ def test_published_numbers_have_a_table_of_their_own():
             "condition": "a",
             "published RMSE [robot radii]": "1.64",
             "RMSE [R]": "2.00 ± 0.10",
-            "RMSE [mm]": "65.8 ± 3.3",
         }
     ]
     silent = result_tables(table[1:].reset_index(drop=True), pd.DataFrame())

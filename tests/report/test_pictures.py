@@ -22,9 +22,26 @@ PICTURES = ["structure", "sensed-force", "truth-and-estimate", "error", "contact
 @pytest.fixture
 def scene(run_folder):
     """Twelve robots, to be drawn small."""
-    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["structure"].scene.shrunk(
-        4
+    return build_pictures(read_case_view(load_run(run_folder).cases[0]))["structure"].scene.within(
+        365, 365
     )
+
+
+@pytest.mark.parametrize(("wrong", "ghosts", "rods"), [(0, 0, 0), (3, 3, 0), (12, 0, 12)])
+def test_true_robots_are_drawn_where_the_error_is_seen(run_folder, wrong, ghosts, rods):
+    """Of many wrong robots, translucent ones hid each other."""
+    view = read_case_view(load_run(run_folder).cases[0])
+    error = np.where(np.arange(12) < wrong, 2.0, 0.0)
+    moved = view.pose.copy()
+    moved[:, 0] += error
+
+    scene = build_pictures(replace(view, error=error, estimated_pose=moved))[
+        "truth-and-estimate"
+    ].scene
+
+    assert (0 if scene.ghost is None else len(scene.ghost.radius) / 7) == ghosts
+    apart = np.linalg.norm(scene.end - scene.start, axis=1)
+    assert np.isclose(apart, 2.0).sum() == rods
 
 
 @pytest.fixture

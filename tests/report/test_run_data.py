@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.report.conftest import write_case, write_summary
+from tests.report.conftest import write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.run_data import load_run
@@ -74,3 +74,27 @@ def test_edges_of_the_ground_come_from_the_summary(tmp_path):
 
     assert bridge == Terrain(left_edge=0.0, right_edge=20.0)
     assert tower == Terrain()
+
+
+def test_labels_stand_for_conditions(tmp_path):
+    """Tables and series have them; folders and files keep the name."""
+    rows = [[f"0-{name}", "done", f"30, {name}", name, 8] for name in ("a", "aa")]
+    write_summary(tmp_path, "case,status,series,condition,robots", rows)
+    write_table(tmp_path / "table.csv", "condition,cases", [["a", 1], ["aa", 1]])
+    (tmp_path / "scenario.yaml").write_text("conditions: {a: {label: 'Method \\1'}, aa: {}}\n")
+
+    run = load_run(tmp_path)
+
+    assert list(run.series) == ["30, Method \\1", "30, aa"]
+    assert [case.name for case in run.cases] == ["0-a", "0-aa"]
+    table = run.table("table.csv", ["condition"], [], after="cases")
+    assert list(table["condition"]) == ["Method \\1", "aa"]
+
+
+@pytest.mark.parametrize("text", ["conditions: 3", "- 1", "conditions: {a: [1], b: }"])
+def test_a_scenario_of_another_form_has_no_labels(tmp_path, text):
+    """What is wrong with it, the page says."""
+    write_summary(tmp_path, "case,status", [["0-a", "done"]])
+    (tmp_path / "scenario.yaml").write_text(text)
+
+    assert load_run(tmp_path).labels == {}

@@ -47,7 +47,7 @@ def test_robots_without_an_estimate_are_drawn_once(run_folder):
 
     scene = build_pictures(read_case_view(case))["truth-and-estimate"].scene
 
-    assert len(whole.radius) - len(scene.radius) == 7  # a hub, three arms, three docks
+    assert len(whole.radius) - len(scene.radius) == 4  # a rod, and a hub, an arm and a dock
 
 
 def test_first_capsule_along_each_ray_is_found(scene):

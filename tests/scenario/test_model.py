@@ -8,6 +8,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.robot import SHAPES, RobotGeometry
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario.expansion import load_scenario, variants
@@ -154,3 +155,39 @@ def test_the_schema_describes_every_key():
     assert "2020-12" in schema["$schema"]
     assert all(field.get("description") for field in _fields(schema))
     assert set(schema["required"]) == {"name", "structure", "localization"}
+
+
+def test_a_label_changes_neither_hash_nor_settings(tmp_path):
+    """A run keeps its folder and its cases when a condition is named better for readers."""
+    path = tmp_path / "labeled.yaml"
+    path.write_text(
+        "name: a\nstructure: {kind: tower}\nlocalization: {method: virtual-force}\n"
+        "conditions: {plain: {}, no-z: {localization.z_correction: false}}\n"
+    )
+    labeled = load_scenario(path, ["conditions.no-z.label=Without heights"])
+
+    assert labeled.conditions["no-z"]["label"] == "Without heights"
+    assert scenario_hash(labeled) == scenario_hash(load_scenario(path))
+    assert [v.settings for v in variants(labeled)] == [
+        v.settings for v in variants(load_scenario(path))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("label", "problem"),
+    [
+        ("[1]", "label .1.: give a text of 1 to 60 letters"),
+        ("''", "label '': give a text"),
+        ("plain", "two conditions have the label plain; give each its own"),
+    ],
+)
+def test_labels_are_texts_that_differ(tmp_path, label, problem):
+    """Lines of a figure that share a name cannot be told apart."""
+    path = tmp_path / "labeled.yaml"
+    path.write_text(
+        "name: a\nstructure: {kind: tower}\nlocalization: {method: virtual-force}\n"
+        f"conditions:\n  plain: {{}}\n  no-z: {{label: {label}}}\n"
+    )
+
+    with pytest.raises(InputError, match=rf"labeled\.yaml:4: conditions: {problem}"):
+        load_scenario(path)

@@ -139,7 +139,7 @@ def draw_test_picture(renderer: str) -> str:
     center = np.array([[0.0, 0.0, 1.0]])
     dock = center + RobotGeometry().dock_offset_body[None]
     robots = DrawnRobots(center=center, dock=dock, color=np.ones((1, 3)), look=Look(0.45, 0.3, 1.0))
-    draw_scenes([build_scene(robots, Terrain()).shrunk(10)], renderer)
+    draw_scenes([build_scene(robots, Terrain()).within(100, 100)], renderer)
     return f"drew a test picture in {time.perf_counter() - begin:.1f} s"
 
 

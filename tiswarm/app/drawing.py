@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiswarm.base.aliases import Reals
+from tiswarm.base.params import AnyMovie
 from tiswarm.base.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import digest, make_folder, write_bytes, write_text
@@ -17,7 +18,7 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.log_page import gather_log_page
 from tiswarm.report.page import write_page
-from tiswarm.report.render.animation import Movie, animate_run
+from tiswarm.report.render.animation import animate_run
 from tiswarm.report.render.pictures import render_run, render_view
 from tiswarm.report.run_data import RunData, load_run
 from tiswarm.report.swarm_view import SwarmView, view_log
@@ -34,7 +35,7 @@ def draw_all(
     *,
     pictures: bool = True,
     pdf: bool = False,
-    movie: Movie | None = None,
+    movie: AnyMovie | None = None,
 ) -> None:
     """Draw the results of a run, unless the drawings are whole and show its tables."""
     some_done = len(result.failed) < result.computed + result.found
@@ -59,7 +60,7 @@ def draw(
     figures: bool = False,
     renders: bool = False,
     pdf: bool = False,
-    movie: Movie | None = None,
+    movie: AnyMovie | None = None,
     renderer: str | None = None,
     case: str | None = None,
 ) -> None:
@@ -99,7 +100,7 @@ def draw(
     if movie:
         animated = animate_run(run, movie, progress=progress, renderer=renderer, case=case)
         written.append(animated.path)
-    written += [write_page(run, progress), *run.folder.glob("*.csv")]
+    written += [write_page(run, progress), *run.folder.glob("*.csv"), run.folder / "scenario.yaml"]
     digests = {path.relative_to(run.folder).as_posix(): digest(path) for path in written}
     write_manifest(run.folder, replace(manifest, drawn={**manifest.drawn, **digests}))
 

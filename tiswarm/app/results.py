@@ -6,17 +6,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyFormat
+from tiswarm.base.params import AnyFormat, AnyMovie
 from tiswarm.records.messages import did_you_mean
 
 if TYPE_CHECKING:
+    import matplotlib.figure
     import pandas as pd
 
 File = str | PathLike[str]
@@ -89,6 +90,17 @@ class Run:
         """Figures and renders by name; none after a run without pictures."""
         return Figures.of([*self.folder.glob("figures/*.png"), *self.folder.glob("renders/*.png")])
 
+    def figure(self, name: str) -> "matplotlib.figure.Figure":
+        """Draw a figure again, as matplotlib has it: change its axes, and save it.
+
+        Raises:
+            InputError: the run has no figure of that name; names those that it has.
+        """
+        from tiswarm.report.figures import draw_figure  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        return draw_figure(load_run(self.folder), name)
+
     def view(self, *, quiet: bool = False) -> Path:
         """Return the run's page, `report.html`; write it if there is none."""
         from tiswarm.app.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
@@ -104,7 +116,7 @@ class Run:
         *,
         renderer: str | None = None,
         case: str | None = None,
-        movie: Literal["gif", "mp4"] | None = None,
+        movie: AnyMovie | None = None,
         quiet: bool = False,
     ) -> Figures:
         """Draw 3D pictures of a case, which the run's page shows too.

@@ -32,3 +32,6 @@ ARCHS: tuple[Arch, ...] = get_args(Arch)
 
 AnyFormat = Literal["csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"]
 """File format of an export."""
+
+AnyMovie = Literal["mp4", "webp", "gif"]
+"""File formats of an animation."""

@@ -8,7 +8,7 @@ import warnings
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -18,7 +18,7 @@ import tiswarm
 from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.memory import naming_shortage, require_address_space
-from tiswarm.base.params import AnyArch
+from tiswarm.base.params import AnyArch, AnyMovie
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -54,7 +54,7 @@ Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
 Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]
 Movie = Annotated[
-    Literal["gif", "mp4"] | None, Option(help="File format of --animate (default: gif).")
+    AnyMovie | None, Option(help="Animate into this file format (default: mp4, or else webp).")
 ]
 
 
@@ -100,15 +100,13 @@ def show_page(page: Path | str, *, opened: bool) -> None:
         raise EnvironmentTroubleError(f"no browser to open {page}; copy it to a machine with one")
 
 
-def chosen_movie(movie: Literal["gif", "mp4"] | None, *, animate: bool) -> Any:  # noqa: ANN401
-    """Return the file format of an animation; None without one.
+def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
+    """Return the file format of an animation, the best one if none was chosen; None without one."""
+    if movie or not animate:
+        return movie
+    from tiswarm.report.render.animation import best_movie
 
-    Raises:
-        InputError: a format was chosen for no animation.
-    """
-    if movie and not animate:
-        raise InputError(f"there is no animation to write as {movie}; add --animate", key="--movie")
-    return movie or "gif" if animate else None
+    return best_movie()
 
 
 def refuse(given: Mapping[str, object], reason: str) -> None:

@@ -11,6 +11,9 @@ from pydantic.dataclasses import dataclass
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import read_json, write_json
 
+LABEL = "label"
+"""Key of a condition of a scenario: what pages and figures show in place of its name."""
+
 _FOLDERS = ("cases", "structures", "figures", "renders", "export")
 _MANIFEST = "manifest.json"
 

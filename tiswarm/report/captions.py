@@ -41,8 +41,9 @@ CAPTIONS = {
     "in weights of a dock.",
     "sizes": "Structures of every size at one scale, each robot colored by its error.",
     "structure": "True structure, colored by join index, the order in which robots joined.",
-    "truth-and-estimate": "True robots, translucent blue, and estimated robots, orange. Where only "
-    "orange is seen, the estimate is right.",
+    "truth-and-estimate": "Estimated robots, orange, and true robots, translucent blue, where they "
+    "are more than 0.3 R apart. If most are, balls stand for robots, and rods join true and "
+    "estimated centers.",
 }
 """Captions by file name; a longer name adds a sweep point or a case."""
 

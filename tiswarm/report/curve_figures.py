@@ -219,16 +219,16 @@ def draw_scaling(run: RunData) -> "Figure":
             (line,) = axes.plot(part["robots"], part["mean"], markersize=3.0, **look)
             legend["all series" if one_for_all else names[place]] = line
             axes.annotate(
-                _powers(part), (0.0, 1.0), (3.0, -2.0 - 8.0 * place), color=look["color"],
-                xycoords="axes fraction", textcoords="offset points", fontsize=6.0, va="top",
+                _powers(part), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
+                xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
             )  # fmt: skip
         axes.set(xscale="log", xlabel="Robots N", ylabel=label)
         axes.set_xticks(sizes, labels)
         axes.minorticks_off()
         if measure.endswith("_MB"):
-            axes.set_ylim(0.0, 1.5 * rows["mean"].max())
+            axes.set_ylim(0.0, 1.1 * rows["mean"].max())
         else:
-            _show_decades(axes, rows["mean"])
+            fit_axis(axes, "y", rows["mean"].to_numpy(float))
     shown = [name for name in (*names, "all series") if name in legend]
     figure.legend([legend[name] for name in shown], shown, loc="outside upper right", ncols=4)
     powers = "powers of N are fitted to all sizes, then to the two largest"
@@ -243,12 +243,3 @@ def _powers(part: "pd.DataFrame") -> str:
         return ""
     every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
     return f"$N^{{{every:.2f}}}$, last $N^{{{largest:.2f}}}$"
-
-
-def _show_decades(axes: "Axes", means: "pd.Series[float]") -> None:
-    """Make the y axis logarithmic, with limits at powers of ten and room for a legend."""
-    positive = means[means > 0.0]
-    if len(positive):
-        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
-        above = max(1.0, np.ceil((high - low) / 3.5))
-        axes.set(yscale="log", ylim=(10.0**low, 10.0 ** (high + above)))

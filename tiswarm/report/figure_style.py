@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,9 +36,15 @@ PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
 """Widths of a column and of a page of a paper [inch]."""
 
+STACKED = "-stacked"
+"""End of the name of an SVG whose panels are one below the other."""
+
 MOST_BANDS = 5
 """Lines in a panel beyond which bands would hide each other."""
 
+_LONG_LABEL = 20  # letters of a row's label beyond which a stacked figure wraps it
+_LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
+_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
@@ -50,6 +57,8 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.2,
     "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tiswarm",
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
 }
@@ -164,10 +173,15 @@ def add_note(figure: "Figure", *notes: str) -> None:
     note = "; ".join(filter(None, notes))
     if not note:
         return
-    line = 0.1 / float(figure.get_size_inches()[1])  # 0.1 inch
+    _leave_room(figure)
+    figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
+
+
+def _leave_room(figure: "Figure") -> None:
+    """Leave a line of 0.1 inch below the panels for a note."""
+    line = 0.1 / float(figure.get_size_inches()[1])
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0.0, line, 1.0, 1.0 - line))
-    figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
 
 
 def add_key(
@@ -185,6 +199,59 @@ def left_out(points: int, file: str) -> str:
     return f"{counted(points, 'more sweep point')} in {file}" if points else ""
 
 
+def stack(figure: "Figure") -> None:
+    """Arrange the panels of a figure one below the other, as wide as a column of a paper.
+
+    Each panel gets the numbers of its own axes, and legends get as many columns as fit.
+    """
+    panels = [axes for axes in figure.axes if axes.axison and axes.get_subplotspec()]
+    rows = {spec.rowspan.start for axes in panels if (spec := axes.get_subplotspec())}
+    height = float(figure.get_size_inches()[1]) / len(rows) * len(panels)
+    grid = figure.add_gridspec(len(panels), 1)
+    for place, axes in enumerate(panels):
+        axes.set_subplotspec(grid[place])
+        axes.tick_params(labelbottom=True, labelleft=True)
+        if any(len(label.get_text()) > _LONG_LABEL for label in axes.get_yticklabels()):
+            labels = [fill(label.get_text(), _LONG_LABEL) for label in axes.get_yticklabels()]
+            axes.set_yticks(axes.get_yticks(), labels)
+    unused = [axes for axes in figure.axes if not axes.axison]
+    height += _LEGEND_LINE * _restack_legends(figure, unused)
+    for axes in unused:
+        axes.remove()
+    figure.set_size_inches(COLUMN_WIDTH, height)
+    figure.set_layout_engine("constrained")
+    if any(text.get_position()[1] == 0.0 for text in figure.texts):
+        _leave_room(figure)
+
+
+def _restack_legends(figure: "Figure", unused: "Sequence[Axes]") -> int:
+    """Put the legends of a figure and its unused panels on top; returns their lines."""
+    legends = [*figure.legends, *filter(None, (axes.get_legend() for axes in unused))]
+    drawn: dict[str, Any] = {}
+    for axes in figure.axes:
+        handles, labels = axes.get_legend_handles_labels()
+        drawn |= dict(zip(labels, handles, strict=True))
+    lines = 0
+    for legend in legends:
+        names = [text.get_text() for text in legend.get_texts()]
+        columns = legend_columns(names, COLUMN_WIDTH)
+        lines += -(-len(names) // columns)
+        copies: Any = zip(names, legend.legend_handles, strict=True)
+        legend.remove()
+        figure.legend(
+            [drawn.get(name, copy) for name, copy in copies], names, ncols=columns,
+            loc="outside upper center", title=legend.get_title().get_text() or None,
+            title_fontsize=7.0,
+        )  # fmt: skip
+    return lines
+
+
+def legend_columns(names: Sequence[str], width: float, most: int = 4) -> int:
+    """Return how many columns of a legend fit into a width [inch]."""
+    column = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, names), default=0)
+    return max(1, min(most, int(width / column)))
+
+
 def png(figure: "Figure") -> bytes:
     """Encode a figure as PNG; equal figures give equal bytes."""
     return _encoded(figure, "png", {"Software": None})
@@ -193,6 +260,11 @@ def png(figure: "Figure") -> bytes:
 def pdf(figure: "Figure") -> bytes:
     """Encode a figure as vectors (PDF); equal figures give equal bytes."""
     return _encoded(figure, "pdf", {"CreationDate": None, "Creator": None, "Producer": None})
+
+
+def svg(figure: "Figure") -> bytes:
+    """Encode a figure as SVG whose letters are text; equal figures give equal bytes."""
+    return _encoded(figure, "svg", dict.fromkeys(["Creator", "Date", "Format", "Type"]))
 
 
 def _encoded(figure: "Figure", form: str, metadata: dict[str, None]) -> bytes:

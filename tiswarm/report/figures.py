@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
-from tiswarm.records.messages import counted
+from tiswarm.records.messages import counted, did_you_mean
 from tiswarm.report import figure_style
 from tiswarm.report.curve_figures import (
     compares_rounds,
@@ -21,12 +22,15 @@ from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     MOST_BANDS,
     PAGE_WIDTH,
+    STACKED,
     fit_axis,
     line_style,
     new_panels,
     pdf,
     png,
     shortened,
+    stack,
+    svg,
 )
 from tiswarm.report.run_data import RunData, Series, StoredCase
 from tiswarm.report.suite_figure import draw_suites
@@ -37,9 +41,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_FORMS = ("png", "pdf", "svg")
 _MAX_PANELS = 9
 _MANY_TIMES = 4.0  # ratio of iterations from which the axis is logarithmic
 _MAX_POINTS = 20_000  # points drawn in one panel: a fixed random choice where there are more
+_MOST_VECTORS = 2_000  # points in all panels that an SVG has one by one
 _MAX_KINDS = 4
 _LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
 _LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
@@ -55,8 +61,9 @@ _GROWS = {
 
 
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
-    """Draw every figure of a run into `figures/`, as PNG and, if wanted, as vector PDF too.
+    """Draw every figure of a run into `figures/`, as PNG, as SVG and, if wanted, as PDF too.
 
+    A second SVG of a wide figure has the panels one below the other, for narrow screens.
     Cases that failed are left out, and a note on each figure states their number. A figure of an
     earlier call that the run no longer has is removed; an existing PDF is redrawn.
 
@@ -72,17 +79,39 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     for name, draw in painters.items():
         with style.context(["default", figure_style.STYLE]):
             figure = draw(run)
-            for suffix, encode in (("png", png), ("pdf", pdf)):
+            for suffix, encode in (("png", png), ("pdf", pdf), ("svg", svg)):
                 path = run.subfolder("figures") / f"{name}.{suffix}"
-                if suffix == "png" or vector or path.exists():
+                if suffix != "pdf" or vector or path.exists():
                     write_bytes(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
+            if figure.get_size_inches()[0] > COLUMN_WIDTH:
+                stack(figure)
+                path = run.subfolder("figures") / f"{name}{STACKED}.svg"
+                write_bytes(path, svg(figure))
+                written.append(path)
     folder = run.folder / "figures"
-    for path in {*folder.glob("*.png"), *folder.glob("*.pdf")} - {*written}:
+    for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
         if not path.is_dir():
             path.unlink()
     return written
+
+
+def draw_figure(run: RunData, name: str) -> "Figure":
+    """Draw one figure of a run, to be changed and saved by the caller.
+
+    Raises:
+        InputError: the run has no figure of that name; lists those that it has.
+    """
+    from matplotlib import style
+
+    painters = _painters(run) if run.series else {}
+    if name not in painters:
+        some = f"; choose one of {', '.join(painters)}" if painters else ""
+        problem = f"there is no figure {name!r}{some}{did_you_mean(name, [*painters])}"
+        raise InputError(problem, argument="name")
+    with style.context(["default", figure_style.STYLE]):
+        return painters[name](run)
 
 
 def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
@@ -279,13 +308,14 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
     typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
     fit_axis(panels[0], "y", typical)
     low = panels[0].get_ylim()[0]
+    many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
     top = 0.0
     for axes, table in zip(panels, tables, strict=True):
         x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
         area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
         dots = axes.scatter(
             x, np.maximum(y, low), c=join, s=area, cmap=colors, vmin=0.0, vmax=last,
-            linewidths=0.0, clip_on=False,
+            linewidths=0.0, clip_on=False, rasterized=many,
         )  # fmt: skip
         top = max(top, float(y.max(initial=0.0)))
     panels[0].set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)

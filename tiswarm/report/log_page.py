@@ -170,7 +170,9 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
     room = MOST_ROBOTS // len(view.robot) - len(shown)
     for number, each in enumerate(solutions[: max(room, 0)], start=1):
         pose = np.column_stack([each.position / radius, view.estimated_pose[:, 3:]])
-        moved = replace(view, estimated_pose=pose, name=f"solution {number}")
+        moved = replace(
+            view, estimated_pose=pose, name=f"solution {number}", read_trace=lambda: None
+        )
         away = np.linalg.norm(each.position - estimate.position, axis=1)
         sd = np.full(len(away), np.nan) if each.sd is None else each.sd
         values = [("distance from the estimate", away), (SD, sd)]

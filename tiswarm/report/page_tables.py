@@ -52,9 +52,6 @@ _ANCHOR = [
 _PUBLISHED = [
     ("published RMSE [robot radii]", "paper_rmse_radii"),
     ("RMSE [R]", "rmse_R"),
-    ("RMSE [rho]", "rmse_rho"),
-    ("RMSE [mm]", "rmse_mm"),
-    ("best structure [R]", "rmse_R_least"),
     ("published change [%]", "paper_rmse_change_percent"),
     ("change [%]", "rmse_change_percent"),
     ("published disparity", "paper_procrustes_disparity"),
@@ -201,9 +198,9 @@ def _beside_the_paper(table: pd.DataFrame) -> PageTable:
     """Format the rows of the paper's settings beside its numbers."""
     rows = table[table["paper_rmse_radii"].notna()]
     note = (
-        "R is the radius of a dock, rho the distance from a robot's center to a dock; 1 R is 32.9 "
-        'mm, as in the paper\'s towers. The paper does not define its "robot radius". Changes are '
-        "relative to the first condition."
+        'The paper does not define its "robot radius". R is the radius of a dock, 32.9 mm in the '
+        "paper's towers; table.csv has mm, and rho, the distance from a robot's center to a dock. "
+        "Changes are relative to the first condition."
     )
     columns = {}
     for label, name in _PUBLISHED:

@@ -4,18 +4,22 @@ All functions of this room raise InputError if a file that they read is missing 
 """
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
-from tiswarm.records.run_folder import TABLE_NOTES, case_folder, check_folders
+from tiswarm.records.io import run_file
+from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE
+from tiswarm.scenario.yaml_source import read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +61,8 @@ class RunData:
     """The folder of a run, and its summary."""
 
     folder: Path
-    summary: pd.DataFrame  # all cases, `summary.csv`
+    summary: pd.DataFrame  # all cases, `summary.csv`, with the labels of conditions
+    labels: Mapping[str, str] = field(default_factory=dict)  # of conditions that have one, by name
 
     @cached_property
     def cases(self) -> list[StoredCase]:
@@ -145,7 +150,7 @@ class RunData:
         )
         swept = [key for key in swept_columns(table, before=after) if key not in words]
         table[swept] = swept_words(table, before=after)[swept]
-        return table
+        return relabeled(table, self.labels)
 
     def subfolder(self, name: str) -> Path:
         """Make a folder within the run's folder, unless it exists.
@@ -173,7 +178,33 @@ def load_run(folder: Path) -> RunData:
         problem = "contains no summary of a run; name a folder that `tiswarm run` made"
         raise InputError(problem, path=folder)
     check_folders(folder)
-    return RunData(folder, read_frame(path, _WORDS, ["seed"], numbers_after="reason"))
+    summary, labels = read_frame(path, _WORDS, ["seed"], numbers_after="reason"), _labels(folder)
+    return RunData(folder, relabeled(summary, labels), labels)
+
+
+def _labels(folder: Path) -> dict[str, str]:
+    """Read the labels of conditions; none where a run has no scenario."""
+    path = folder / "scenario.yaml"
+    stated: Any = read_yaml(run_file(path)).data if path.exists() else {}
+    conditions = stated.get("conditions") if isinstance(stated, dict) else {}
+    each = conditions.items() if isinstance(conditions, dict) else ()
+    return {
+        name: str(entries[LABEL])
+        for name, entries in each
+        if isinstance(entries, dict) and LABEL in entries
+    }
+
+
+def relabeled(table: pd.DataFrame, labels: Mapping[str, str]) -> pd.DataFrame:
+    """Show conditions by their labels; the name of a series ends with its condition."""
+    for column in table.columns.intersection(["condition", "against"]):
+        table[column] = table[column].replace(labels)
+    if "series" in table:
+        for name, label in labels.items():
+            pattern = rf"(^|, ){re.escape(name)}$"
+            shown = r"\1" + label.replace("\\", r"\\")
+            table["series"] = table["series"].str.replace(pattern, shown, regex=True)
+    return table
 
 
 def swept_columns(table: pd.DataFrame, *, before: str = "cases") -> list[str]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,12 +22,14 @@ SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
 _DIGITS = 4  # decimals of positions
+_TRACE_DIGITS = 2  # decimals of positions in motion
+_MOST_PLACES = 100_000  # positions in motion, in all cases together
 
 
 class View(NamedTuple):
     """The cases of the 3D view."""
 
-    data: dict[str, Any]  # as `space_data` returns it
+    data: dict[str, Any]  # as `space_data` returns it; `compared` if it starts with two cases
     title: str
     choice: str  # what the menu offers
     note: str
@@ -55,14 +58,16 @@ def build_view(run: RunData) -> View | None:
     shown: list[dict[str, Any]] = []
     notes = []
     for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
-        view = read_case_view(case)
+        seed = case.name.partition("-")[0]
+        view = replace(read_case_view(case), name=f"{case.series or case.name}, seed {seed}")
         values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
-            shown.append(data)
+            places = sum(_places(each) for each in [*shown, data])
+            shown.append(data if places <= _MOST_PLACES else {**data, "trace": None})
         if len(view.robot) > MOST_ROBOTS:
             notes = [f"It contains the first {MOST_ROBOTS} of {len(view.robot)} robots."]
     if not shown:
@@ -70,11 +75,16 @@ def build_view(run: RunData) -> View | None:
     if len(shown) < (done := sum(case.done for case in run.cases)):
         notes.insert(0, f"The view contains {len(shown)} of {done} cases.")
     return View(
-        data=space_data(view.dock_offset_body, shown),
+        data=space_data(view.dock_offset_body, shown) | {"compared": True},
         title="True and estimated positions",
         choice="Case",
         note=" ".join(notes),
     )
+
+
+def _places(data: dict[str, Any]) -> int:
+    """Count the positions in motion of a case."""
+    return len(data["robot"]) * len(data["trace"]["iteration"]) if data["trace"] else 0
 
 
 def space_data(
@@ -93,6 +103,7 @@ def space_data(
         "cases": cases,
         "radius": radius,
         "unit": unit,
+        "score": "RMSE" if any(case["true"] for case in cases) else "",
         "sphere": MOST_WITHIN,  # radius of a sphere [sd]
     }
 
@@ -120,6 +131,7 @@ def view_data(view: SwarmView, colorings: Sequence[Coloring] = ()) -> dict[str, 
         ],
         "contacts": _contacts(view, known),
         "ground": _ground(view, true if len(true) else estimated),
+        "trace": _trace(view, known),
     }
 
 
@@ -140,6 +152,15 @@ def _contacts(view: SwarmView, known: Ints) -> list[list[int]]:
     contacts[:, [0, 2]] = place[contacts[:, [0, 2]]]
     found: list[list[int]] = contacts[(contacts >= 0).all(axis=1)].tolist()
     return found
+
+
+def _trace(view: SwarmView, known: Ints) -> dict[str, list[Any]] | None:
+    """List the centers of known robots at some iterations; None where none are stored."""
+    trace = view.read_trace()
+    if trace is None:
+        return None
+    center = trace.center[:, known].round(_TRACE_DIGITS).tolist()
+    return {"iteration": trace.iteration.tolist(), "center": center}
 
 
 def _ground(view: SwarmView, pose: Reals) -> list[Any]:

@@ -17,6 +17,7 @@ from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_format import parse_header
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import Terrain
+from tiswarm.records.trace import EstimateTrace, read_trace, thinned
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.render.scene import DrawnRobots, Look
 from tiswarm.report.run_data import StoredCase
@@ -42,6 +43,7 @@ class SwarmView:
     dock_offset_body: Reals  # vectors from center to dock, body frame [R], shape (docks, 3)
     terrain: Terrain | None  # the ground; None where there is none
     read_log: Callable[[], SensingLog]  # slow for many robots
+    read_trace: Callable[[], EstimateTrace | None] = lambda: None  # centers by iteration [R]
 
     @cached_property
     def log(self) -> SensingLog:
@@ -120,6 +122,7 @@ def read_case_view(case: StoredCase) -> SwarmView:
             right_edge=case.right_edge,
         ),
         read_log=read_log,
+        read_trace=lambda: read_trace(case.folder / "trace.csv", len(robot)),
     )
 
 
@@ -151,6 +154,9 @@ def view_log(
     turned = with_orientations(log).orientation_wxyz
     unknown, unit = np.full((log.robot_count, 3), np.nan), log.dock_radius
     place, center = estimate.position / unit, unknown if true is None else true / unit
+    trace = thinned(estimate)
+    if trace is not None:
+        trace = trace._replace(center=trace.center / unit)
     return SwarmView(
         name=name,
         robot=log.robot_id,
@@ -162,4 +168,5 @@ def view_log(
         dock_offset_body=log.dock_offset_body / unit,
         terrain=None if log.ground_z is None else Terrain(ground_z=log.ground_z / unit),
         read_log=lambda: log,
+        read_trace=lambda: trace,
     )

@@ -30,8 +30,6 @@ _LABELS = [label for label, _ in _MEASURES.values()]
 _DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
 
 _MOST_ROWS = 60
-_MOST_COLUMNS = 4
-_LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
 
 _SHAPE_PANELS = {
     "rmse_R": "RMSE [R]",
@@ -81,11 +79,10 @@ def draw_accuracy(run: RunData) -> "Figure":
     handles, labels = panels[0].get_legend_handles_labels()
     if labels[0].startswith("published"):  # matplotlib lists lines before error bars
         handles, labels = [*handles[1:], handles[0]], [*labels[1:], labels[0]]
-    width = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, labels))
-    columns = max(1, min(_MOST_COLUMNS, int(PAGE_WIDTH / width)))
     number = counted(int(table["cases"].max()), "structure")
     figure.legend(
-        handles, labels, loc="outside upper right", ncols=columns, title_fontsize=7.0,
+        handles, labels, loc="outside upper right",
+        ncols=figure_style.legend_columns(labels, PAGE_WIDTH), title_fontsize=7.0,
         title=f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}",
     )  # fmt: skip
     more = figure_style.left_out(len(points) - len(shown), "table.csv")

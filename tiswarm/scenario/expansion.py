@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
 from tiswarm.records.messages import Part, counted, dotted
+from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
 from tiswarm.scenario.shipped import find_scenario
 from tiswarm.scenario.validation import (
@@ -287,7 +288,8 @@ def _expand(
         label = _label(point, condition)
         changes = [row[0] for row in rows]
         changes += [follower for row in rows for follower in row[1:]]
-        changes += [_Change(k, v, ("conditions", condition, k)) for k, v in entries.items()]
+        settings = [(key, value) for key, value in entries.items() if key != LABEL]
+        changes += [_Change(k, v, ("conditions", condition, k)) for k, v in settings]
         outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))

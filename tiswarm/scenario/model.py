@@ -26,6 +26,7 @@ from pydantic.dataclasses import dataclass
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
+from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, validate
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
@@ -33,6 +34,7 @@ from tiswarm.world.params import StructureParams
 
 _SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
 _SLUG = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9._-]{0,98}[A-Za-z0-9_-])?")
+_LONGEST = 60
 _Values = TypeVar("_Values", bound=tuple[Any, ...])
 
 
@@ -43,10 +45,20 @@ def _slug(text: str) -> str:
 
 
 def _condition_key(key: str) -> str:
-    if key.partition(".")[0] not in CONDITION_SECTIONS:
+    if key != LABEL and key.partition(".")[0] not in CONDITION_SECTIONS:
         message = "conditions change localization and sensing only; use sweep for the rest"
         raise ValueError(message)
     return key
+
+
+def _labeled(conditions: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    labels = [entries.get(LABEL, name) for name, entries in conditions.items()]
+    for label in labels:
+        if not (isinstance(label, str) and label.isprintable() and 1 <= len(label) <= _LONGEST):
+            raise ValueError(f"label {label!r}: give a text of 1 to {_LONGEST} letters")
+        if labels.count(label) > 1:
+            raise ValueError(f"two conditions have the label {label}; give each its own")
+    return conditions
 
 
 def swept_keys(entry: str) -> list[str]:
@@ -117,11 +129,11 @@ class Scenario:
     localization: LocalizationParams
     """Localization method and its settings."""
 
-    conditions: Annotated[dict[_Slug, _Overrides], Field(min_length=1)] = field(
-        default_factory=lambda: {"baseline": {}}
-    )
+    conditions: Annotated[
+        dict[_Slug, _Overrides], Field(min_length=1), AfterValidator(_labeled)
+    ] = field(default_factory=lambda: {"baseline": {}})
     """By name, settings of `localization.*` and `sensing.*` that differ from those above. All
-    conditions run on the same structures."""
+    conditions run on the same structures. Pages and figures show a condition's `label`, if any."""
 
     sweep: dict[Annotated[str, AfterValidator(_sweep_key)], _SweepValues] = field(
         default_factory=dict
@@ -188,11 +200,13 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_hash(scenario: Scenario) -> str:
-    """Hash a scenario without its description to eight hex digits.
+    """Hash a scenario without its description and labels to eight hex digits.
 
     The order of keys, comments and defaults written out make no difference.
     """
     data = to_plain(scenario)
     del data["description"]
+    for entries in data["conditions"].values():
+        entries.pop(LABEL, None)
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return sha256(text.encode()).hexdigest()[:8]

@@ -35,7 +35,7 @@ _UNIONS = {*DISCRIMINATORS, "seeds"} - {*SAME_KEYS}
 
 _METHOD = ("localization", DISCRIMINATORS["localization"])
 
-_CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+))?")
+_CONDITION = re.compile(rf"conditions\.(.+?)(?:\.((?:{'|'.join(CONDITION_SECTIONS)})\..+|label))?")
 _Checked = TypeVar("_Checked")
 
 

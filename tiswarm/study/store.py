@@ -34,6 +34,7 @@ from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import check_folders
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.trace import write_trace
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
 from tiswarm.study.cases import Case, series_text, structure_key
 from tiswarm.study.provenance import Cost, case_code, structure_code
@@ -192,6 +193,7 @@ class RunFolder:
             write_frame(tables[name], folder / f"{name}.csv")
         files = {path.name: digest(path) for path in sorted(folder.iterdir())}
         write_json(folder / _COST, cost)
+        write_trace(folder / "trace.csv", estimate)  # for the page alone: no result, no digest
         complete = replace(record, files=files)
         self._publish(complete, folder)
         return complete

@@ -31,6 +31,9 @@ from tiswarm.report.swarm_view import SwarmView, read_case_view
 _GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 
+_SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [R]
+_MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
+
 _LEGEND_HEIGHT, _BAR_LENGTH = 62, 200  # of a legend, and of its bar of colors [pixels]
 _INK = (40, 40, 40)
 
@@ -77,13 +80,28 @@ def build_pictures(view: SwarmView) -> dict[str, Picture]:
 
 
 def _truth_and_estimate(view: SwarmView, around: Reals) -> Picture:
-    """Draw the true robots translucent, and the estimated ones solid."""
-    truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUE_SIZE)
+    """Draw the estimated robots solid, and the true ones translucent where the error is seen.
+
+    Where it is seen of most robots, they would hide each other: balls at true and estimated centers
+    stand for them, joined by rods.
+    """
+    keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
     estimate = view.robots(view.estimated_pose, rgb(ESTIMATE_ORANGE), TRUE_SIZE)
     if not len(estimate.center):
+        truth = view.robots(view.pose, rgb(TRUE_BLUE), TRUE_SIZE)
         return Picture(build_scene(truth, view.terrain), ((TRUE_BLUE, "true"),))
-    keys = ((_GHOST_BLUE, "true"), (ESTIMATE_ORANGE, "estimated"))
-    return Picture(build_scene(estimate, view.terrain, ghosts=truth, around=around), keys)
+    is_placed = np.isfinite(view.estimated_pose).all(axis=1)
+    seen = (view.error > _SEEN_ERROR) | ~is_placed
+    if seen.mean() > _MOST_GHOSTS:
+        ends = np.stack([view.pose[is_placed, :3], view.estimated_pose[is_placed, :3]], axis=1)
+        center = np.concatenate([view.pose[:, :3], ends[:, 1]])
+        color = np.repeat([rgb(TRUE_BLUE), rgb(ESTIMATE_ORANGE)], [len(view.pose), len(ends)], 0)
+        nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
+        scene = build_scene(nodes, view.terrain, rods=ends, around=around)
+        return Picture(scene, ((TRUE_BLUE, "true"), *keys[1:]))
+    shown = np.where(seen[:, None], view.pose, np.nan)
+    ghosts = view.robots(shown, rgb(TRUE_BLUE), TRUE_SIZE) if seen.any() else None
+    return Picture(build_scene(estimate, view.terrain, ghosts=ghosts, around=around), keys)
 
 
 def _scaled(

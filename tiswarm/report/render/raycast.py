@@ -7,11 +7,12 @@ edge are averaged over several rays.
 
 import contextlib
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
@@ -36,6 +37,8 @@ _FAINT = 0.5  # opacity below which ground hides nothing
 _OTHERS = 5  # more than the objects that are no capsules
 _GHOST_GAP = 0.3  # ghosts less far before robots than this coincide with them [R]
 _GHOST_OPACITY, _GHOST_VEIL = 0.5, 0.25  # of ghosts before the background, and before robots
+_SURROUNDINGS = 5.0  # around the center of a new robot, what is drawn again [R]
+_LEAST_CHANGE = 0.002  # of the brightness of ground that is drawn again, 0 to 1
 _CHUNK = 400_000  # rays cast at a time, to bound memory
 _TILE = 12  # edge of a tile in which the `taichi` renderer sorts capsules [pixels]
 
@@ -58,23 +61,89 @@ def draw_scenes(
         InputError: the renderer is unknown.
         EnvironmentTroubleError: the renderer does not work on this machine.
     """
+
+    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Picture]:
+        pictures: dict[int, Picture] = {}
+        for alike in _alike(scenes):
+            pictures |= zip(alike, _draw([scenes[number] for number in alike], tracer), strict=True)
+            advance(len(alike))
+        return [pictures[number] for number in range(len(scenes))]
+
+    return _drawn_by_first(renderer, draw, advance)
+
+
+def draw_growth(
+    scenes: Sequence[Scene],
+    added: Sequence[Reals],
+    renderer: str | None = None,
+    advance: Advance = ignore,
+) -> tuple[list[Picture], str, str]:
+    """Draw scenes before one camera, each with a few robots more than the one before.
+
+    Only the surroundings of new robots, and ground that they darken, are cast again.
+
+    Args:
+        scenes: What to draw.
+        added: Centers of the new robots of each scene [R], each of shape (n, 3).
+        renderer: Name of the renderer; the first that works if None.
+        advance: Called with the number of pictures drawn since, less than 0 if a renderer fails.
+
+    Returns:
+        The pictures, of shape (height, width, 3), the name of their renderer, and why a better
+        renderer failed, if one did.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
+
+    def draw(tracer: Callable[[Scene], Trace], advance: Advance) -> list[Picture]:
+        pictures: list[Picture] = []
+        cells = _ground_cells(scenes[0])
+        for number, (scene, centers) in enumerate(zip(scenes, added, strict=True)):
+            if pictures:
+                darker = _changed_ground(scenes[number - 1], scene)[cells]
+                new = np.flatnonzero(_surroundings(scene, centers) | darker)
+                picture = pictures[-1].copy()
+                picture.reshape(-1, 3)[new] = _draw([scene], tracer, new)[0]
+            else:
+                picture = _draw([scene], tracer)[0]
+            pictures.append(picture)
+            advance(1)
+        return pictures
+
+    return _drawn_by_first(renderer, draw, advance)
+
+
+def _drawn_by_first(
+    renderer: str | None,
+    draw: Callable[[Callable[[Scene], Trace], Advance], list[Picture]],
+    advance: Advance,
+) -> tuple[list[Picture], str, str]:
+    """Draw with a renderer, or with the first that works; returns its name, and why not a better.
+
+    Raises:
+        InputError: the renderer is unknown.
+        EnvironmentTroubleError: the renderer does not work on this machine.
+    """
     if renderer is not None and renderer not in TRACERS:
         gone = "open3d casts rays now; " if renderer == "open3d-raycast" else ""
         problem = f"unknown renderer: {renderer}; {gone}use one of {', '.join(TRACERS)}"
         raise InputError(problem, argument="renderer")
     reason = ""
     for name in TRACERS if renderer is None else (renderer,):
-        pictures: dict[int, Picture] = {}
+        done = 0.0
+
+        def count(more: float) -> None:
+            nonlocal done
+            done += more
+            advance(more)
+
         try:
-            for alike in _alike(scenes):
-                drawn = _draw([scenes[number] for number in alike], TRACERS[name])
-                pictures |= zip(alike, drawn, strict=True)
-                advance(len(alike))
+            return draw(TRACERS[name], count), name, reason
         except (ImportError, OSError, RuntimeError) as error:
-            advance(-len(pictures))
+            advance(-done)
             reason = f"{name}: {error}; `tiswarm doctor` names what to install"
-        else:
-            return [pictures[number] for number in range(len(scenes))], name, reason
     raise EnvironmentTroubleError(f"cannot draw with {reason}")
 
 
@@ -90,19 +159,66 @@ def _alike(scenes: list[Scene]) -> list[list[int]]:
     return groups
 
 
-def _draw(scenes: list[Scene], tracer: Callable[[Scene], Trace]) -> list[Picture]:
-    """Draw scenes that differ by colors alone, each of shape (height, width, 3)."""
+def _ground_cells(scene: Scene) -> Ints:
+    """Find the cell of flat ground in each pixel, shape (height * width,); the last if none is."""
+    camera, ground = scene.camera, scene.ground
+    none = np.full(camera.height * camera.width, -1)
+    if ground is None:
+        return none
+    row, column = np.indices((camera.height, camera.width), dtype=np.float32).reshape(2, -1)
+    direction = camera.directions(np.column_stack([column, row]))
+    depth, _ = ground.cast(camera.eye.astype(np.float32), direction)
+    met = np.flatnonzero(np.isfinite(depth))
+    points = camera.eye[:2] + depth[met, None] * direction[met, :2]
+    place = np.round((points - ground.corner[:2]) / ground.cell).astype(np.int64)
+    count = len(ground.look)
+    inside = ((place >= 0) & (place < count)).all(axis=1)
+    none[met[inside]] = place[inside, 1] * count + place[inside, 0]
+    return none
+
+
+def _changed_ground(before: Scene, after: Scene) -> Bools:
+    """Mark cells of the ground that look different, and their neighbors; the last is none."""
+    if before.ground is None or after.ground is None:
+        return np.zeros(1, dtype=bool)
+    change = np.abs(after.ground.look - before.ground.look).max(axis=2) > _LEAST_CHANGE
+    return np.append(binary_dilation(change), False)
+
+
+def _surroundings(scene: Scene, centers: Reals) -> Bools:
+    """Mark the pixels near robots, of shape (height * width,)."""
+    camera = scene.camera
+    row, column = np.indices((camera.height, camera.width), dtype=np.float32).reshape(2, -1)
+    near = np.zeros(len(row), dtype=bool)
+    for right, up, forward in camera.project(centers):
+        scale = camera.pixels_per_slope / forward
+        x, y = camera.width / 2.0 + scale * right, camera.height / 2.0 - scale * up
+        near |= (column - x) ** 2 + (row - y) ** 2 < (scale * _SURROUNDINGS) ** 2
+    return near
+
+
+def _draw(
+    scenes: list[Scene], tracer: Callable[[Scene], Trace], part: Ints | None = None
+) -> list[Picture]:
+    """Draw scenes that differ by colors alone, each of shape (height, width, 3).
+
+    Of a part of the pixels, colors have the shape (n, 3).
+    """
     scene, colors = scenes[0], np.array([scene.color for scene in scenes])
-    layers = [(part, tracer(part)) for part in (scene, scene.ghost) if part]
+    layers = [(each, tracer(each)) for each in (scene, scene.ghost) if each]
     width, height = scene.camera.width, scene.camera.height
     row, column = np.indices((height, width), dtype=np.float32).reshape(2, -1)
     corner = np.column_stack([column, row])
-    color, seen = _cast(layers, colors, corner + np.float32(0.5))
-    edge = np.flatnonzero(_edges(seen.reshape(height, width)))
+    drawn = np.arange(len(corner)) if part is None else part
+    color, seen = _cast(layers, colors, corner[drawn] + np.float32(0.5))
+    whole = np.full(len(corner), _FACES.min() - 1)
+    whole[drawn] = seen
+    edge = np.flatnonzero(_edges(whole.reshape(height, width)).ravel()[drawn])
     places = _SUBPIXELS if len(edge) < _MANY_EDGES * len(seen) else _SUBPIXELS[::2]
-    finer = [_cast(layers, colors, corner[edge] + place)[0] for place in places]
+    finer = [_cast(layers, colors, corner[drawn[edge]] + place)[0] for place in places]
     color[:, edge] = np.mean(finer, axis=0)
-    return [np.round(255.0 * one).astype(np.uint8).reshape(height, width, 3) for one in color]
+    pixels = [np.round(255.0 * one).astype(np.uint8) for one in color]
+    return [one.reshape(height, width, 3) if part is None else one for one in pixels]
 
 
 def _cast(

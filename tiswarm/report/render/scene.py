@@ -90,10 +90,11 @@ class Scene:
     ground: Ground | None
     ghost: "Scene | None" = None  # translucent capsules before the same camera
 
-    def shrunk(self, times: int) -> "Scene":
-        """Return the same scene before a camera with so many times fewer pixels a side."""
-        width, height = self.camera.width // times, self.camera.height // times
-        return self.seen_by(replace(self.camera, width=width, height=height))
+    def within(self, width: int, height: int) -> "Scene":
+        """Return the same scene before a camera with at most so many columns and rows [pixels]."""
+        share = min(width / self.camera.width, height / self.camera.height, 1.0)
+        columns, rows = round(share * self.camera.width), round(share * self.camera.height)
+        return self.seen_by(replace(self.camera, width=columns, height=rows))
 
     def painted(self, robots: "DrawnRobots") -> "Scene":
         """Return a scene of robots alone in their present colors."""

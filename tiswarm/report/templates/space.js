@@ -7,7 +7,8 @@ const SHADES = 48; // number of colors of a scale
 const NEARBY = 12; // distance within which the pointer selects a robot [pixels]
 const SIDES = [0, 1, 2]; // x, y, z
 const START = { turn: -1.0, tilt: 0.22, zoom: 1, right: 0, down: 0 }; // the last two in pixels
-const GHOST = { opacity: 0.35, gap: 0.3, back: 1 }; // of true robots beside estimated ones: opacity; error from which they are drawn, and how much they are drawn behind their place [R]
+const GHOST = { opacity: 0.25, gap: 0.3, back: 1 }; // of true robots beside estimated ones: opacity; error from which they are drawn, and how much they are drawn behind their place [R]
+const ROOM = { above: 52, below: 74, side: 36 }; // around the box, for the title, numbers and labels [pixels]
 const EARTH = 0.75; // opacity of the ground
 const SPHERE = 0.3; // opacity of spheres
 const RAISED = 1.5; // contacts are drawn as if they were this much nearer [R]
@@ -56,7 +57,7 @@ function docksOf([x, y, z], [w, a, b, c], offsets) {
 
 // The box around all robots and the ground of cases, and ticks along its sides [R]; `scale` is R in the unit of their labels.
 function boxOf(cases, scale) {
-  const reach = 3; // a robot's docks lie within this
+  const reach = 2.6; // a robot's docks lie within this
   const low = [Infinity, Infinity, Infinity], high = low.map((value) => -value);
   const grow = (point, room) => SIDES.forEach((k) => {
     low[k] = Math.min(low[k], point[k] - room);
@@ -88,12 +89,15 @@ function cameraOf(box, { turn, tilt, zoom, right, down }, fit, width, height) {
   return { look: { turn, tilt, zoom, right, down }, fit, radius: box.radius, toward, eye: box.middle.map((value, k) => value + away * toward[k]), place };
 }
 
-// Pixels per R at which the whole box fits the canvas.
+// Pixels per R, and shift of the middle, at which the whole box fits the canvas.
 function fitOf(box, width, height) {
   const { place } = cameraOf(box, START, 1, 0, 0);
   const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((n) => place(SIDES.map((k) => (n >> k & 1 ? box.high : box.low)[k])));
-  const reach = (k) => Math.max(...corners.map((corner) => Math.abs(corner[k])));
-  return Math.min((width / 2 - Math.min(80, width / 8)) / reach(0), (height / 2 - 34) / reach(1));
+  const span = [0, 1].map((k) => [Math.min, Math.max].map((end) => end(...corners.map((corner) => corner[k]))));
+  const side = Math.min(ROOM.side, width / 7), room = [width - 2 * side, height - ROOM.above - ROOM.below];
+  const fit = Math.min(...span.map(([low, high], k) => room[k] / (high - low)));
+  const [right, down] = span.map(([low, high]) => -fit * (low + high) / 2);
+  return { fit, right, down: down + (ROOM.above - ROOM.below) / 2 };
 }
 
 // The far sides of the box with a grid, and numbers along visible edges.
@@ -118,23 +122,24 @@ function drawBox(pen, box, { radius, unit }, { toward, place }) {
   pen.textAlign = "center";
   pen.textBaseline = "middle";
   for (const k of SIDES) {
-    const write = (text, point, gap) => {
-      const [px, py] = place(point), away = Math.hypot(px - x, py - y) || 1;
-      const [dx, dy] = k === 2 ? [-1, 0] : [(px - x) / away, (py - y) / away];
+    const write = (text, [px, py], gap, way = null) => {
+      const away = Math.hypot(px - x, py - y) || 1;
+      const [dx, dy] = way || [(px - x) / away, (py - y) / away];
       pen.fillText(text, Math.max(px + gap * dx, pen.measureText(text).width / 2 + 2), py + gap * dy);
     };
     pen.font = "12px system-ui, sans-serif";
-    for (const tick of box.ticks[k]) write(String(Number((tick * radius).toPrecision(9))), at(k, tick, edges[k]), 16);
+    for (const tick of box.ticks[k]) write(String(Number((tick * radius).toPrecision(9))), place(at(k, tick, edges[k])), 16, k === 2 ? [-1, 0] : null);
     pen.font = "600 13px system-ui, sans-serif";
     const label = `${"xyz"[k]} [${unit}]`;
-    write(label, at(k, box.middle[k], edges[k]), k === 2 ? 36 + pen.measureText(label).width / 2 : 42);
+    if (k === 2) write(label, place(at(k, box.high[k], edges[k])).slice(0, 2), 16, [-1, -1]);
+    else write(label, place(at(k, box.middle[k], edges[k])), 42);
   }
 }
 
 // The color scale of the estimate.
 function drawScale(pen, { label, unit, most, scale }, width, height) {
-  const [left, top, wide, tall] = [width - 56, 40, 12, Math.min(220, height / 3)];
-  const colors = pen.createLinearGradient(0, top + tall, 0, top);
+  const [wide, tall] = [Math.min(180, width / 2), 10], [left, top] = [width - wide - 22, height - 34];
+  const colors = pen.createLinearGradient(left, 0, left + wide, 0);
   colorsOf(scale).forEach((color, n, all) => colors.addColorStop(n / (all.length - 1), rgb(color)));
   pen.fillStyle = colors;
   pen.fillRect(left, top, wide, tall);
@@ -142,10 +147,10 @@ function drawScale(pen, { label, unit, most, scale }, width, height) {
   pen.textBaseline = "middle";
   pen.font = "600 13px system-ui, sans-serif";
   pen.textAlign = "right";
-  pen.fillText(unit ? `${label} [${unit}]` : label, width - 10, top - 20);
-  pen.textAlign = "left";
+  pen.fillText(unit ? `${label} [${unit}]` : label, left + wide, top - 12);
+  pen.textAlign = "center";
   pen.font = "12px system-ui, sans-serif";
-  for (const share of [0, 0.25, 0.5, 0.75, 1]) pen.fillText(String(Number((share * most).toPrecision(2))), left + wide + 6, top + tall * (1 - share));
+  for (const share of [0, 0.5, 1]) pen.fillText(String(Number((share * most).toPrecision(2))), left + share * wide, top + tall + 11);
 }
 
 // The pieces of ground from the farthest to the nearest: drawn faces, and whether the piece hides a point from the eye.
@@ -266,134 +271,3 @@ function coloringsOf({ colors, robot, contacts }) {
 function spheresOf({ colors }, { sphere, radius }) {
   return colors.find(({ label }) => label === "sd")?.value.map((sd) => ((sd ?? 0) * sphere) / radius);
 }
-
-function showSpace(view) {
-  const data = JSON.parse(document.getElementById("data").textContent);
-  const byId = (id) => document.getElementById(id);
-  const [picker, quantity, slider, joined, pointed] = ["case", "quantity", "joins", "joined", "pointed"].map(byId);
-  const boxes = ["truth", "estimate", "error", "spheres", "contacts", "ground"].map((id) => [id, byId(`show-${id}`)]).filter(([, check]) => check);
-  const pen = view.getContext("2d");
-  const balls = { unknown: ball(UNKNOWN_COLOR) };
-  if (data.cases.every(({ ground }) => !ground.length)) byId("show-ground").parentElement.hidden = true;
-  for (const scale of ["--errors", "--joins"]) balls[scale] = shadesOf(colorsOf(scale));
-  let look = { ...START }, shown, spheres, colorings, box, place, due = 0, many;
-  data.cases.forEach((each, n) => picker.add(new Option(each.name, n)));
-
-  // What draws many robots and spheres; null where the browser has no WebGL.
-  const painter = () => {
-    if (many === undefined) many = manyRobots();
-    many?.load(shown, data.offsets, box.middle, spheres);
-    return many;
-  };
-  const draw = () => {
-    due = 0;
-    const [width, height, dense] = [view.clientWidth, view.clientHeight, devicePixelRatio];
-    if (!width) return;
-    view.width = width * dense;
-    view.height = height * dense;
-    pen.scale(dense, dense);
-    pen.lineCap = "round";
-    const wanted = Object.fromEntries(boxes.map(([id, check]) => [id, check.checked]));
-    const camera = cameraOf(box, look, fitOf(box, width, height), width, height);
-    const coloring = colorings[quantity.selectedIndex];
-    balls.truth = ball(colorsOf("--true")[0]); // dark pages have another
-    place = camera.place;
-    drawBox(pen, box, data, camera);
-    wanted.spheres &&= !!spheres;
-    const drawn = (wanted.spheres || shown.robot.length > SOLID)
-      && painter()?.draw(pen, slider.valueAsNumber, wanted, coloring, { ...camera, width, height, dense });
-    byId("no-spheres").hidden = drawn || !wanted.spheres;
-    if (!drawn) {
-      slider.max = Math.min(PAINTED, shown.robot.length);
-      const pieces = wanted.ground ? groundOf(shown.ground, camera) : [];
-      drawInOrder(pen, pieces, shapesOf(shown, slider.value, data.offsets, wanted, coloring, place, balls));
-    }
-    if (wanted.estimate) drawScale(pen, coloring, width, height);
-    joined.textContent = `${slider.value} of ${shown.robot.length}`;
-  };
-  const soon = () => { due ||= requestAnimationFrame(draw); };
-  const choose = () => {
-    const label = quantity.value;
-    shown = data.cases[picker.value];
-    spheres = spheresOf(shown, data);
-    byId("show-spheres").parentElement.hidden = !spheres;
-    colorings = coloringsOf(shown);
-    quantity.replaceChildren(...colorings.map((each) => new Option(each.label)));
-    quantity.selectedIndex = Math.max(0, colorings.findIndex((each) => each.label === label));
-    // Cases of equally many robots share a box, so that they can be compared.
-    box = boxOf(data.cases.filter((other) => other.robot.length === shown.robot.length), data.radius);
-    slider.max = shown.robot.length; // before the value, which it bounds
-    slider.value = slider.max;
-    draw();
-  };
-  // The robot whose true or estimated center is nearest to the pointer.
-  const point = ({ offsetX, offsetY }) => {
-    let found = -1, nearest = NEARBY;
-    for (let n = 0; n < slider.value; n++) for (const poses of shown.true.length ? [shown.true, shown.estimate] : [shown.estimate]) {
-      const [x, y] = place(poses[n]), distance = Math.hypot(x - offsetX, y - offsetY);
-      if (distance < nearest) [found, nearest] = [n, distance];
-    }
-    const values = colorings.slice(0, -2).map(({ label, unit, value }) => `${label} ${value[found] === null ? "unknown" : `${value[found]} ${unit}`}`.trimEnd());
-    pointed.textContent = found < 0 ? "" : `Robot ${shown.robot[found]}, join index ${found}: ${values.join(", ")}.`;
-  };
-  const change = (act) => { act(); look.tilt = Math.max(-1.57, Math.min(1.57, look.tilt)); soon(); };
-  const turn = (right, down) => change(() => { look.turn -= 0.008 * right; look.tilt += 0.008 * down; });
-  const move = (right, down) => change(() => { look.right += right; look.down += down; });
-  const zoom = (factor) => change(() => ["zoom", "right", "down"].forEach((name) => { look[name] *= factor; }));
-  const reset = () => change(() => { look = { ...START }; });
-  listen(view, { turn, move, zoom, reset, point });
-  byId("reset").addEventListener("click", reset);
-  picker.addEventListener("change", choose);
-  slider.addEventListener("input", soon);
-  quantity.addEventListener("change", soon);
-  boxes.forEach(([, check]) => check.addEventListener("change", soon));
-  choose();
-  new ResizeObserver(soon).observe(view);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-  const onPaper = (paper) => { document.documentElement.classList.toggle("paper", paper); draw(); };
-  addEventListener("beforeprint", () => onPaper(true));
-  addEventListener("afterprint", () => onPaper(false));
-}
-
-// Mouse, touch and keys on the canvas.
-function listen(view, { turn, move, zoom, reset, point }) {
-  const touching = new Map(); // pointers by id
-  const spanOf = ([a, b]) => Math.hypot(a.x - b.x, a.y - b.y);
-  view.addEventListener("pointerdown", (event) => {
-    touching.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    view.setPointerCapture(event.pointerId);
-  });
-  for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, (event) => touching.delete(event.pointerId));
-  view.addEventListener("pointermove", (event) => {
-    const before = touching.get(event.pointerId);
-    if (!before) { point(event); return; }
-    const [right, down] = [event.clientX - before.x, event.clientY - before.y];
-    const span = touching.size === 2 ? spanOf([...touching.values()]) : 0;
-    touching.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    if (span) {
-      zoom(spanOf([...touching.values()]) / span);
-      move(right / 2, down / 2);
-    } else if (event.shiftKey || event.buttons > 1) move(right, down);
-    else turn(right, down);
-  });
-  view.addEventListener("wheel", (event) => {
-    if (!event.ctrlKey && document.activeElement !== view) return; // scrolls the page
-    event.preventDefault();
-    zoom(Math.exp(-0.002 * event.deltaY));
-  }, { passive: false });
-  view.addEventListener("dblclick", reset);
-  view.addEventListener("contextmenu", (event) => event.preventDefault());
-  view.addEventListener("keydown", (event) => {
-    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (step) (event.shiftKey ? move : turn)(20 * step[0], 20 * step[1]);
-    else if ("+=".includes(event.key)) zoom(1.2);
-    else if ("-_".includes(event.key)) zoom(1 / 1.2);
-    else if (event.key === "0" || event.key === "Home") reset();
-    else return;
-    event.preventDefault();
-  });
-}
-
-const view = document.getElementById("view");
-if (view) showSpace(view);
