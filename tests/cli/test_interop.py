@@ -78,7 +78,7 @@ def test_each_run_of_a_table_has_a_folder(tiswarm, tmp_path):
     row = "{},{},{},0,0,1,0,0,0\n".format
     rows = [row(run, robot, x) for run in "ab" for robot, x in enumerate([0.0, 4.1, 20.0])]
     poses.write_text("run,robot,x,y,z,qw,qx,qy,qz\n" + "".join(rows))
-    arguments = ["import", poses, "--docks", docks, "--gap", 0.2, "--heights", "--keep-tied"]
+    arguments = ["import", poses, "--docks", docks, "--gap", 0.2, "--heights", "--drop-disconnected"]
 
     done = tiswarm(*arguments, "--anchor", "1,0", "--out", tmp_path / "in")
     refused = tiswarm(*arguments, "--anchor", "1,x", "--out", tmp_path / "no")

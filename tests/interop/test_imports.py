@@ -237,7 +237,7 @@ def test_disconnected_robots_are_dropped_on_demand(towers, tmp_path):
     far = [[name + 1000, x + 1e3, *rest] for name, x, *rest in rows[:5]]
 
     log, position, notes, _ = bring_in(
-        tmp_path, POSES, [*far, *rows], anchors=(100,), keep_tied=True
+        tmp_path, POSES, [*far, *rows], anchors=(100,), drop_disconnected=True
     )
 
     alone = bring_in(tmp_path, POSES, rows)

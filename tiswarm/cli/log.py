@@ -176,8 +176,8 @@ def import_(
     ] = "unit",
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
-    keep_tied: Annotated[
-        bool, Option("--keep-tied", help="Drop robots that no contacts connect to an anchor.")
+    drop_disconnected: Annotated[
+        bool, Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -209,7 +209,7 @@ def import_(
         anchors=anchors,
         ground_z=ground_z,
         heights=heights,
-        keep_tied=keep_tied,
+        drop_disconnected=drop_disconnected,
         tilt_deg=tilt_deg,
         yaw_deg=yaw_deg,
         length_unit=length_unit,

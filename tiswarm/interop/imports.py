@@ -68,7 +68,7 @@ class Assumptions:
     heights: bool = False
     """Whether the robots know the heights of their centers."""
 
-    keep_tied: bool = False
+    drop_disconnected: bool = False
     """Whether to drop the robots that contacts do not connect to an anchor."""
 
     tilt_deg: float | None = None
@@ -133,7 +133,7 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, notes = _with_docks(poses, assumed, path)
     contacts, gaps, warning = _contacts(poses, assumed)
     anchors = _anchors(poses, assumed.anchors, path)
-    order, joined = _join_order(poses, contacts, anchors, keep_tied=assumed.keep_tied)
+    order, joined = _join_order(poses, contacts, anchors, drop_disconnected=assumed.drop_disconnected)
     log = _log(poses, contacts, anchors, order, assumed)
     with at_line(path, 1):
         check_header(log)
@@ -230,7 +230,7 @@ def _anchors(poses: Poses, names: tuple[int, ...], path: Path) -> list[int]:
 
 
 def _join_order(
-    poses: Poses, contacts: Ints, anchors: list[int], *, keep_tied: bool
+    poses: Poses, contacts: Ints, anchors: list[int], *, drop_disconnected: bool
 ) -> tuple[Ints, list[str]]:
     """Sort robots by their join index; without it, by hops from the anchors, and say so."""
     neighbors: list[list[int]] = [[] for _ in poses.robot_id]
@@ -250,9 +250,9 @@ def _join_order(
     else:
         order = np.argsort(poses.join, kind="stable")
     if lost := len(neighbors) - len(tied):
-        fate = "dropped" if keep_tied else "kept: drop them with --keep-tied"
+        fate = "dropped" if drop_disconnected else "kept: drop them with --drop-disconnected"
         notes.append(f"{counted(lost, 'robot')} disconnected from the anchor {fate}")
-    return order[np.isin(order, [*tied])] if keep_tied else order, notes
+    return order[np.isin(order, [*tied])] if drop_disconnected else order, notes
 
 
 def _log(
