@@ -177,7 +177,11 @@ def import_(
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
     drop_disconnected: Annotated[
-        bool, Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor.")
+        bool,
+        Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor."),
+    ] = False,
+    drop_incomplete: Annotated[
+        bool, Option("--drop-incomplete", help="Drop rows with empty cells or NaN.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -210,6 +214,7 @@ def import_(
         ground_z=ground_z,
         heights=heights,
         drop_disconnected=drop_disconnected,
+        drop_incomplete=drop_incomplete,
         tilt_deg=tilt_deg,
         yaw_deg=yaw_deg,
         length_unit=length_unit,

@@ -14,7 +14,8 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import FIREANT_RHO, docks_in_plane
 from tiswarm.interop.dock_gaps import FARTHEST_SHOWN, guess_dock_offset, histogram, surface_gaps
-from tiswarm.interop.poses import Poses, read_contacts, read_poses
+from tiswarm.interop.pose_table import read_table
+from tiswarm.interop.poses import Poses, poses_by_run, read_contacts
 from tiswarm.measurements.contacts import dock_pairs
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.records.io import at_line, make_folder
@@ -71,6 +72,9 @@ class Assumptions:
     drop_disconnected: bool = False
     """Whether to drop the robots that contacts do not connect to an anchor."""
 
+    drop_incomplete: bool = False
+    """Whether to drop rows that lack a number, instead of refusing them."""
+
     tilt_deg: float | None = None
     """Standard deviation of orientations about horizontal axes [deg]; stated if not None."""
 
@@ -101,7 +105,7 @@ class Imported(NamedTuple):
 
 
 def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
-    """Turn a table of poses, as `read_poses` describes it, into sensing logs and truths.
+    """Turn a table of poses, as `read_table` describes it, into sensing logs and truths.
 
     Returns:
         What became of each structure, by its name in the column `run`, or "" without that column.
@@ -109,11 +113,17 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     Raises:
         InputError: a table is malformed or does not contain the anchors.
     """
-    runs = read_poses(path, dock_radius=assumed.dock_radius, shape_error=assumed.largest_gap)
+    table = read_table(
+        path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
+    )
+    runs = poses_by_run(table, path, shape_error=assumed.largest_gap)
     if assumed.contacts is not None and len(runs) > 1:
         problem = "the poses have several runs; import each with its own contacts"
         raise InputError(problem, path=path, argument="contacts")
-    return {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    found = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    for imported in found.values():
+        imported.notes[:0] = table.notes
+    return found
 
 
 def write_import(imported: Imported, out: Path) -> None:
@@ -133,7 +143,9 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, notes = _with_docks(poses, assumed, path)
     contacts, gaps, warning = _contacts(poses, assumed)
     anchors = _anchors(poses, assumed.anchors, path)
-    order, joined = _join_order(poses, contacts, anchors, drop_disconnected=assumed.drop_disconnected)
+    order, joined = _join_order(
+        poses, contacts, anchors, drop_disconnected=assumed.drop_disconnected
+    )
     log = _log(poses, contacts, anchors, order, assumed)
     with at_line(path, 1):
         check_header(log)
