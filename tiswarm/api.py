@@ -197,7 +197,7 @@ def import_poses(
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
-        assumed: Fields of `tiswarm.interop.imports.Assumptions`, such as `dock_radius`.
+        assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 
     Returns:
         Log, positions and notes of each structure by its name in the column `run`, or by "". A
@@ -207,10 +207,11 @@ def import_poses(
         InputError: the table is malformed, or there is no such field.
     """
     from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
+    from tiswarm.interop.assumptions import Assumptions  # noqa: PLC0415 - slow to import
 
     for name in assumed:
-        choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
-    found = imports.import_poses(as_path(poses, "poses"), imports.Assumptions(**assumed))
+        choose(name, [field.name for field in fields(Assumptions)], "assumed")
+    found = imports.import_poses(as_path(poses, "poses"), Assumptions(**assumed))
     for run, imported in found.items():
         if out is not None:
             imports.write_import(imported, as_path(out, "out") / run)

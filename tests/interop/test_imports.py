@@ -9,7 +9,8 @@ from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.interop.imports import GAINS, Assumptions, import_poses, write_import
+from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.imports import GAINS, import_poses, write_import
 from tiswarm.interop.poses import read_dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.localization.registry import localize

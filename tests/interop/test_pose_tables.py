@@ -1,4 +1,4 @@
-"""Tables of poses are read however a program wrote them: names, units, separators, lacking cells."""
+"""Tables of poses are read however a program wrote them: names, units, separators, gaps."""
 
 import re
 
@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.imports import Assumptions, import_poses
+from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.imports import import_poses
 from tiswarm.records.sensing_file import log_entries
 
 BODY = RobotGeometry().dock_offset_body

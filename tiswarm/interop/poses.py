@@ -14,7 +14,10 @@ from tiswarm.interop.pose_table import QUATERNION, PoseTable
 from tiswarm.records.io import CsvFile
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
 
-_OTHER_ORDER = {("qw", "qx", "qy", "qz"): 1, ("qx", "qy", "qz", "qw"): -1}
+_OTHER_ORDER: dict[tuple[str, ...], int] = {
+    ("qw", "qx", "qy", "qz"): 1,
+    ("qx", "qy", "qz", "qw"): -1,
+}
 """Places by which wxyz turn around where numbers in such columns have the other order."""
 
 
@@ -173,14 +176,15 @@ def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
     if not spheres and "time" not in by:
         return table
     robot, _ = pd.factorize(table["robot"])
-    keys = [table[name] for name in ("sphere", "time") if name in [*by, "sphere"] and name in table]
-    table = table.iloc[np.lexsort((*keys, robot))]
+    minor = ["sphere"] * spheres + ["time"] * ("time" in by)
+    table = table.iloc[np.lexsort((*(table[name].to_numpy() for name in minor), robot))]
     wanted: list[int] = []
-    for (name, *_), rows in table.groupby(by, sort=False) if spheres else ():
+    for _, rows in table.groupby(by, sort=False) if spheres else ():
         found = rows["sphere"].tolist()
         wanted = wanted or found
         if found != wanted:
-            problem = f"robot {name} has spheres {found}, the first robot {wanted}; complete it"
+            what = f"robot {rows['robot'].iloc[0]} has spheres {found}, the first robot {wanted}"
+            problem = f"{what}; complete it"
             raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
     return table
 
