@@ -152,7 +152,11 @@ def import_(
         Path | None, Option(metavar="CSV", help="Docks in the body frame: dock,x,y,z.")
     ] = None,
     gap: Annotated[
-        float | None, Option(min=0.0, help="Largest gap of a contact (default: 2 % of the radius).")
+        float | None,
+        Option(
+            min=0.0,
+            help="Largest gap of a contact (default: 2 % of the radius, or as docks overlap).",
+        ),
     ] = None,
     overlap: Annotated[
         float | None, Option(min=0.0, help="Largest overlap of a contact (default: the same).")

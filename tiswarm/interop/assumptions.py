@@ -19,10 +19,11 @@ class Assumptions:
     most docks touch. A table of spheres needs none."""
 
     gap: float | None = None
-    """Largest gap of two docks in contact; 2 % of the dock radius if None."""
+    """Largest gap of two docks in contact; if None, 2 % of the dock radius, or more where errors
+    of the poses make docks overlap by more."""
 
     overlap: float | None = None
-    """Largest overlap of two docks in contact; 2 % of the dock radius if None."""
+    """Largest overlap of two docks in contact; as for `gap` if None."""
 
     contacts: Path | None = None
     """Table `robot,dock,other,other_dock` of all contacts; found from the gaps if None."""

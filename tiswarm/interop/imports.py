@@ -12,7 +12,13 @@ from pydantic import ValidationError
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.docking import find_contacts, refuse_crowds, with_docks
+from tiswarm.interop.docking import (
+    find_contacts,
+    in_likely_order,
+    refuse_crowds,
+    with_docks,
+    with_limits,
+)
 from tiswarm.interop.pose_table import read_table
 from tiswarm.interop.poses import Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
@@ -82,7 +88,9 @@ def write_import(imported: Imported, out: Path) -> None:
 
 
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
-    poses, notes = with_docks(poses, assumed, path)
+    poses, order_of_numbers = in_likely_order(poses, assumed)
+    poses, guessed = with_docks(poses, assumed, path)
+    assumed, widened = with_limits(poses, assumed)
     contacts, gaps, warning = find_contacts(poses, assumed)
     rests = None
     if poses.samples is not None:
@@ -99,7 +107,8 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
     if log.stances is not None:
         size = log.size
-    notes += [*gaps, *joined, *_describe_rests(poses, rests), *_describe(log), size]
+    notes = [*order_of_numbers, *guessed, *widened, *gaps, *joined]
+    notes += [*_describe_rests(poses, rests), *_describe(log), size]
     return Imported(log, poses.position[order], notes, warning)
 
 
