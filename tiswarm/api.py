@@ -36,6 +36,7 @@ from tiswarm.app.results import (
 )
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.measurements.advice import Kind
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -258,7 +259,12 @@ def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> 
 
 
 def advise(
-    log: SensingLog | File, estimate: Estimate | File | None = None, *, quiet: bool = True
+    log: SensingLog | File,
+    estimate: Estimate | File | None = None,
+    *,
+    budget: int | None = None,
+    kinds: Sequence[Kind] = (),
+    quiet: bool = True,
 ) -> AdviceTable:
     """List which further contact, height or known position would constrain most robots.
 
@@ -267,12 +273,18 @@ def advise(
     Args:
         log: Sensing log, or its file.
         estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
+        budget: Number of measurements in a set that helps most together; no set if None.
+        kinds: Kinds of measurements in the set: contact, height, position, range; all if none.
         quiet: Whether to hide progress.
 
     Returns:
-        Rows of cells by heading, the best first; `to_frame()` makes them a data frame.
+        Rows of cells by heading, the best first; `to_frame()` makes them a data frame. The set is
+        the table `together`.
+
+    Raises:
+        InputError: the budget is not positive, a kind is unknown, or the log has too many robots.
     """
-    return open_log(log).with_estimate(estimate, quiet=quiet).advice
+    return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 
 def view(

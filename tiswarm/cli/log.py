@@ -1,7 +1,7 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -117,21 +117,32 @@ def view(
         show_page(page, opened=opened)
 
 
-@app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv")
+@app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv --budget 5")
 def advise(
     log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     estimate: EstimateTable = None,
+    budget: Annotated[
+        int | None, Option(metavar="K", help="Also list the K measurements best together.")
+    ] = None,
+    kinds: Annotated[
+        str, Option(metavar="KIND,...", help="Kinds of these: contact, height, position, range.")
+    ] = "",
 ) -> None:
     """List which further measurements would determine most.
 
     Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
     1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:
     where robots are mirrored, a column has the difference between the two likeliest, and further
-    ranges are candidates if LOG has some.
+    ranges are candidates if LOG has some. --budget chooses a set one by one, each the best beside
+    those before it.
     """
     from tiswarm import api
+    from tiswarm.base.errors import InputError
 
-    typer.echo(api.advise(log, estimate, quiet=False))
+    if kinds and budget is None:
+        raise InputError("needs a number of measurements; add --budget K", key="--kinds")
+    chosen: Any = [kind.strip() for kind in kinds.split(",") if kind]
+    typer.echo(api.advise(log, estimate, budget=budget, kinds=chosen, quiet=False))
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
