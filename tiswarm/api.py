@@ -221,19 +221,36 @@ def import_poses(
     return found
 
 
-def score(truth: File, estimate: Estimate | File) -> "Scores":
+def score(
+    truth: File, estimate: Estimate | File, *, out: File | None = None, quiet: bool = True
+) -> "Scores":
     """Compare an estimate, or its table, with a table of true positions.
+
+    Args:
+        truth: Table of true positions.
+        estimate: Estimate, or its table.
+        out: Figure to draw, .png or .pdf: the error of each robot in join order, and truth and
+            estimate from two sides; none if None.
+        quiet: Whether to hide the name of the figure.
 
     Returns:
         Errors in the truth's unit by name, as it is and after alignment.
 
     Raises:
-        InputError: a table is malformed, or the estimate has another unit or other robots.
+        InputError: a table is malformed, the estimate has another unit or other robots, or the
+            figure has another format.
     """
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
-    return score_files(as_path(truth, "truth"), found)
+    scores = score_files(as_path(truth, "truth"), found)
+    if out is not None:
+        from tiswarm.report.score_figure import write_score  # noqa: PLC0415 - slow to import
+
+        figure = as_path(out, "out")
+        write_score(figure, scores.true, scores.estimated, scores.errors, scores.unit)
+        ConsoleProgress(quiet=quiet).info(str(figure))
+    return scores
 
 
 def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> Comparison:

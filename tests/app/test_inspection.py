@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -111,7 +112,7 @@ def test_a_set_of_measurements_says_what_it_gains(towers):
 
     first, last = table[0]["expected RMSE [R]"], table[-1]["with it and those above [R]"]
     assert str(table).splitlines()[0] == f"together, 3 heights: expected RMSE {first} -> {last} R"
-    for above, below in zip(table, table[1:], strict=False):
+    for above, below in pairwise(table):
         assert below["expected RMSE [R]"] == above["with it and those above [R]"]
     assert float(last) < float(first)
 

@@ -243,8 +243,20 @@ def import_(
 def score(
     truth: Annotated[Path, Argument(help="Table of true positions.")],
     estimate: Annotated[Path, Argument(help="Table of estimated positions.")],
+    out: Annotated[
+        Path | None,
+        Option(
+            help="Figure to draw, .png or .pdf (default: ESTIMATE-score.png).", show_default=False
+        ),
+    ] = None,
+    *,
+    quiet: Quiet = False,
 ) -> None:
-    """Print the errors of an estimate, as it is and after alignment."""
+    """Print the errors of an estimate, as it is and after alignment, and draw them.
+
+    The figure has the error of each robot in join order, and truth and estimate from two sides.
+    """
     from tiswarm import api
 
-    typer.echo(api.score(truth, estimate))
+    figure = out or estimate.with_name(f"{estimate.name.partition('.')[0]}-score.png")
+    typer.echo(api.score(truth, estimate, out=figure, quiet=quiet))

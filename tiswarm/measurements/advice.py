@@ -96,7 +96,7 @@ class _Candidates(NamedTuple):
         return self.rows.select(np.arange(len(self.rows)) // self.size == chosen)
 
 
-class _Swarm(NamedTuple):
+class _Question(NamedTuple):
     """A log and its robots at the estimate, ready to judge candidates."""
 
     odometry: Odometry
@@ -110,7 +110,7 @@ class _Swarm(NamedTuple):
     @classmethod
     def of(
         cls, log: SensingLog, cues: Collection[str], position: Reals, images: Sequence[Solution]
-    ) -> "_Swarm | None":
+    ) -> "_Question | None":
         """Measure a log, whose arguments `advise` explains; None for too many robots or loops."""
         noise = log.noise or ASSUMED
         yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
@@ -215,18 +215,18 @@ def advise(
         Advice by expected error, or by floppy modes for more than `MOST_ROBOTS` robots; the best
         comes first. None if there are too many robots or loops to find them.
     """
-    swarm = _Swarm.of(log, cues, position, images)
-    if swarm is None:
+    question = _Question.of(log, cues, position, images)
+    if question is None:
         return None
-    pair, posterior, center = swarm.images, swarm.posterior, swarm.center
+    pair, posterior, center = question.images, question.posterior, question.center
     advice = []
-    for candidates in swarm.candidates:
+    for candidates in question.candidates:
         kind, further, size = candidates
         jacobian, variance = further.jacobian(center), further.variance()
-        change = swarm.change(further)
-        modes = _rank(jacobian, swarm.motions.of_robots(), size)
+        change = question.change(further)
+        modes = _rank(jacobian, question.motions.of_robots(), size)
         if kind == "position":
-            modes -= swarm.fixes_gauge[1:]
+            modes -= question.fixes_gauge[1:]
         before, after = np.nan, modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
         if posterior is not None:
@@ -245,7 +245,7 @@ def advise(
                     robot=int(one.robot[0]),
                     contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
                     floppy_modes=int(modes[chosen]),
-                    determined=swarm.determined([one]),
+                    determined=question.determined([one]),
                     rmse_before=float(rmse[0]),
                     rmse_after=float(rmse[1]),
                     images_apart_sd=np.nan if pair is None else float(apart[chosen]),
@@ -283,33 +283,39 @@ def advise_together(
         Advice in the order in which it was chosen. None for more than `MOST_ROBOTS` robots, or too
         many loops.
     """
-    swarm = _Swarm.of(log, cues, position, images)
-    if swarm is None or (swarm.posterior is None and swarm.candidates):
+    question = _Question.of(log, cues, position, images)
+    if question is None or (question.posterior is None and question.candidates):
         return None
-    chosen_from = [each for each in swarm.candidates if not kinds or each.kind in kinds]
-    swarm = swarm._replace(candidates=chosen_from)
+    chosen_from = [each for each in question.candidates if not kinds or each.kind in kinds]
+    question = question._replace(candidates=chosen_from)
     taken: list[tuple[int, int]] = []
     rows: list[Measurements] = []
     advice: list[Advice] = []
-    before, modes, found = 0.0 if not swarm.candidates else swarm.mean_square, 0, np.array([], int)
-    while len(advice) < min(budget, sum(len(each.rows) // each.size for each in swarm.candidates)):
-        kind, chosen, after, apart = swarm.best(taken)
-        one = swarm.candidates[kind].one(chosen)
-        swarm.measure(one)
+    before, modes, found = (
+        0.0 if not question.candidates else question.mean_square,
+        0,
+        np.array([], int),
+    )
+    while len(advice) < min(
+        budget, sum(len(each.rows) // each.size for each in question.candidates)
+    ):
+        kind, chosen, after, apart = question.best(taken)
+        one = question.candidates[kind].one(chosen)
+        question.measure(one)
         taken.append((kind, chosen))
         rows.append(one)
-        removed, determined = swarm.modes(rows), swarm.determined(rows)
+        removed, determined = question.modes(rows), question.determined(rows)
         rmse = log.dock_radius * np.sqrt([before, after])
         advice.append(
             Advice(
-                kind=swarm.candidates[kind].kind,
+                kind=question.candidates[kind].kind,
                 robot=int(one.robot[0]),
                 contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
                 floppy_modes=removed - modes,
                 determined=np.setdiff1d(determined, found),
                 rmse_before=float(rmse[0]),
                 rmse_after=float(rmse[1]),
-                images_apart_sd=np.nan if swarm.images is None else apart,
+                images_apart_sd=np.nan if question.images is None else apart,
             )
         )
         before, modes, found = after, removed, determined
