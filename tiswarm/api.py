@@ -196,7 +196,8 @@ def import_poses(
     """Convert robot poses of any simulator to sensing logs and true positions.
 
     Args:
-        poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`.
+        poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
+            `time`; a GSD file; or a folder of TUM trajectories.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 

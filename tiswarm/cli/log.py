@@ -147,7 +147,10 @@ def advise(
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
 def import_(
-    poses: Annotated[Path, Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")],
+    poses: Annotated[
+        Path,
+        Argument(help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum."),
+    ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
     dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[

@@ -19,9 +19,10 @@ from tiswarm.interop.docking import (
     with_docks,
     with_limits,
 )
-from tiswarm.interop.pose_table import read_table
+from tiswarm.interop.pose_table import PoseTable, read_table
 from tiswarm.interop.poses import Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
+from tiswarm.interop.trajectories import read_gsd, read_tum
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
@@ -61,9 +62,7 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     Raises:
         InputError: a table is malformed or does not contain the anchors.
     """
-    table = read_table(
-        path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
-    )
+    table = _read(path, assumed)
     runs = poses_by_run(table, path, shape_error=assumed.largest_gap)
     if assumed.contacts is not None and len(runs) > 1:
         problem = "the poses have several runs; import each with its own contacts"
@@ -72,6 +71,17 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     for imported in found.values():
         imported.notes[:0] = table.notes
     return found
+
+
+def _read(path: Path, assumed: Assumptions) -> PoseTable:
+    """Read poses in the format that the name of their file or folder says."""
+    if path.is_dir() or path.suffix == ".tum":
+        return read_tum(path, dock_radius=assumed.dock_radius)
+    if path.suffix == ".gsd":
+        return read_gsd(path, dock_radius=assumed.dock_radius)
+    return read_table(
+        path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
+    )
 
 
 def write_import(imported: Imported, out: Path) -> None:

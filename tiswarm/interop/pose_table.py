@@ -1,13 +1,14 @@
 """Reads the columns of a table of poses by their meaning: names, units, times, incomplete rows."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import CsvFile
 from tiswarm.records.messages import counted
@@ -44,6 +45,9 @@ class PoseTable(NamedTuple):
     notes: Sequence[str] = ()
     """What was left out, in lines."""
 
+    dock_offset_body: Reals | None = None
+    """Center to dock in the body frame, shape (D, 3); None where the file has no docks."""
+
 
 def read_table(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTable:
     """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order of columns.
@@ -74,16 +78,32 @@ def read_table(path: Path, *, dock_radius: float, drop_incomplete: bool) -> Pose
         name: text.integers(column) if name in _WHOLE else text.numbers(column)
         for name, column in columns.items()
     }
-    for axis in _AXES:
-        far = np.flatnonzero(np.abs(numbers[axis]) > FARTHEST * dock_radius)
-        if len(far):
-            problem = f"{numbers[axis][far[0]]:g} is too far out; move the origin to the robots"
-            raise InputError(problem, path=path, line=text.line(far[0]), key=columns[axis])
     rows = pd.DataFrame(numbers | {"line": [*text.rows], "run": _runs(text)})
+    refuse_far(rows, path, dock_radius, columns)
     turned = sorted(
         QUATERNION, key=lambda name: text.columns.index(columns.get(name, columns["x"]))
     )
     return PoseTable(rows, unit, () if "sphere" in columns else turned, notes)
+
+
+def refuse_far(
+    rows: pd.DataFrame, path: Path, dock_radius: float, columns: Mapping[str, str] | None = None
+) -> None:
+    """Raise InputError where a coordinate is too large for a log, or is not a number.
+
+    Args:
+        rows: Rows of a table of poses.
+        path: Their file.
+        dock_radius: Radius of a dock sphere.
+        columns: Names of the columns in the file; x, y and z if None.
+    """
+    for axis in _AXES:
+        far = np.flatnonzero(~(np.abs(rows[axis].to_numpy()) <= FARTHEST * dock_radius))
+        if len(far):
+            value, line = rows[axis].iloc[far[0]], int(rows["line"].iloc[far[0]])
+            problem = f"{value:g} is too far out; move the origin to the robots"
+            key = axis if columns is None else columns[axis]
+            raise InputError(problem, path=path, line=line, key=key)
 
 
 def _columns(header: Sequence[str], path: Path) -> tuple[dict[str, str], str]:

@@ -134,7 +134,7 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
 
 
 def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float) -> Poses:
-    by = ["robot", "time"] if "time" in rows and rows["robot"].duplicated().any() else ["robot"]
+    by = ["robot", "time"] if "time" in rows else ["robot"]
     rows = _by_robot(rows, by, path)
     pose = rows.drop_duplicates(by)
     place = rows[[*"xyz"]].to_numpy(float).reshape(len(pose), -1, 3)
@@ -144,6 +144,8 @@ def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float)
         orientation = _align(place - position[:, None], pose, path, shape_error)
     else:
         dock_offset_body = np.empty((0, 3))
+        if table.dock_offset_body is not None:
+            dock_offset_body = table.dock_offset_body
         orientation = _unit_quaternions(pose, path)
     robot, names = pd.factorize(pose["robot"])
     last = np.flatnonzero(~pose["robot"].duplicated(keep="last"))
