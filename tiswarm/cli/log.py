@@ -149,7 +149,10 @@ def advise(
 def import_(
     poses: Annotated[
         Path,
-        Argument(help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum."),
+        Argument(
+            help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum or a folder of "
+            "such files; .pyfg."
+        ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
     dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,

@@ -158,7 +158,7 @@ def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) ->
     lines = text.incomplete(columns)
     if not lines:
         return []
-    rows, where = counted(len(lines), "incomplete row"), f"line {_ranges(lines)}"
+    rows, where = counted(len(lines), "incomplete row"), f"line {line_ranges(lines)}"
     if drop:
         text.drop(lines)
         return [f"{rows} dropped: {where}"]
@@ -166,10 +166,10 @@ def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) ->
     raise InputError(problem, path=text.path, line=lines[0])
 
 
-def _ranges(lines: Collection[int]) -> str:
+def line_ranges(lines: Collection[int]) -> str:
     """Write ascending numbers of lines, those in a row as a range.
 
-    >>> _ranges([2, 3, 4, 7, 9, 10])
+    >>> line_ranges([2, 3, 4, 7, 9, 10])
     '2-4, 7, 9-10'
     """
     number = np.fromiter(lines, int)
