@@ -130,6 +130,23 @@ def test_vectors_from_the_anchor_keep_their_directions(tmp_path):
     assert len(log.ranges) == 0
 
 
+def test_a_prior_of_an_orientation_is_no_anchor(tmp_path):
+    """Its position is unknown; without any other, the first pose is at its vertex."""
+    wide = triangle(np.diag([1e12] * 3 + [1e-4] * 3))
+    lines = [
+        "VERTEX_XYZ L0 3 0 0",
+        "VERTEX_SE3:QUAT 0 A0 1 2 3 0 0 0 1",
+        f"VERTEX_SE3:QUAT:PRIOR 0 A0 0 0 0 0 0 1 0 {wide}",
+        "EDGE_RANGE 0 A0 L0 2 0.01",
+    ]
+
+    imported = bring_in(tmp_path, lines)
+
+    np.testing.assert_array_equal(imported.log.anchor_position, [3, 0, 0])
+    np.testing.assert_array_equal(imported.log.orientation_wxyz[1], [0, 0, 0, 1])
+    assert "no prior of a position: the anchor L0 is at its vertex" in imported.notes
+
+
 def test_a_planar_graph_stays_in_its_plane(tmp_path):
     """Each robot has a fix along z; angles are about z."""
     lines = [

@@ -258,9 +258,10 @@ def score(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Print the errors of an estimate, as it is and after alignment, and draw them.
+    """Print and draw the errors of an estimate.
 
-    The figure has the error of each robot in join order, and truth and estimate from two sides.
+    Errors are those as it is and after alignment. The figure has the error of each robot in join
+    order, and truth and estimate from two sides.
     """
     from tiswarm import api
 

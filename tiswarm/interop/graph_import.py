@@ -59,18 +59,19 @@ def import_graph(path: Path, assumed: Assumptions) -> tuple[SensingLog, Reals, l
     graph = read_graph(path)
     vertex = _vertices(graph, path)
     docks = _docks(graph)
+    radius = _point_radius(graph, assumed) if docks is None else docks.radius
     robots = [name for name in vertex if docks is None or name not in docks.place]
     priors = [line for line in graph.lines if line.kind == "prior"]
     anchor = min(
-        (line for line in priors if line.names[0] in robots),
+        (line for line in priors if line.names[0] in robots and _states_place(line, radius)),
         key=lambda line: float(np.trace(line.spread)),
         default=None,
     )
     first = robots[0] if anchor is None else anchor.names[0]
     order = {name: index for index, name in enumerate([first, *(n for n in robots if n != first)])}
     turns = _orientations(graph, order, first, vertex)
-    maker = _LogMaker(graph, order, vertex[first] if anchor is None else anchor, docks, assumed)
-    log = maker.log(np.array([turns[name] for name in order]))
+    maker = _LogMaker(graph, order, vertex[first] if anchor is None else anchor, docks, radius)
+    log = maker.log(np.array([turns[name] for name in order]), assumed.length_unit)
     notes = [f"robots are numbered from 0 as variables are listed, the anchor {first} first"]
     if anchor is None:
         notes.append(f"no prior of a position: the anchor {first} is at its vertex")
@@ -135,6 +136,22 @@ def _docks(graph: Graph) -> _Docks | None:
     return _Docks(shapes[0], 0.5 * spacing[0], place)
 
 
+def _point_radius(graph: Graph, assumed: Assumptions) -> float:
+    """Choose the radius of the docks of points."""
+    measured = [
+        float(np.linalg.norm(line.vector))
+        for line in graph.lines
+        if line.kind in {"range", "pose", "point"}
+    ]
+    shortest = min([length for length in measured if length > 0.0], default=math.inf)
+    return min(assumed.dock_radius, _NEAREST * shortest)
+
+
+def _states_place(prior: GraphLine, radius: float) -> bool:
+    """Whether a prior states a position, not an orientation only."""
+    return bool(np.diag(prior.spread).max() <= (_UNKNOWN_SD * radius) ** 2)
+
+
 def _orientations(
     graph: Graph, order: dict[str, int], anchor: str, vertex: dict[str, GraphLine]
 ) -> dict[str, Reals]:
@@ -172,18 +189,10 @@ class _LogMaker:
         order: dict[str, int],
         anchor: GraphLine,
         docks: _Docks | None,
-        assumed: Assumptions,
+        radius: float,
     ) -> None:
         self._graph, self._order, self._anchor, self._docks = graph, order, anchor, docks
-        self._unit = assumed.length_unit
-        measured = [
-            float(np.linalg.norm(line.vector))
-            for line in graph.lines
-            if line.kind in {"range", "pose", "point"}
-        ]
-        shortest = min([length for length in measured if length > 0.0], default=1.0)
-        near = min(assumed.dock_radius, _NEAREST * shortest)
-        self._radius = near if docks is None else docks.radius
+        self._radius = radius
         self._ranges: list[tuple[float, ...]] = []
         self._fixes: list[tuple[float, ...]] = []
         self._contacts: list[tuple[int, ...]] = []
@@ -196,7 +205,7 @@ class _LogMaker:
             level = (*np.eye(3)[2], 0.0, 1e-3 * self._radius, -1)
             self._fixes += [(index, *level) for index in range(1, len(order))]
 
-    def log(self, orientation_wxyz: Reals) -> SensingLog:
+    def log(self, orientation_wxyz: Reals, length_unit: str) -> SensingLog:
         """Make the log of robots with some orientations, shape (N, 4)."""
         count = len(self._order)
         dock = np.zeros((1, 3)) if self._docks is None else self._docks.offset
@@ -213,7 +222,7 @@ class _LogMaker:
             ranges=np.array(sorted(self._ranges)).reshape(-1, 5),
             flip_height=np.full(count, np.nan),
             spawn_position=np.full((count, 3), np.nan),
-            length_unit=self._unit,
+            length_unit=length_unit,
         )
 
     def left_out(self) -> list[str]:
@@ -238,9 +247,7 @@ class _LogMaker:
         name = line.names[0]
         if name not in self._order:
             self._lose("priors of docks", line)
-        elif np.diag(line.spread).max() > (_UNKNOWN_SD * self._radius) ** 2:
-            return  # states an orientation only
-        elif line is not self._anchor:
+        elif line is not self._anchor and _states_place(line, self._radius):
             self._add_fixes(self._order[name], line.vector, line.spread)
 
     def _add_range(self, line: GraphLine) -> None:

@@ -66,7 +66,7 @@ def read_gsd(path: Path, *, dock_radius: float) -> PoseTable:
                 rows["time"], rows["line"] = float(frame.configuration.step), number
                 tables.append(rows[is_robot])
                 docks = _docks(particles, path, dock_radius) if docks is None else docks
-    except (RuntimeError, OSError, KeyError, ValueError, TypeError) as error:
+    except (RuntimeError, OSError, LookupError, ValueError, TypeError, MemoryError) as error:
         raise InputError(f"not a whole GSD file ({error}); copy it again", path=path) from error
     if not sum(map(len, tables)):
         raise InputError("there are no particles; name a file with robots", path=path)
