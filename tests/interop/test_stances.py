@@ -129,6 +129,41 @@ def test_any_sampling_of_motions_gives_the_same_stances(
     assert any(note.endswith(f"from {len(rows)} poses over time") for note in imported.notes)
 
 
+def shaken(rows, *, sd, deg):
+    """Add noise to each pose: of each coordinate [R], and of a turn about each axis [deg]."""
+    rng = np.random.default_rng(0)
+    for robot, *pose, time in rows:
+        place = np.array(pose[:3]) + rng.normal(0.0, sd, 3)
+        turn = Rotation.from_rotvec(rng.normal(0.0, np.radians(deg), 3))
+        turn *= Rotation.from_quat(pose[3:], scalar_first=True)
+        yield [robot, *place.tolist(), *turn.as_quat(scalar_first=True).tolist(), time]
+
+
+def test_noise_at_rest_makes_no_stances(short, tmp_path):
+    """Robots that rest show how far noise moves docks; each frame has the next stance."""
+    rows = shaken(sampled(short, 1, 1, waiting=False), sd=0.003, deg=0.05)
+
+    log = bring_in(tmp_path, rows).log
+
+    sensed = observe(short, SensingParams())
+    np.testing.assert_array_equal(log.stances.start, sensed.stances.start)
+    np.testing.assert_array_equal(log.stances.pivot_dock, sensed.stances.pivot_dock)
+    np.testing.assert_array_equal(log.stances.contacts, sensed.stances.contacts)
+
+
+def test_noisy_motions_keep_nearly_all_stances(short, tmp_path):
+    """A hundredth of R and a fifth of a degree blur corners; no robot loses its history."""
+    rows = shaken(sampled(short, 15, 10, waiting=False), sd=0.01, deg=0.2)
+
+    imported = bring_in(tmp_path, rows, gap=0.1, overlap=0.1)
+
+    sensed = observe(short, SensingParams())
+    count = len(sensed.stances.pivot_dock)
+    assert 0.9 * count <= len(imported.log.stances.pivot_dock) <= 1.2 * count
+    assert len(imported.log.stances.contacts) >= 0.9 * len(sensed.stances.contacts)
+    assert not any("left out" in note for note in imported.notes)
+
+
 def test_spheres_over_time_have_stances_too(short, tmp_path):
     """Docks say the same as poses, in the body frame that the first pose defines."""
     rows = []

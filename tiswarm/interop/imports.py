@@ -42,6 +42,9 @@ _KNOWN_SD = 1e-3
 """Standard deviation of each coordinate of a further anchor [dock radii]."""
 
 
+_ROUNDING = 1e-6
+"""Least motion of a pivot that counts [dock radii]."""
+
 _MOST_NAMED = 5
 """Robots that a note names."""
 
@@ -113,7 +116,8 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     rests = None
     if poses.samples is not None:
         limits = assumed.largest_gap, assumed.largest_overlap
-        rests = find_rests(poses, still=0.5 * max(limits), put=sum(limits))
+        put = max(sum(limits), _ROUNDING * assumed.dock_radius)
+        rests = find_rests(poses, still=0.5 * max(*limits, 0.5 * put), put=put)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected

@@ -25,7 +25,16 @@ _STAYS = 0.5
 
 
 _NEAR = 3.0
-"""Two runs of samples, in a row and within this many limits of stillness, are one rest."""
+"""Runs of samples, in a row and within this many limits of stillness, are one rest."""
+
+_BACK_AND_FORTH = 0.75
+"""Noise moves docks in two steps by less than this part of the sum of both."""
+
+_OFTEN = 0.25
+"""Share of samples in which noise alone moves docks, where robots mostly rest."""
+
+_NOISE_MARGIN = 3.0
+"""Largest motion of a robot at rest, per median of a step that noise alone makes."""
 
 
 class Rests(NamedTuple):
@@ -71,14 +80,16 @@ def find_rests(poses: Poses, *, still: float, put: float) -> Rests:
 
     Args:
         poses: Robots with samples.
-        still: Largest motion of a dock of a robot at rest.
-        put: Largest motion of a pivot from one rest to the next.
+        still: Largest motion of a dock of a robot at rest, unless samples at rest are noisier.
+        put: Largest motion of a pivot from one rest to the next, in the same way.
     """
     samples = poses.samples
     if samples is None:
         raise ValueError("the robots have one pose each")
     turned = dock_offsets(samples.orientation_wxyz, poses.dock_offset_body)
     docks = samples.position[:, None] + turned
+    noise = _NOISE_MARGIN * _step_of_noise(docks, samples.robot, most=put)
+    still, put = max(still, noise), max(put, noise)
     turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
     start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
     chosen, begin, end, pivot, cut = [], [], [], [], []
@@ -87,10 +98,9 @@ def find_rests(poses: Poses, *, still: float, put: float) -> Rests:
         ends = np.append(runs[1:], after) - 1
         middle = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
         rests = np.flatnonzero(~_continues(docks[middle], turn[middle]))
-        split = _splits(docks[middle], rests, _NEAR * still)
-        begins, rests = np.delete(rests, split + 1), np.delete(rests, split)
-        middle = _corners(docks, runs, ends, begins, rests)
-        runs, ends = runs[begins], ends[rests]
+        begins, lasts = _joined(docks[middle], rests, _NEAR * still)
+        middle = _corners(docks, runs, ends, begins, lasts)
+        runs, ends = runs[begins], ends[lasts]
         about, moved, farthest = _motions(docks[middle])
         is_flip = (moved <= put) & (moved < _STAYS * farthest)
         if not is_flip.all():
@@ -114,6 +124,22 @@ def find_rests(poses: Poses, *, still: float, put: float) -> Rests:
     )
 
 
+def _step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
+    """Estimate how far noise moves docks from a sample to the next, (S, D, 3); 0 if it is unknown.
+
+    Noise moves docks back and forth, while motions go on. In tables of stances docks move back and
+    forth by more than noise, `most`, does.
+    """
+    one = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)
+    two = np.linalg.norm(docks[2:] - docks[:-2], axis=2).max(axis=1)
+    same = robot[2:] == robot[:-2]
+    at_rest = same & (two < _BACK_AND_FORTH * (one[1:] + one[:-1]))
+    if at_rest.sum() < _OFTEN * max(1, same.sum()):
+        return 0.0
+    step = float(np.median(one[1:][at_rest]))
+    return step if step <= most else 0.0
+
+
 def _runs_at_rest(docks: Reals, still: float) -> Ints:
     """Return the first sample of each run without motion, of docks of one robot, (S, D, 3)."""
     first = [0]
@@ -135,24 +161,26 @@ def _middle(docks: Reals, first: int, last: int) -> int:
     return int(first + off.argmin())
 
 
-def _splits(docks: Reals, rests: Ints, near: float) -> Ints:
-    """Find rests that two runs share, since the samples turn a corner in the middle of the first.
+def _joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
+    """Join runs at rest that are one: samples turn a corner within a run, or noise splits it.
 
     Args:
         docks: Centers of docks at the middle of each run, shape (K, D, 3).
         rests: Runs at rest, shape (R,).
-        near: Largest distance of a dock between both runs.
+        near: Largest distance of a dock between the first and any other run of a rest.
 
     Returns:
-        Places in `rests` of those that go on in the next one, shape (splits,).
+        First and last run of each rest.
     """
-    _, _, farthest = _motions(docks[rests])
-    shared = (np.diff(rests) == 1) & (farthest <= near)
-    found: list[int] = []
-    for place in np.flatnonzero(shared).tolist():
-        if not found or found[-1] != place - 1:  # more than two in a row are a slow motion
-            found.append(place)
-    return np.array(found, np.int64)
+    begins, lasts = [rests[0]], [rests[0]]
+    for run in rests[1:].tolist():
+        off = np.linalg.norm(docks[run] - docks[begins[-1]], axis=1).max()
+        if run == lasts[-1] + 1 and off <= near:
+            lasts[-1] = run
+        else:
+            begins.append(run)
+            lasts.append(run)
+    return np.array(begins), np.array(lasts)
 
 
 def _corners(docks: Reals, runs: Ints, ends: Ints, first: Ints, last: Ints) -> Ints:
