@@ -36,6 +36,7 @@ from tiswarm.app.results import (
 )
 from tiswarm.base.errors import InputError, warn
 from tiswarm.base.params import AnyArch, AnyFormat, AnyMovie, AnyPrecision
+from tiswarm.measurements.advice import Kind
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -195,9 +196,10 @@ def import_poses(
     """Convert robot poses of any simulator to sensing logs and true positions.
 
     Args:
-        poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`.
+        poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
+            `time`; a GSD file; a folder of TUM trajectories; or a factor graph (.pyfg).
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
-        assumed: Fields of `tiswarm.interop.imports.Assumptions`, such as `dock_radius`.
+        assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 
     Returns:
         Log, positions and notes of each structure by its name in the column `run`, or by "". A
@@ -207,10 +209,11 @@ def import_poses(
         InputError: the table is malformed, or there is no such field.
     """
     from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
+    from tiswarm.interop.assumptions import Assumptions  # noqa: PLC0415 - slow to import
 
     for name in assumed:
-        choose(name, [field.name for field in fields(imports.Assumptions)], "assumed")
-    found = imports.import_poses(as_path(poses, "poses"), imports.Assumptions(**assumed))
+        choose(name, [field.name for field in fields(Assumptions)], "assumed")
+    found = imports.import_poses(as_path(poses, "poses"), Assumptions(**assumed))
     for run, imported in found.items():
         if out is not None:
             imports.write_import(imported, as_path(out, "out") / run)
@@ -219,19 +222,36 @@ def import_poses(
     return found
 
 
-def score(truth: File, estimate: Estimate | File) -> "Scores":
+def score(
+    truth: File, estimate: Estimate | File, *, out: File | None = None, quiet: bool = True
+) -> "Scores":
     """Compare an estimate, or its table, with a table of true positions.
+
+    Args:
+        truth: Table of true positions.
+        estimate: Estimate, or its table.
+        out: Figure to draw, .png or .pdf: the error of each robot in join order, and truth and
+            estimate from two sides; none if None.
+        quiet: Whether to hide the name of the figure.
 
     Returns:
         Errors in the truth's unit by name, as it is and after alignment.
 
     Raises:
-        InputError: a table is malformed, or the estimate has another unit or other robots.
+        InputError: a table is malformed, the estimate has another unit or other robots, or the
+            figure has another format.
     """
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
-    return score_files(as_path(truth, "truth"), found)
+    scores = score_files(as_path(truth, "truth"), found)
+    if out is not None:
+        from tiswarm.report.score_figure import write_score  # noqa: PLC0415 - slow to import
+
+        figure = as_path(out, "out")
+        write_score(figure, scores.true, scores.estimated, scores.errors, scores.unit)
+        ConsoleProgress(quiet=quiet).info(str(figure))
+    return scores
 
 
 def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> Comparison:
@@ -257,7 +277,12 @@ def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> 
 
 
 def advise(
-    log: SensingLog | File, estimate: Estimate | File | None = None, *, quiet: bool = True
+    log: SensingLog | File,
+    estimate: Estimate | File | None = None,
+    *,
+    budget: int | None = None,
+    kinds: Sequence[Kind] = (),
+    quiet: bool = True,
 ) -> AdviceTable:
     """List which further contact, height or known position would constrain most robots.
 
@@ -266,12 +291,18 @@ def advise(
     Args:
         log: Sensing log, or its file.
         estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
+        budget: Number of measurements in a set that helps most together; no set if None.
+        kinds: Kinds of measurements in the set: contact, height, position, range; all if none.
         quiet: Whether to hide progress.
 
     Returns:
-        Rows of cells by heading, the best first; `to_frame()` makes them a data frame.
+        Rows of cells by heading, the best first; `to_frame()` makes them a data frame. The set is
+        the table `together`.
+
+    Raises:
+        InputError: the budget is not positive, a kind is unknown, or the log has too many robots.
     """
-    return open_log(log).with_estimate(estimate, quiet=quiet).advice
+    return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 
 def view(

@@ -2,12 +2,15 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tiswarm.app.inspection import AdviceTable, advice_rows, inspect
+from tiswarm.app import inspection
+from tiswarm.app.inspection import AdviceTable, advice_rows, inspect, rows_together
+from tiswarm.base.errors import InputError
 from tiswarm.measurements import advice
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.sensing import SensingParams, observe
@@ -98,3 +101,44 @@ def test_advice_names_robots_and_docks(towers, monkeypatch):
         assert float(row["with it [R]"]) <= float(row["expected RMSE [R]"])
     assert set(rows[0]) - set(large[0]) == {"expected RMSE [R]", "with it [R]"}
     assert str(AdviceTable()).startswith("no further contact, height or position")
+
+
+def test_a_set_of_measurements_says_what_it_gains(towers):
+    """A line states how many of which kind, and the expected error before and after."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+    estimate = SimpleNamespace(position=center, mirrored=None)
+
+    table = rows_together(log, ["contacts", "ground"], estimate, 3, ["height"])
+
+    first, last = table[0]["expected RMSE [R]"], table[-1]["with it and those above [R]"]
+    assert str(table).splitlines()[0] == f"together, 3 heights: expected RMSE {first} -> {last} R"
+    for above, below in pairwise(table):
+        assert below["expected RMSE [R]"] == above["with it and those above [R]"]
+    assert float(last) < float(first)
+
+
+@pytest.mark.parametrize(
+    ("budget", "kinds", "robots", "problem"),
+    [
+        (0, [], 1000, "budget: 0 should be at least 1"),
+        (
+            1,
+            ["compass"],
+            1000,
+            "kinds: 'compass' should be one of contact, height, position, range",
+        ),
+        (1, [], 3, "budget: is for up to 3 robots"),
+    ],
+)
+def test_a_set_that_cannot_be_chosen_is_refused(
+    towers, monkeypatch, budget, kinds, robots, problem
+):
+    """The line names the argument."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+    for module in (advice, inspection):
+        monkeypatch.setattr(module, "MOST_ROBOTS", robots)
+
+    with pytest.raises(InputError, match=re.escape(problem)):
+        rows_together(
+            log, ["contacts"], SimpleNamespace(position=center, mirrored=None), budget, kinds
+        )

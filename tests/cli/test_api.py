@@ -168,6 +168,7 @@ def test_an_estimate_is_scored_and_shown(run, tmp_path):
     advised = library.advise(log, estimate).to_frame()
     assert set(advised["rank"]) <= {*range(1, 10)}
     assert advised["floppy modes removed"].ge(0).all()  # numbers, not words
+    assert len(library.advise(log, estimate, budget=2).together.to_frame()) == 2
     with pytest.raises(InputError, match="estimate: is in mm, the truth in R"):
         library.score(case / "truth.csv", replace(estimate, length_unit="mm"))
 

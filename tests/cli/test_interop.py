@@ -47,7 +47,7 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     log, files = tmp_path / "sensing.jsonl", [tmp_path / "estimate.csv", tmp_path / "truth.csv"]
     page, seen = tmp_path / "page.html", tmp_path / "view.html"
     done = tiswarm("localize", log, "--out", files[0], "--report", page)
-    advised = tiswarm("advise", log, files[0])
+    advised = tiswarm("advise", log, files[0], "--budget", 2, "--kinds", "height, contact")
     viewed = tiswarm("view", log, files[0], "--truth", files[1], "--out", seen)
 
     assert imported.returncode == 0, imported.stderr
@@ -66,6 +66,7 @@ def test_somebody_elses_poses_are_localized(tiswarm, tmp_path):
     assert f"{rmse:.4g} cm" in scored.stdout.splitlines()[0]
     assert advised.returncode == 0, advised.stderr
     assert "expected RMSE [cm]" in advised.stdout
+    assert re.search(r"\ntogether, [12] \w+( and 1 \w+)?: expected RMSE ", advised.stdout)
     assert viewed.returncode == 0, viewed.stderr
     assert done.stdout.splitlines()[0] in page.read_text()
     assert f"an RMSE of {rmse:.3g} cm." in seen.read_text()
@@ -78,7 +79,8 @@ def test_each_run_of_a_table_has_a_folder(tiswarm, tmp_path):
     row = "{},{},{},0,0,1,0,0,0\n".format
     rows = [row(run, robot, x) for run in "ab" for robot, x in enumerate([0.0, 4.1, 20.0])]
     poses.write_text("run,robot,x,y,z,qw,qx,qy,qz\n" + "".join(rows))
-    arguments = ["import", poses, "--docks", docks, "--gap", 0.2, "--heights", "--keep-tied"]
+    arguments = ["import", poses, "--docks", docks, "--gap", 0.2, "--heights"]
+    arguments.append("--drop-disconnected")
 
     done = tiswarm(*arguments, "--anchor", "1,0", "--out", tmp_path / "in")
     refused = tiswarm(*arguments, "--anchor", "1,x", "--out", tmp_path / "no")

@@ -9,7 +9,8 @@ from tests.runs import REPOSITORY
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
-from tiswarm.interop.imports import GAINS, Assumptions, import_poses, write_import
+from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.imports import GAINS, import_poses, write_import
 from tiswarm.interop.poses import read_dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.localization.registry import localize
@@ -237,7 +238,7 @@ def test_disconnected_robots_are_dropped_on_demand(towers, tmp_path):
     far = [[name + 1000, x + 1e3, *rest] for name, x, *rest in rows[:5]]
 
     log, position, notes, _ = bring_in(
-        tmp_path, POSES, [*far, *rows], anchors=(100,), keep_tied=True
+        tmp_path, POSES, [*far, *rows], anchors=(100,), drop_disconnected=True
     )
 
     alone = bring_in(tmp_path, POSES, rows)
@@ -325,3 +326,49 @@ def test_malformed_poses_are_refused(tmp_path, header, rows, known, problem):
         bring_in(tmp_path, header, rows, **known)
 
     assert problem in str(refusal.value)
+
+
+def rounded_contacts(history, folder, **known):
+    """Import a structure with docks of 23.5 mm whose positions are rounded to 1 mm."""
+    rows = [[row[0], *np.round(23.5 * np.array(row[1:4])), *row[4:]] for row in poses_of(history)]
+    known = {"dock_radius": 23.5, "dock_offset_body": None, "gap": None, "overlap": None, **known}
+    return bring_in(folder, POSES, rows, length_unit="mm", **known)
+
+
+@pytest.mark.parametrize("structure", [0, 1, 2])
+def test_rounded_poses_keep_their_contacts(towers, tmp_path, structure):
+    """Docks that overlap by errors say how wide the gaps of contacts are, and a note says so."""
+    true = {
+        frozenset([(100 + i, a), (100 + j, b)])
+        for i, a, j, b in observe(towers[structure], SensingParams()).contacts.tolist()
+    }
+
+    found = rounded_contacts(towers[structure], tmp_path)
+    narrow = rounded_contacts(towers[structure], tmp_path, gap=0.47, overlap=0.47)
+
+    assert len(named_contacts(found.log) & true) >= 0.97 * len(true)
+    assert len(named_contacts(found.log) - true) <= 1
+    assert len(named_contacts(narrow.log) & true) < 0.85 * len(true)
+    assert any(note.startswith("contacts have gaps up to ") for note in found.notes)
+
+
+@pytest.mark.parametrize("known", [{}, {"dock_offset_body": None}])
+@pytest.mark.parametrize("columns", ["qw,qx,qy,qz", "qx,qy,qz,qw"])
+def test_quaternions_in_the_other_order_are_recognized(towers, tmp_path, columns, known):
+    """Numbers under the names of the other order give the contacts of the right one."""
+    rows = poses_of(towers[0])
+    xyzw = [[*row[:4], *row[5:], row[4]] for row in rows]
+    wrong = xyzw if columns.startswith("qw") else rows
+    known = {"gap": None, "overlap": None, "anchors": (100,), **known}
+
+    found = bring_in(tmp_path, f"robot,x,y,z,{columns}", wrong, **known)
+
+    expected = bring_in(tmp_path, POSES, rows, **known)
+    np.testing.assert_array_equal(found.log.contacts, expected.log.contacts)
+    # Lengths of quaternions are sums of squares in another order, which rounds differently.
+    np.testing.assert_allclose(
+        found.log.orientation_wxyz, expected.log.orientation_wxyz, rtol=0, atol=1e-15
+    )
+    order = "x, y, z, w" if columns.startswith("qw") else "w, x, y, z"
+    assert found.notes[0].startswith(f"quaternions read as {order}, though columns have the other")
+    assert found.notes[1:] == expected.notes

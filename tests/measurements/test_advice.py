@@ -9,7 +9,7 @@ import pytest
 from tests.structures import Rule, structure
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements import advice, rigidity
-from tiswarm.measurements.advice import advise
+from tiswarm.measurements.advice import advise, advise_together
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.observability import observability
@@ -375,3 +375,90 @@ def test_advice_survives_a_robot_that_is_far_away(far):
 
     assert found
     assert all(np.isfinite([each.rmse_before, each.rmse_after]).all() for each in found)
+
+
+def _together(log, center, further):
+    """Expected RMSE with several candidates, whose covariance is inverted anew."""
+    information = _information(log, center)
+    for one in further:
+        rows = _rows(one, log, center)[:, _free(log)]
+        information = information + rows.T @ rows / _noise(one, log)
+    return np.sqrt(np.trace(np.linalg.inv(information)[:87, :87]) / 30)
+
+
+@pytest.mark.parametrize("kinds", [(), ("contact", "height")])
+def test_errors_of_several_measurements_are_those_of_all_together(swarm, kinds):
+    """The covariance is inverted anew with all so far; each step is from the one before."""
+    log, center = swarm
+
+    found = advise_together(log, CUES, center, budget=5, kinds=kinds)
+
+    assert len(found) == 5
+    assert {one.kind for one in found} <= set(kinds or ("position",))
+    for count, one in enumerate(found):
+        before, after = (_together(log, center, found[:k]) for k in (count, count + 1))
+        np.testing.assert_allclose([one.rmse_before, one.rmse_after], [before, after], rtol=1e-6)
+
+
+@pytest.mark.usefixtures("every")
+def test_each_measurement_is_the_best_beside_those_before(swarm):
+    """No other candidate leaves less error; a larger budget starts with the same ones."""
+    log, center = swarm
+    every = advise(log, CUES, center)
+
+    found = advise_together(log, CUES, center, budget=3)
+
+    for count, one in enumerate(found):
+        others = [_together(log, center, [*found[:count], other]) for other in every]
+        assert one.rmse_after <= min(others) * (1 + 1e-9)
+    fewer = advise_together(log, CUES, center, budget=2)
+    assert [(one.kind, one.robot) for one in fewer] == [(one.kind, one.robot) for one in found[:2]]
+
+
+def test_several_measurements_remove_floppy_modes_once(towers):
+    """Modes and robots of all add up to those of a log that has the measurements."""
+    log, center = observe(towers[1], SensingParams()), towers[1].position
+
+    found = advise_together(log, CUES, center, budget=4, kinds=("contact",))
+
+    rows = [[one.contact[1], one.contact[2], one.robot, one.contact[0]] for one in found]
+    contacts = canonical_contacts(np.concatenate([log.contacts, rows]).astype(np.int32))
+    before = observability(log, CUES, center)
+    after = observability(replace(log, contacts=contacts), CUES, center)
+    assert len(contacts) == len(log.contacts) + 4
+    assert sum(one.floppy_modes for one in found) == before.floppy_modes - after.floppy_modes
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([one.determined for one in found])),
+        np.flatnonzero(before.floppy & ~after.floppy),
+    )
+
+
+def test_a_budget_beyond_all_candidates_takes_them_all():
+    """An anchor alone has none."""
+    log, center = structure(Rule(), 3, 0)
+    alone, place = structure(Rule(), 1, 0)
+
+    found = advise_together(log, CUES, center, budget=1000, kinds=("position",))
+
+    assert [one.robot for one in found] in ([1, 2], [2, 1])
+    assert advise_together(alone, CUES, place, budget=3) == []
+
+
+def test_images_part_by_all_that_is_measured(swarm):
+    """The difference of several candidates is that of their rows together, not of each alone."""
+    log, center = swarm
+    other = center.copy()
+    other[10:, 2] += np.linspace(0.1, 1.0, len(center) - 10)
+    images = [
+        SimpleNamespace(weight=weight, position=at) for weight, at in [(2, center), (1, other)]
+    ]
+
+    found = advise_together(log, CUES, center, images, budget=3, kinds=("height",))
+
+    covariance = np.linalg.inv(_information(log, center))
+    for count, one in enumerate(found, start=1):
+        rows = np.concatenate([_rows(each, log, center) for each in found[:count]])[:, _free(log)]
+        change = [other[each.robot, 2] - center[each.robot, 2] for each in found[:count]]
+        own = rows @ covariance @ rows.T + Precision().height ** 2 * np.eye(count)
+        apart = np.sqrt(change @ np.linalg.solve(own, change))
+        np.testing.assert_allclose(one.images_apart_sd, apart, rtol=1e-5)

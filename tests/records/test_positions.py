@@ -204,9 +204,30 @@ def test_separators_and_comments_of_spreadsheets_are_read(tmp_path, text):
 
 
 def test_a_mistake_below_comments_has_its_line(tmp_path):
-    """Lines are counted in the file; a decimal comma is named as the fault that it is."""
+    """Lines are counted in the file; a comma for thousands is named as the fault that it is."""
     path = tmp_path / "truth.csv"
-    path.write_text("# made by hand\nrobot;x_R;y_R;z_R\n\n7;1,5;2;3\n".replace("\n\n", "\n"))
+    path.write_text("# made by hand\nrobot;x_R;y_R;z_R\n7;1,005.5;2;3\n")
 
-    with pytest.raises(InputError, match=r":3: x_R: '1,5' is not a finite number up to "):
+    with pytest.raises(InputError, match=r":3: x_R: '1,005.5' is not a finite number up to "):
+        read_positions(path)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_read(tmp_path, separator):
+    """In a column without decimal points, a comma in a number is the decimal one."""
+    path = tmp_path / "truth.csv"
+    rows = [["robot", "x_R", "y_R", "z_R"], ["7", "-1,5", "2,25e-1", "3"]]
+    path.write_text("\n".join(separator.join(row) for row in rows))
+
+    _, position = read_positions(path)
+
+    assert position.tolist() == [[-1.5, 0.225, 3.0]]
+
+
+def test_decimal_commas_and_points_do_not_mix(tmp_path):
+    """Beside 1.5, the number 1,005 may be a thousand and five."""
+    path = tmp_path / "truth.csv"
+    path.write_text("robot;x_R;y_R;z_R\n7;1,005;2;3\n8;1.5;2;3\n")
+
+    with pytest.raises(InputError, match=r":2: x_R: '1,005' is not a finite number up to "):
         read_positions(path)

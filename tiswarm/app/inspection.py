@@ -1,16 +1,24 @@
 """Mistakes in scenarios and logs, what a log leaves unknown, and estimates in words."""
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
 from tiswarm.base.errors import InputError
-from tiswarm.measurements.advice import IMAGES_APART, advise
+from tiswarm.measurements.advice import (
+    IMAGES_APART,
+    MOST_ROBOTS,
+    Advice,
+    Kind,
+    advise,
+    advise_together,
+)
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
@@ -27,7 +35,7 @@ from tiswarm.measurements.verdicts import (
     solution_name,
     verdict,
 )
-from tiswarm.records.estimate import Estimate, Observability
+from tiswarm.records.estimate import Estimate, Observability, Solution
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.records.sensing_log import SensingLog
@@ -60,13 +68,21 @@ class Inspection(NamedTuple):
         return self.summary or "\n".join(map(str, self.mistakes))
 
 
-class AdviceTable(tuple[Mapping[str, str], ...]):
+class AdviceTable(tuple[Mapping[str, str], ...]):  # noqa: SLOT001 - it has attributes
     """Further measurements that would help, the best first, as rows of cells by heading."""
 
-    __slots__ = ()
+    together: "AdviceTable | None" = None
+    """The set of measurements that helps most together; None where none was asked for."""
+
+    title: str = ""
+    """What the table is, in a line above it; nothing if empty."""
 
     def __str__(self) -> str:
-        """Align the columns, in lines."""
+        """Give the title, the aligned columns, and the set of measurements, in lines."""
+        parts = [self.title, self._table(), "" if self.together is None else f"\n{self.together}"]
+        return "\n".join(filter(None, parts))
+
+    def _table(self) -> str:
         if not self:
             nothing = "no further contact, height or position would help"
             return f"{nothing}, or there are too many robots or loops"
@@ -136,6 +152,24 @@ class Findings:
         """Further measurements that would constrain robots most."""
         return advice_rows(self.log, self._cues or cue_names(), self.estimate)
 
+    def advise(self, budget: int | None = None, kinds: Sequence[Kind] = ()) -> AdviceTable:
+        """Return the advice, with the set of `budget` measurements that helps most together.
+
+        Args:
+            budget: Largest number of measurements in the set; no set if None.
+            kinds: Kinds of measurements in the set; all if there are none.
+
+        Raises:
+            InputError: the budget is not positive, a kind is unknown, or there are too many robots.
+        """
+        if budget is None:
+            return self.advice
+        cues = self._cues or cue_names()
+        together = rows_together(self.log, cues, self.estimate, budget, kinds)
+        found = AdviceTable(self.advice)
+        found.together = together
+        return found
+
     @property
     def solutions(self) -> list[str]:
         """The solutions that the method found, in lines."""
@@ -202,11 +236,48 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> A
     Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
     read from a file has none. No row if nothing helps, or if there are too many robots or loops.
     """
-    name, unit = log.robot_id.tolist(), log.length_unit
+    found = advise(log, cues, estimate.position, _images(estimate))
+    return AdviceTable(_advice_rows(log, found or [], "with it"))
+
+
+def rows_together(
+    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
+) -> AdviceTable:
+    """Tabulate the further measurements that would help most together.
+
+    Raises:
+        InputError: the budget is not positive, a kind is unknown, or there are too many robots.
+    """
+    if budget < 1:
+        raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
+    if unknown := [kind for kind in kinds if kind not in get_args(Kind)]:
+        known = ", ".join(get_args(Kind))
+        raise InputError(f"{unknown[0]!r} should be one of {known}", argument="kinds")
+    images = _images(estimate)
+    found = advise_together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
+    if found is None:
+        problem = f"is for up to {MOST_ROBOTS:,} robots without too many loops; leave it out"
+        raise InputError(problem, argument="budget")
+    table = AdviceTable(_advice_rows(log, found, "with it and those above"))
+    if found:
+        number = Counter(one.kind for one in found)
+        what = " and ".join(counted(count, kind) for kind, count in number.items())
+        error = f"{found[0].rmse_before:.3g} -> {found[-1].rmse_after:.3g} {log.length_unit}"
+        table.title = f"together, {what}: expected RMSE {error}"
+    return table
+
+
+def _images(estimate: Estimate) -> Sequence[Solution]:
+    """Return the solutions between which robots are mirrored; none if none are."""
     is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
-    images = estimate.solutions if is_mirrored else ()
+    return estimate.solutions if is_mirrored else ()
+
+
+def _advice_rows(log: SensingLog, advice: Sequence[Advice], after: str) -> list[dict[str, str]]:
+    """Write advice as cells by heading; `after` is the heading of the error that it leaves."""
+    name, unit = log.robot_id.tolist(), log.length_unit
     rows = []
-    for rank, found in enumerate(advise(log, cues, estimate.position, images) or [], start=1):
+    for rank, found in enumerate(advice, start=1):
         what = f"{found.kind} of robot {name[found.robot]}"
         if found.kind == "range":
             what = f"{what} to robot {name[found.contact[1]]}"
@@ -216,7 +287,7 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> A
         gains = {
             IMAGES_APART: found.images_apart_sd,
             f"expected RMSE [{unit}]": found.rmse_before,
-            f"with it [{unit}]": found.rmse_after,
+            f"{after} [{unit}]": found.rmse_after,
         }
         rows.append(
             {
@@ -227,7 +298,7 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> A
             }
             | {key: f"{value:.3g}" for key, value in gains.items() if not math.isnan(value)}
         )
-    return AdviceTable(rows)
+    return rows
 
 
 def _left_open(log: SensingLog, known: Observability) -> str:

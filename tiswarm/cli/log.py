@@ -1,7 +1,7 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -117,26 +117,43 @@ def view(
         show_page(page, opened=opened)
 
 
-@app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv")
+@app.command(epilog="Example: tiswarm advise sensing.jsonl estimate.csv --budget 5")
 def advise(
     log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
     estimate: EstimateTable = None,
+    budget: Annotated[
+        int | None, Option(metavar="K", help="Also list the K measurements best together.")
+    ] = None,
+    kinds: Annotated[
+        str, Option(metavar="KIND,...", help="Kinds of these: contact, height, position, range.")
+    ] = "",
 ) -> None:
     """List which further measurements would determine most.
 
     Candidates are contacts, heights and known positions. The expected RMSE is computed for up to
     1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:
     where robots are mirrored, a column has the difference between the two likeliest, and further
-    ranges are candidates if LOG has some.
+    ranges are candidates if LOG has some. --budget chooses a set one by one, each the best beside
+    those before it.
     """
     from tiswarm import api
+    from tiswarm.base.errors import InputError
 
-    typer.echo(api.advise(log, estimate, quiet=False))
+    if kinds and budget is None:
+        raise InputError("needs a number of measurements; add --budget K", key="--kinds")
+    chosen: Any = [kind.strip() for kind in kinds.split(",") if kind]
+    typer.echo(api.advise(log, estimate, budget=budget, kinds=chosen, quiet=False))
 
 
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
 def import_(
-    poses: Annotated[Path, Argument(help="Table: robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z.")],
+    poses: Annotated[
+        Path,
+        Argument(
+            help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum or a folder of "
+            "such files; .pyfg."
+        ),
+    ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],
     dock_radius: Annotated[float, Option(min=1e-9, max=1e9, help="Radius of a dock sphere.")] = 1.0,
     dock_offset: Annotated[
@@ -152,7 +169,11 @@ def import_(
         Path | None, Option(metavar="CSV", help="Docks in the body frame: dock,x,y,z.")
     ] = None,
     gap: Annotated[
-        float | None, Option(min=0.0, help="Largest gap of a contact (default: 2 % of the radius).")
+        float | None,
+        Option(
+            min=0.0,
+            help="Largest gap of a contact (default: 2 % of the radius, or as docks overlap).",
+        ),
     ] = None,
     overlap: Annotated[
         float | None, Option(min=0.0, help="Largest overlap of a contact (default: the same).")
@@ -176,8 +197,12 @@ def import_(
     ] = "unit",
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
-    keep_tied: Annotated[
-        bool, Option("--keep-tied", help="Drop robots that no contacts connect to an anchor.")
+    drop_disconnected: Annotated[
+        bool,
+        Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor."),
+    ] = False,
+    drop_incomplete: Annotated[
+        bool, Option("--drop-incomplete", help="Drop rows with empty cells or NaN.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -209,7 +234,8 @@ def import_(
         anchors=anchors,
         ground_z=ground_z,
         heights=heights,
-        keep_tied=keep_tied,
+        drop_disconnected=drop_disconnected,
+        drop_incomplete=drop_incomplete,
         tilt_deg=tilt_deg,
         yaw_deg=yaw_deg,
         length_unit=length_unit,
@@ -223,8 +249,21 @@ def import_(
 def score(
     truth: Annotated[Path, Argument(help="Table of true positions.")],
     estimate: Annotated[Path, Argument(help="Table of estimated positions.")],
+    out: Annotated[
+        Path | None,
+        Option(
+            help="Figure to draw, .png or .pdf (default: ESTIMATE-score.png).", show_default=False
+        ),
+    ] = None,
+    *,
+    quiet: Quiet = False,
 ) -> None:
-    """Print the errors of an estimate, as it is and after alignment."""
+    """Print and draw the errors of an estimate.
+
+    Errors are those as it is and after alignment. The figure has the error of each robot in join
+    order, and truth and estimate from two sides.
+    """
     from tiswarm import api
 
-    typer.echo(api.score(truth, estimate))
+    figure = out or estimate.with_name(f"{estimate.name.partition('.')[0]}-score.png")
+    typer.echo(api.score(truth, estimate, out=figure, quiet=quiet))

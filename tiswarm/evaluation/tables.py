@@ -193,10 +193,29 @@ def _on_anchor(history: History) -> NDArray[np.int32]:
 class Scores(dict[str, float]):
     """Accuracy measures by name, in the length unit of the truth."""
 
-    def __init__(self, values: Mapping[str, float], unit: str) -> None:
-        """Name the unit of all measures but the disparity, which has none."""
+    def __init__(
+        self, values: Mapping[str, float], unit: str, true: Reals, estimated: Reals
+    ) -> None:
+        """Name the unit of all measures but the disparity, which has none.
+
+        Args:
+            values: Measures by name.
+            unit: Unit of lengths.
+            true: True centers in the order of the estimate [unit], shape (N, 3).
+            estimated: Estimated centers in the same order [unit], shape (N, 3).
+        """
         super().__init__(values)
         self.unit = unit
+        self.true, self.estimated = true, estimated
+
+    @property
+    def errors(self) -> dict[str, Reals]:
+        """Errors of the robots in the order of the estimate [unit], each of shape (N,)."""
+        aligned = metrics.yaw_aligned(self.estimated, self.true)
+        return {
+            "as it is": metrics.robot_errors(self.estimated, self.true),
+            "yaw and place aligned": metrics.robot_errors(aligned, self.true),
+        }
 
     def __str__(self) -> str:
         """Give a line for each measure."""
@@ -225,8 +244,9 @@ def score_files(truth: Path, estimate: Path | Estimate) -> Scores:
     if len(missing):
         problem = f"robot {missing[0]} is in one of the two tables only; score the same robots"
         raise InputError(problem, path=path, key="robot")
-    values = score_positions(true[names.argsort()], estimated[other_names.argsort()])
-    return Scores(values, unit)
+    true = true[names.argsort()]
+    values = score_positions(true, estimated[other_names.argsort()])
+    return Scores(values, unit, true[other_names.argsort().argsort()], estimated)
 
 
 def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:

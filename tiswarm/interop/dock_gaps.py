@@ -29,6 +29,22 @@ _STANDS_OUT = 2.0
 """A guess has at least this many times the contacts of any other offset."""
 
 
+_WIDEST = 0.25
+"""Largest limit of gaps and overlaps that is found [dock radii]."""
+
+_STEP = 1.1
+"""Ratio of limits that are tried."""
+
+_FEWEST_OVERLAPS = 10
+"""Overlaps in the peak from which on there is a limit to find."""
+
+_MARGIN = 1.3
+"""Largest error of a gap, per largest error that was seen as an overlap."""
+
+_RARE = 0.02
+"""Share of overlaps in the valley, up to twice the limit, beside those within it."""
+
+
 def surface_gaps(docks: Reals, pair: Ints, radius: float) -> Reals:
     """Measure gaps from surface to surface, shape (n,).
 
@@ -80,6 +96,31 @@ def guess_dock_offset(
     if inside[best] < max(0.5 * count, _STANDS_OUT * others.max(initial=0)):
         return None
     return float(f"{offset:.4g}")
+
+
+def contact_limit(gap: Reals, radius: float, least: float) -> float | None:
+    """Find the limit of the gaps and overlaps of contacts in the valley beyond their peak.
+
+    Rigid docks do not overlap: overlaps are errors, as of rounded poses, and gaps of contacts have
+    errors of the same size. The valley is where hardly any larger overlaps follow.
+
+    Args:
+        gap: Gaps of close docks.
+        radius: Radius of a dock sphere.
+        least: Least limit.
+
+    Returns:
+        The limit; None if there are too few overlaps or no valley, as for a wrong robot geometry.
+    """
+    overlap = -gap[gap < 0.0]
+    limit = least
+    while limit <= _WIDEST * radius:
+        inside = (overlap <= limit).sum()
+        beyond = overlap[(overlap > limit) & (overlap <= 2.0 * limit)]
+        if inside >= _FEWEST_OVERLAPS and len(beyond) <= _RARE * inside:
+            return limit if limit == least else float(f"{_MARGIN * max([limit, *beyond]):.2g}")
+        limit *= _STEP
+    return None
 
 
 def histogram(

@@ -1,31 +1,36 @@
 """Imports poses of other simulators as a sensing log and a truth."""
 
+import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.robot import FIREANT_RHO, docks_in_plane
-from tiswarm.interop.dock_gaps import FARTHEST_SHOWN, guess_dock_offset, histogram, surface_gaps
-from tiswarm.interop.poses import Poses, read_contacts, read_poses
-from tiswarm.measurements.contacts import dock_pairs
+from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.docking import (
+    find_contacts,
+    in_likely_order,
+    refuse_crowds,
+    with_docks,
+    with_limits,
+)
+from tiswarm.interop.graph_import import import_graph
+from tiswarm.interop.pose_table import PoseTable, read_table
+from tiswarm.interop.poses import Poses, poses_by_run
+from tiswarm.interop.stances import Rests, find_rests, stances_of
+from tiswarm.interop.trajectories import read_gsd, read_tum
 from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
-from tiswarm.records.sensing_format import MOST_CONTACTS
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
-
-TOLERANCE = 0.02
-"""Largest gap and overlap of a contact unless stated otherwise [dock radii]."""
 
 GAINS = (
     "on towers of 100 robots, joint's mean RMSE is 1.03 R from contacts and ground, 0.70 R with "
@@ -36,59 +41,12 @@ GAINS = (
 _KNOWN_SD = 1e-3
 """Standard deviation of each coordinate of a further anchor [dock radii]."""
 
-_ENOUGH_CONTACTS = 0.5
-"""Fewer contacts per robot point to a wrong robot geometry."""
 
+_ROUNDING = 1e-6
+"""Least motion of a pivot that counts [dock radii]."""
 
-@dataclass(frozen=True, kw_only=True)
-class Assumptions:
-    """Facts that a table of poses does not state; lengths in its own unit."""
-
-    dock_radius: float = 1.0
-    dock_offset_body: Reals | None = None
-    """Center to dock in the body frame, shape (D, 3); None for the three docks in a plane at which
-    most docks touch. A table of spheres needs none."""
-
-    gap: float | None = None
-    """Largest gap of two docks in contact; 2 % of the dock radius if None."""
-
-    overlap: float | None = None
-    """Largest overlap of two docks in contact; 2 % of the dock radius if None."""
-
-    contacts: Path | None = None
-    """Table `robot,dock,other,other_dock` of all contacts; found from the gaps if None."""
-
-    anchors: tuple[int, ...] = ()
-    """Names of robots at known positions, the anchor first; the first robot to join, or of the
-    file, if there are none."""
-
-    ground_z: float | None = None
-    """Height of flat ground; None where there is none."""
-
-    heights: bool = False
-    """Whether the robots know the heights of their centers."""
-
-    keep_tied: bool = False
-    """Whether to drop the robots that contacts do not connect to an anchor."""
-
-    tilt_deg: float | None = None
-    """Standard deviation of orientations about horizontal axes [deg]; stated if not None."""
-
-    yaw_deg: float | None = None
-    """Standard deviation of orientations about the vertical [deg]; stated if not None."""
-
-    length_unit: str = "unit"
-    """Unit of lengths where the columns do not name it."""
-
-    @property
-    def largest_gap(self) -> float:
-        """Largest gap of two docks in contact."""
-        return TOLERANCE * self.dock_radius if self.gap is None else self.gap
-
-    @property
-    def largest_overlap(self) -> float:
-        """Largest overlap of two docks in contact."""
-        return TOLERANCE * self.dock_radius if self.overlap is None else self.overlap
+_MOST_NAMED = 5
+"""Robots that a note names."""
 
 
 class Imported(NamedTuple):
@@ -101,7 +59,7 @@ class Imported(NamedTuple):
 
 
 def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
-    """Turn a table of poses, as `read_poses` describes it, into sensing logs and truths.
+    """Turn a table of poses, as `read_table` describes it, into sensing logs and truths.
 
     Returns:
         What became of each structure, by its name in the column `run`, or "" without that column.
@@ -109,11 +67,32 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     Raises:
         InputError: a table is malformed or does not contain the anchors.
     """
-    runs = read_poses(path, dock_radius=assumed.dock_radius, shape_error=assumed.largest_gap)
+    if path.suffix == ".pyfg":
+        log, position, notes = import_graph(path, assumed)
+        log = replace(log, noise=_noise(assumed))
+        with at_line(path, 1):
+            check_header(log)
+        return {"": Imported(log, position, notes, "")}
+    table = _read(path, assumed)
+    runs = poses_by_run(table, path, shape_error=assumed.largest_gap)
     if assumed.contacts is not None and len(runs) > 1:
         problem = "the poses have several runs; import each with its own contacts"
         raise InputError(problem, path=path, argument="contacts")
-    return {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    found = {run: _import_run(path, poses, assumed) for run, poses in runs.items()}
+    for imported in found.values():
+        imported.notes[:0] = table.notes
+    return found
+
+
+def _read(path: Path, assumed: Assumptions) -> PoseTable:
+    """Read poses in the format that the name of their file or folder says."""
+    if path.is_dir() or path.suffix == ".tum":
+        return read_tum(path, dock_radius=assumed.dock_radius)
+    if path.suffix == ".gsd":
+        return read_gsd(path, dock_radius=assumed.dock_radius)
+    return read_table(
+        path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
+    )
 
 
 def write_import(imported: Imported, out: Path) -> None:
@@ -130,109 +109,61 @@ def write_import(imported: Imported, out: Path) -> None:
 
 
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
-    poses, notes = _with_docks(poses, assumed, path)
-    contacts, gaps, warning = _contacts(poses, assumed)
-    anchors = _anchors(poses, assumed.anchors, path)
-    order, joined = _join_order(poses, contacts, anchors, keep_tied=assumed.keep_tied)
-    log = _log(poses, contacts, anchors, order, assumed)
+    poses, order_of_numbers = in_likely_order(poses, assumed)
+    poses, guessed = with_docks(poses, assumed, path)
+    assumed, widened = with_limits(poses, assumed)
+    contacts, gaps, warning = find_contacts(poses, assumed)
+    rests = None
+    if poses.samples is not None:
+        limits = assumed.largest_gap, assumed.largest_overlap
+        put = max(sum(limits), _ROUNDING * assumed.dock_radius)
+        rests = find_rests(poses, still=0.5 * max(*limits, 0.5 * put), put=put)
+    anchors = _anchors(poses, rests, assumed.anchors, path)
+    order, joined = _join_order(
+        poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
+    )
+    log = _log(poses, contacts, anchors, order, rests, assumed)
     with at_line(path, 1):
         check_header(log)
-    _refuse_crowds(log, path)
+    refuse_crowds(log, path)
     size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
-    notes += [*gaps, *joined, *_describe(log), size]
+    if log.stances is not None:
+        size = log.size
+    notes = [*order_of_numbers, *guessed, *widened, *gaps, *joined]
+    notes += [*_describe_rests(poses, rests), *_describe(log), size]
     return Imported(log, poses.position[order], notes, warning)
 
 
-def _with_docks(poses: Poses, assumed: Assumptions, path: Path) -> tuple[Poses, list[str]]:
-    """Add the docks in the body frame, and say where they are a guess."""
-    radius, body = assumed.dock_radius, assumed.dock_offset_body
-    poses = poses._replace(length_unit=poses.length_unit or assumed.length_unit)
-    if len(poses.dock_offset_body):
-        if body is None:
-            return poses, []
-        problem = "the spheres are the docks; leave out offsets of docks"
-        raise InputError(problem, path=path, key="sphere")
-    if body is not None:
-        return poses._replace(dock_offset_body=body), []
-    width = assumed.largest_gap + assumed.largest_overlap
-    offset = guess_dock_offset(poses.position, poses.orientation_wxyz, radius, width)
-    if offset is not None:
-        note = f"dock offset {offset:g} {poses.length_unit}: most docks touch there"
-    else:
-        offset = FIREANT_RHO * radius
-        note = f"no dock offset stands out: {offset:g} {poses.length_unit}, FireAntV3's, is assumed"
-    return poses._replace(dock_offset_body=docks_in_plane(offset)), [note]
-
-
-def _contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], str]:
-    """Find contacts, describe gaps, and warn where they are implausible.
-
-    Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
-    """
-    radius, unit = assumed.dock_radius, poses.length_unit
-    gap_limit, overlap_limit = assumed.largest_gap, assumed.largest_overlap
-    if assumed.contacts is None:
-        within = max(gap_limit, FARTHEST_SHOWN * radius)
-        pair = dock_pairs(poses.docks, 2.0 * radius + within)
-    else:
-        pair = read_contacts(assumed.contacts, poses)
-    gap = surface_gaps(poses.docks, pair, radius)
-    wide, deep = gap > gap_limit, gap < -overlap_limit
-    limits = {"largest_gap": gap_limit, "largest_overlap": overlap_limit}
-    notes = [*histogram(gap, radius, unit=unit, **limits)]
-    if deep.any():
-        by = f"by more than {overlap_limit:g} {unit}"
-        notes.append(f"{counted(deep.sum(), 'overlap')} of two docks {by}")
-    if assumed.contacts is None:
-        pair = pair[~wide & ~deep]
-    elif wide.any():
-        listed = counted(wide.sum(), "listed contact")
-        notes.append(f"{listed} with a gap of more than {gap_limit:g} {unit}")
-    return pair, notes, _implausible(len(poses.robot_id), len(pair), int(deep.sum()))
-
-
-def _refuse_crowds(log: SensingLog, path: Path) -> None:
-    """Refuse more contacts of a dock than a log may have."""
-    docks = len(log.dock_offset_body)
-    ends = log.contacts.reshape(-1, 2) @ [docks, 1]
-    number = np.bincount(ends, minlength=1)
-    if (most := int(number.max())) > MOST_CONTACTS:
-        robot, dock = divmod(int(number.argmax()), docks)
-        problem = f"dock {dock} of robot {log.robot_id[robot]} has {most} contacts, more than "
-        remedy = f"{MOST_CONTACTS}; correct radius and offset of docks, or give smaller limits"
-        raise InputError(problem + remedy, path=path)
-
-
-def _implausible(robots: int, contacts: int, overlaps: int) -> str:
-    """Warn of too few contacts, or more overlaps than contacts."""
-    if robots == 1 or (contacts >= _ENOUGH_CONTACTS * robots and contacts >= overlaps):
-        return ""
-    found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
-    return (
-        f"{counted(robots, 'robot')} have {found} of docks; correct --dock-radius and "
-        "--dock-offset, or give larger --gap and --overlap"
-    )
-
-
-def _anchors(poses: Poses, names: tuple[int, ...], path: Path) -> list[int]:
+def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Path) -> list[int]:
     """Find the rows of the robots at known positions; the first is the anchor, and joins first."""
     row = {name: row for row, name in enumerate(poses.robot_id.tolist())}
     for name in names:
         if name not in row:
             problem = f"there is no robot {name}; name one of the file"
             raise InputError(problem, path=path, argument="anchor")
-    first = 0 if poses.join is None else int(poses.join.argmin())
+    key, first, is_first = "anchor", 0, np.ones(len(row), np.bool_)
+    if poses.join is not None:
+        key, first = "join", int(poses.join.argmin())
+        is_first = np.arange(len(row)) == first
+    elif rests is not None:
+        key, first = "time", int(np.lexsort(rests.arrival)[0])
+        is_first = (rests.arrival == rests.arrival[:, [first]]).all(axis=0)
     anchors = [*dict.fromkeys(row[name] for name in names)] or [first]
-    if poses.join is not None and anchors[0] != first:
+    if not is_first[anchors[0]]:
         problem = f"robot {poses.robot_id[first]} joined first, not {names[0]}; name it first"
-        raise InputError(problem, path=path, key="join")
+        raise InputError(problem, path=path, key=key)
     return anchors
 
 
 def _join_order(
-    poses: Poses, contacts: Ints, anchors: list[int], *, keep_tied: bool
+    poses: Poses,
+    contacts: Ints,
+    anchors: list[int],
+    rests: Rests | None,
+    *,
+    drop_disconnected: bool,
 ) -> tuple[Ints, list[str]]:
-    """Sort robots by their join index; without it, by hops from the anchors, and say so."""
+    """Sort robots by join index, or as they reach their final poses, or by hops; say which."""
     neighbors: list[list[int]] = [[] for _ in poses.robot_id]
     for i, _, j, _ in contacts.tolist():
         neighbors[i].append(j)
@@ -243,20 +174,29 @@ def _join_order(
         tied |= dict.fromkeys(new)
         waiting.extend(new)
     notes = []
-    if poses.join is None:
-        order = np.array([*tied | dict.fromkeys(range(len(neighbors)))])
+    outward = np.array([*tied | dict.fromkeys(range(len(neighbors)))])
+    if poses.join is not None:
+        order = np.argsort(poses.join, kind="stable")
+    elif rests is not None:
+        order = outward[np.lexsort(rests.arrival[:, outward])]
+        notes.append("no column join: robots join as they reach their final poses")
+    else:
+        order = outward
         name = poses.robot_id[anchors[0]]
         notes.append(f"no column join: robots join outward from robot {name}, by contacts")
-    else:
-        order = np.argsort(poses.join, kind="stable")
     if lost := len(neighbors) - len(tied):
-        fate = "dropped" if keep_tied else "kept: drop them with --keep-tied"
+        fate = "dropped" if drop_disconnected else "kept: drop them with --drop-disconnected"
         notes.append(f"{counted(lost, 'robot')} disconnected from the anchor {fate}")
-    return order[np.isin(order, [*tied])] if keep_tied else order, notes
+    return order[np.isin(order, [*tied])] if drop_disconnected else order, notes
 
 
 def _log(
-    poses: Poses, contacts: Ints, anchors: list[int], order: Ints, assumed: Assumptions
+    poses: Poses,
+    contacts: Ints,
+    anchors: list[int],
+    order: Ints,
+    rests: Rests | None,
+    assumed: Assumptions,
 ) -> SensingLog:
     """Derive what the robots in `order` would have sensed at rest."""
     count = len(order)
@@ -267,11 +207,15 @@ def _log(
     renamed = renamed[(renamed[:, [0, 2]] >= 0).all(axis=1)]
     swapped = renamed[:, 0] > renamed[:, 2]
     renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
-    standing: NDArray[np.int32] = np.empty((0, 2), np.int32)
-    if assumed.ground_z is not None:
-        height = poses.docks[order, :, 2] - assumed.dock_radius - assumed.ground_z
-        stands = (height <= assumed.largest_gap) & (height >= -assumed.largest_overlap)
-        standing = np.argwhere(stands).astype(np.int32)
+    ground_z = math.nan if assumed.ground_z is None else assumed.ground_z
+    limits = np.array([-assumed.largest_overlap, assumed.largest_gap])
+    level = ground_z + assumed.dock_radius + limits
+    height = poses.docks[order, :, 2]
+    standing = np.argwhere((height >= level[0]) & (height <= level[1])).astype(np.int32)
+    stances = rests and stances_of(
+        rests, poses, order, spacing=2.0 * assumed.dock_radius + limits, level=level,
+        on_one_clock=poses.join is None,
+    )  # fmt: skip
     known = sorted(anchors[1:], key=lambda row: place[row])
     fixes = [
         (place[row], *axis, along, _KNOWN_SD * assumed.dock_radius, -1)
@@ -290,6 +234,7 @@ def _log(
         fixes=np.array(fixes).reshape(-1, 7),
         flip_height=poses.position[order, 2] if assumed.heights else np.full(count, np.nan),
         spawn_position=np.full((count, 3), np.nan),
+        stances=stances,
         noise=_noise(assumed),
         length_unit=poses.length_unit,
     )
@@ -310,6 +255,21 @@ def _noise(assumed: Assumptions) -> SensingNoise | None:
         raise InputError(explain(error), key=str(error["loc"][0])) from found
 
 
+def _describe_rests(poses: Poses, rests: Rests | None) -> Iterator[str]:
+    """Say in lines what became of poses over time."""
+    if rests is None or poses.samples is None:
+        return
+    number = len(rests.position) - len(poses.robot_id)
+    many = counted(len(poses.samples.time), "pose")
+    yield f"{counted(number, 'stance')} before the final poses, from {many} over time"
+    if len(rests.cut):
+        names = ", ".join(map(str, poses.robot_id[rests.cut[:_MOST_NAMED]].tolist()))
+        more = ", ..." * (len(rests.cut) > _MOST_NAMED)
+        robots = f"{counted(len(rests.cut), 'robot')} ({names}{more})"
+        why = "no flip about a dock leads from them to later ones"
+        yield f"earlier poses of {robots} left out: {why}"
+
+
 def _describe(log: SensingLog) -> Iterator[str]:
     """Say in lines what a log lacks, and what it would gain."""
     has = {
@@ -318,5 +278,7 @@ def _describe(log: SensingLog) -> Iterator[str]:
         "stances": log.stances is not None,
         "noise (--tilt-deg, --yaw-deg)": log.noise is not None,
     }
-    yield f"the log lacks {', '.join(what for what, is_there in has.items() if not is_there)}"
-    yield GAINS
+    if lacking := [what for what, is_there in has.items() if not is_there]:
+        yield f"the log lacks {', '.join(lacking)}"
+    if np.isnan(log.flip_height).all() or log.stances is None:
+        yield GAINS

@@ -20,11 +20,8 @@ _MOST_FRAMES = 200
 """Frames of a file; their size grows with frames x robots."""
 
 
-def encode_gsd(view: SwarmView) -> dict[str, bytes]:
-    """Encode the structure, if the truth is known, and the estimate: bytes by name of file.
-
-    Lengths are in the unit of the log. Particles have the logged quantities `robot` and, where
-    known, `error` and `sd`. Robots whose pose is unknown are left out.
+def gsd_library() -> Any:  # noqa: ANN401 - no types
+    """Import the module `gsd.hoomd`.
 
     Raises:
         EnvironmentTroubleError: the library gsd is not installed.
@@ -34,12 +31,25 @@ def encode_gsd(view: SwarmView) -> dict[str, bytes]:
     except ImportError as error:
         problem = "GSD needs the library gsd; pip install 'tiswarm[gsd]'"
         raise EnvironmentTroubleError(problem) from error
+    return gsd.hoomd
+
+
+def encode_gsd(view: SwarmView) -> dict[str, bytes]:
+    """Encode the structure, if the truth is known, and the estimate: bytes by name of file.
+
+    Lengths are in the unit of the log. Particles have the logged quantities `robot` and, where
+    known, `error` and `sd`. Robots whose pose is unknown are left out.
+
+    Raises:
+        EnvironmentTroubleError: the library gsd is not installed.
+    """
+    hoomd = gsd_library()
     poses = {"structure": view.pose} if view.has_truth else {}
     files = {}
     with TemporaryDirectory() as folder:  # the library writes to named files only
         for name, pose in {**poses, "estimate": view.estimated_pose}.items():
             path = Path(folder) / f"{name}.gsd"
-            with gsd.hoomd.open(path, mode="w") as file:
+            with hoomd.open(path, mode="w") as file:
                 _append_frames(file, view, pose)
             files[path.name] = path.read_bytes()
     return files

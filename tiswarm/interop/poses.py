@@ -1,6 +1,5 @@
-"""Reads tables of robot poses, of any simulator or motion-capture system."""
+"""Poses of robots, of any simulator or motion-capture system, and tables of docks and contacts."""
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,64 +10,73 @@ from scipy.spatial.transform import Rotation
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
+from tiswarm.interop.pose_table import QUATERNION, PoseTable
 from tiswarm.records.io import CsvFile
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
-from tiswarm.records.sensing_log import FARTHEST
 
-_QUATERNION = ["qw", "qx", "qy", "qz"]
-_WHOLE = ["robot", "sphere", "join"]
+_OTHER_ORDER: dict[tuple[str, ...], int] = {
+    ("qw", "qx", "qy", "qz"): 1,
+    ("qx", "qy", "qz", "qw"): -1,
+}
+"""Places by which wxyz turn around where numbers in such columns have the other order."""
+
+
+class Samples(NamedTuple):
+    """S poses over time, by robot and then by time."""
+
+    robot: Ints  # row of the robot in `Poses`, (S,)
+    time: Reals  # on one clock for all robots, (S,)
+    position: Reals  # (S, 3)
+    orientation_wxyz: Reals  # (S, 4)
 
 
 class Poses(NamedTuple):
     """N robots in the order of their file, in its unit of length."""
 
     robot_id: Ints  # (N,)
-    position: Reals  # centers, (N, 3)
+    position: Reals  # centers, the last ones of poses over time, (N, 3)
     orientation_wxyz: Reals  # body to world, (N, 4)
     dock_offset_body: Reals  # (D, 3); no rows where the file has poses, not spheres
     join: Ints | None  # rank of each robot in join order, (N,); None where the file has none
     length_unit: str  # as the columns name it; empty where they do not
+    samples: Samples | None = None  # all poses; None where each robot has one
+    other_order: int = 0  # turns wxyz into the other order of the same numbers; 0 if there is none
 
     @property
     def docks(self) -> Reals:
         """Centers of the docks, shape (N, D, 3)."""
         return self.position[:, None] + dock_offsets(self.orientation_wxyz, self.dock_offset_body)
 
+    def reordered(self) -> "Poses":
+        """Read the numbers of each quaternion in the other order."""
+        turned = np.roll(self.orientation_wxyz, self.other_order, axis=1)
+        samples = self.samples and self.samples._replace(
+            orientation_wxyz=np.roll(self.samples.orientation_wxyz, self.other_order, axis=1)
+        )
+        return self._replace(orientation_wxyz=turned, samples=samples)
 
-def read_poses(path: Path, *, dock_radius: float, shape_error: float) -> dict[str, Poses]:
-    """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, structure by structure.
 
-    The columns may be in any order, among others. Lengths may name their unit, as in `x_mm`. A
-    column `join` states the join order of the robots. A column `run` names the structure of each
-    row. A robot of spheres has its center at their mean; the first robot of a structure defines
-    the body frame. One sphere is a dock at the center.
+def poses_by_run(table: PoseTable, path: Path, *, shape_error: float) -> dict[str, Poses]:
+    """Gather the rows of each robot, structure by structure.
+
+    A robot of spheres has its center at their mean; the first robot of a structure defines the body
+    frame. One sphere is a dock at the center.
 
     Args:
-        path: The table.
-        dock_radius: Radius of a dock sphere.
+        table: Poses or spheres.
+        path: Their file.
         shape_error: Largest distance of a sphere from its place in the first robot's shape.
 
     Returns:
         Poses of each structure by its name, or by "" without a column `run`.
 
     Raises:
-        InputError: the table is malformed.
+        InputError: a robot has several rows of a time, or none of a sphere, or a quaternion of
+            another length than 1.
     """
-    text = CsvFile(path)
-    columns, unit = _columns(text.columns, path)
-    numbers = {
-        name: text.integers(column) if name in _WHOLE else text.numbers(column)
-        for name, column in columns.items()
-    }
-    for axis in "xyz":
-        far = np.flatnonzero(np.abs(numbers[axis]) > FARTHEST * dock_radius)
-        if len(far):
-            problem = f"{numbers[axis][far[0]]:g} is too far out; move the origin to the robots"
-            raise InputError(problem, path=path, line=text.line(far[0]), key=columns[axis])
-    table = pd.DataFrame(numbers | {"line": list(text.rows), "run": _runs(text)})
     return {
-        str(run): _poses(_by_robot(rows, path), unit, path, shape_error)
-        for run, rows in table.groupby("run", sort=False)
+        str(run): _poses(rows, table, path, shape_error)
+        for run, rows in table.rows.groupby("run", sort=False)
     }
 
 
@@ -125,76 +133,67 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
     return np.unique(rows, axis=0)
 
 
-def _runs(text: CsvFile) -> list[str]:
-    """Read the structure of each row; its name becomes that of a folder."""
-    if "run" not in text.columns:
-        return [""] * len(text.rows)
-    names: list[str] = text.words("run").tolist()
-    for row, name in enumerate(names):
-        if not re.fullmatch(r"(?!\.)[A-Za-z0-9._-]{1,80}", name):
-            problem = f"{name[:40]!r} cannot be a folder; use letters, digits, dots, - and _"
-            raise InputError(problem, path=text.path, line=text.line(row), key="run")
-    return names
-
-
-def _poses(table: pd.DataFrame, unit: str, path: Path, shape_error: float) -> Poses:
-    first = table.drop_duplicates("robot")
-    place = table[[*"xyz"]].to_numpy(float).reshape(len(first), -1, 3)
+def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float) -> Poses:
+    by = ["robot", "time"] if "time" in rows else ["robot"]
+    rows = _by_robot(rows, by, path)
+    pose = rows.drop_duplicates(by)
+    place = rows[[*"xyz"]].to_numpy(float).reshape(len(pose), -1, 3)
     position = place.mean(axis=1)
-    if "sphere" in table:
+    if "sphere" in rows:
         dock_offset_body = place[0] - position[0]
-        orientation = _align(place - position[:, None], first, path, shape_error)
+        orientation = _align(place - position[:, None], pose, path, shape_error)
     else:
         dock_offset_body = np.empty((0, 3))
-        orientation = _unit_quaternions(first, path)
+        if table.dock_offset_body is not None:
+            dock_offset_body = table.dock_offset_body
+        orientation = _unit_quaternions(pose, path)
+    robot, names = pd.factorize(pose["robot"])
+    last = np.flatnonzero(~pose["robot"].duplicated(keep="last"))
+    over_time = len(last) < len(pose)
     return Poses(
-        robot_id=first["robot"].to_numpy(np.int64),
-        position=position,
-        orientation_wxyz=orientation,
+        robot_id=np.asarray(names, np.int64),
+        position=position[last],
+        orientation_wxyz=orientation[last],
         dock_offset_body=dock_offset_body,
-        join=first["join"].to_numpy(np.int64) if "join" in first else None,
-        length_unit=unit,
+        join=pose["join"].to_numpy(np.int64)[last] if "join" in pose else None,
+        length_unit=table.length_unit,
+        samples=Samples(robot, pose["time"].to_numpy(float), position, orientation)
+        if over_time
+        else None,
+        other_order=_OTHER_ORDER.get(tuple(table.quaternion_order), 0),
     )
 
 
-def _columns(header: list[str], path: Path) -> tuple[dict[str, str], str]:
-    """Find the column of each quantity, and the unit of lengths."""
-    units = [name[2:] for name in header if re.fullmatch(r"x_[A-Za-z]+", name)]
-    for unit in ["", *units]:
-        lengths = {axis: f"{axis}_{unit}" if unit else axis for axis in "xyz"}
-        rest = ["robot", *(["sphere"] if "sphere" in header else _QUATERNION)]
-        if {*lengths.values(), *rest} <= {*header}:
-            rest += [name for name in ("join",) if name in header]
-            return {**{name: name for name in rest}, **lengths}, unit
-    problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z; rename them"
-    raise InputError(problem, path=path, line=1)
-
-
-def _by_robot(table: pd.DataFrame, path: Path) -> pd.DataFrame:
-    """Gather the rows of each robot, sorted by sphere; every robot has the same spheres."""
+def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
+    """Gather the rows of each robot, sorted by time and sphere; all have the same spheres."""
     spheres = "sphere" in table
-    repeated = table[table.duplicated(["robot", "sphere"] if spheres else ["robot"])]
+    repeated = table[table.duplicated([*by, "sphere"] if spheres else by)]
     if len(repeated):
-        what = f"sphere {repeated['sphere'].iloc[0]} of robot" if spheres else "robot"
-        problem = f"{what} {repeated['robot'].iloc[0]} has a row already; keep one"
-        raise InputError(problem, path=path, line=int(repeated["line"].iloc[0]))
-    if not spheres:
+        first = repeated.iloc[0]
+        what = f"sphere {first['sphere']} of robot" if spheres else "robot"
+        when = f" at time {first['time']:g}" if "time" in by else ""
+        remedy = "keep one" if when else "keep one, or give the time of each in a column time"
+        problem = f"{what} {repeated['robot'].iloc[0]} has a row already{when}; {remedy}"
+        raise InputError(problem, path=path, line=int(first["line"]))
+    if not spheres and "time" not in by:
         return table
     robot, _ = pd.factorize(table["robot"])
-    table = table.iloc[np.lexsort((table["sphere"], robot))]
+    minor = ["sphere"] * spheres + ["time"] * ("time" in by)
+    table = table.iloc[np.lexsort((*(table[name].to_numpy() for name in minor), robot))]
     wanted: list[int] = []
-    for name, rows in table.groupby("robot", sort=False):
+    for _, rows in table.groupby(by, sort=False) if spheres else ():
         found = rows["sphere"].tolist()
         wanted = wanted or found
         if found != wanted:
-            problem = f"robot {name} has spheres {found}, the first robot {wanted}; complete it"
+            what = f"robot {rows['robot'].iloc[0]} has spheres {found}, the first robot {wanted}"
+            problem = f"{what}; complete it"
             raise InputError(problem, path=path, line=int(rows["line"].min()), key="sphere")
     return table
 
 
 def _unit_quaternions(table: pd.DataFrame, path: Path) -> Reals:
     """Scale quaternions to length 1; refuse those whose length is far from it."""
-    quaternion = table[_QUATERNION].to_numpy()
+    quaternion = table[QUATERNION].to_numpy()
     length = np.linalg.norm(quaternion, axis=1)
     far = np.flatnonzero(~(np.abs(length - 1.0) <= FAR_FROM_UNIT))
     if len(far):

@@ -1,21 +1,8 @@
 """Which further contact, height or known position would constrain a swarm most.
 
-A candidate removes as many floppy modes as its rows have rank on the floppy motions. The expected
-error follows from the covariance of all unknowns at the estimate, to first order,
-
-    C = (J^T V^-1 J + P)^-1,
-
-with J the Jacobian of the measurements and V their variances. P is what is known besides: the
-vector between two docks in contact has the length D and any direction, so that each of its
-coordinates has the variance D^2 / 3. The same holds for ranges. Robots are within the swarm's
-extent, and yaw biases have the variance that the log states. Rows R of variance W reduce C by
-C R^T (W + R C R^T)^-1 R C.
-
-Where robots are mirrored, the two likeliest solutions add the variance w w' d^2, with w and w'
-their weights and d the distance of a robot between them. If they predict measurements that differ
-by s standard deviations of W + R C R^T, the candidate leaves the share exp(-s^2 / 8) / 2 (w w')^1/2
-of that variance, or less (the Bhattacharyya bound).
-Lengths in R.
+A candidate removes as many floppy modes as its rows have rank on the floppy motions; what error it
+leaves, `expected_error` computes. Several together are chosen one by one, each with what those
+before it leave. Lengths in R.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -23,16 +10,17 @@ from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.sparse import block_diag, coo_array, csc_array, diags_array, eye_array, kron
+from scipy.sparse import csc_array, vstack
 from scipy.spatial.distance import cdist
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.expected_error import Images, Posterior
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
 from tiswarm.measurements.orientations import ASSUMED
-from tiswarm.measurements.rigidity import floppy_motions, further_rows, weld
+from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
 from tiswarm.measurements.rows import SPACING, Coordinates, Distances
 from tiswarm.records.estimate import Solution
 from tiswarm.records.sensing_log import SensingLog
@@ -52,14 +40,14 @@ _GAP = 1.0
 _SEEN = 1e-3
 """A floppy motion counts as measured if this part of it changes a measurement."""
 
-_AT_ONCE = 256
-"""Candidates that are judged at a time: memory."""
-
 _DECISIVE = 5.0
 """Difference between two solutions from which on a measurement excludes one of them [sd]."""
 
 IMAGES_APART = "images apart [sd]"
 """Heading of `Advice.images_apart_sd` in tables."""
+
+_AXES = 3
+"""Rows of a known position."""
 
 Kind = Literal["contact", "height", "position", "range"]
 
@@ -103,6 +91,109 @@ class _Candidates(NamedTuple):
     size: int
     """Rows of each."""
 
+    def one(self, chosen: int) -> Measurements:
+        """Take the rows of one of them."""
+        return self.rows.select(np.arange(len(self.rows)) // self.size == chosen)
+
+
+class _Question(NamedTuple):
+    """A log and its robots at the estimate, ready to judge candidates."""
+
+    odometry: Odometry
+    center: Reals  # centers [R], shape (N, 3)
+    bodies: Bodies
+    motions: FloppyMotions
+    posterior: Posterior | None  # None for more than `MOST_ROBOTS` robots
+    images: Images | None  # None where no robot is mirrored
+    candidates: list[_Candidates]
+
+    @classmethod
+    def of(
+        cls, log: SensingLog, cues: Collection[str], position: Reals, images: Sequence[Solution]
+    ) -> "_Question | None":
+        """Measure a log, whose arguments `advise` explains; None for too many robots or loops."""
+        noise = log.noise or ASSUMED
+        yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
+        odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
+        pair = Images.of(images, log.dock_radius) if len(images) > 1 else None
+        center = position / log.dock_radius if pair is None else pair.first
+        rows = measure(log, cues, odometry=odometry).associated(center)
+        bodies = weld(rows, center, yaw_unknown=yaw_unknown)
+        motions = floppy_motions(bodies)
+        if motions is None:
+            return None
+        if len(center) == 1:
+            return cls(odometry, center, bodies, motions, None, pair, [])
+        is_small = len(center) <= MOST_ROBOTS
+        candidates = [*_candidates(log, odometry, center)]
+        if pair is not None and len(log.ranges) and is_small:
+            candidates.append(_ranges(log, odometry, pair))
+        posterior = Posterior(rows.averaged(), center, log.yaw_bias) if is_small else None
+        return cls(odometry, center, bodies, motions, posterior, pair, candidates)
+
+    @property
+    def fixes_gauge(self) -> Bools:
+        """Whether each robot's position fixes the global yaw, which is no mode, shape (N,)."""
+        off_axis: Bools = (self.center[:, :2] != self.center[0, :2]).any(axis=1)
+        return off_axis & self.bodies.has_gauge_yaw
+
+    def change(self, rows: Measurements) -> Reals:
+        """Compute by how much each row differs between two images [R]; 0 without them."""
+        return np.zeros(len(rows)) if self.images is None else self.images.change(rows)
+
+    @property
+    def mean_square(self) -> float:
+        """Expected mean square error of the positions without further rows [R^2]."""
+        of_images = 0.0 if self.images is None else self.images.mean_square
+        return self._posterior.mean_square + of_images
+
+    def best(self, taken: Collection[tuple[int, int]]) -> tuple[int, int, float, float]:
+        """Find the candidate that leaves the least expected error, beside those taken so far.
+
+        Args:
+            taken: Kind and place of candidates that cannot be chosen.
+
+        Returns:
+            Its kind and place, the mean square error [R^2], and how far images are apart [sd].
+        """
+        found = []
+        for kind, (_, rows, size) in enumerate(self.candidates):
+            jacobian, variance = rows.jacobian(self.center), rows.variance()
+            after, apart = self._posterior.with_rows(jacobian, variance, self.change(rows), size)
+            after += 0.0 if self.images is None else self.images.left(apart)
+            after[[place for of_kind, place in taken if of_kind == kind]] = np.inf
+            first = after.argsort(kind="stable")[:1].tolist()
+            found += [(float(after[place]), kind, place, float(apart[place])) for place in first]
+        after_best, kind, place, apart_best = min(found)
+        return kind, place, after_best, apart_best
+
+    def measure(self, rows: Measurements) -> None:
+        """Take the rows of a candidate as measured."""
+        self._posterior.add(rows.jacobian(self.center), rows.variance(), self.change(rows))
+
+    @property
+    def _posterior(self) -> Posterior:
+        if self.posterior is None:
+            raise ValueError("expected errors of so many robots are not computed")
+        return self.posterior
+
+    def modes(self, further: Sequence[Measurements]) -> int:
+        """Count the floppy modes that some further rows remove together."""
+        jacobian = csc_array(vstack([rows.jacobian(self.center) for rows in further]))
+        modes = int(_rank(jacobian, self.motions.of_robots(), jacobian.shape[0])[0])
+        fixed = [self.fixes_gauge[rows.robot[0]] for rows in further if len(rows) == _AXES]
+        return modes - any(fixed)
+
+    def determined(self, further: Sequence[Measurements]) -> Ints:
+        """List the robots that are floppy without some further rows and not with them."""
+        every = Measurements.gather(
+            self.odometry,
+            [rows.distances for rows in further],
+            [rows.places for rows in further],
+        )
+        left = self.motions.robots(further_rows(self.bodies, every, self.center))
+        return np.flatnonzero(self.motions.robots() & ~left)
+
 
 def advise(
     log: SensingLog, cues: Collection[str], position: Reals, images: Sequence[Solution] = ()
@@ -124,31 +215,18 @@ def advise(
         Advice by expected error, or by floppy modes for more than `MOST_ROBOTS` robots; the best
         comes first. None if there are too many robots or loops to find them.
     """
-    noise = log.noise or ASSUMED
-    yaw_unknown = log.yaw_bias > 0.0  # then it is an unknown, and no noise of the arms
-    odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if yaw_unknown else noise)
-    pair = _Images.of(images, log.dock_radius) if len(images) > 1 else None
-    center = position / log.dock_radius if pair is None else pair.first
-    rows = measure(log, cues, odometry=odometry).associated(center)
-    bodies = weld(rows, center, yaw_unknown=yaw_unknown)
-    motions = floppy_motions(bodies)
-    if motions is None:
+    question = _Question.of(log, cues, position, images)
+    if question is None:
         return None
-    if len(center) == 1:
-        return []
-    floppy, moved = motions.robots(), motions.of_robots()
-    is_small = len(center) <= MOST_ROBOTS
-    posterior = _Posterior(rows.averaged(), center, log.yaw_bias) if is_small else None
+    pair, posterior, center = question.images, question.posterior, question.center
     advice = []
-    candidates = [*_candidates(log, odometry, center)]
-    if pair is not None and len(log.ranges) and len(center) <= MOST_ROBOTS:
-        candidates.append(_ranges(log, odometry, pair))
-    for kind, further, size in candidates:
+    for candidates in question.candidates:
+        kind, further, size = candidates
         jacobian, variance = further.jacobian(center), further.variance()
-        change = np.zeros(len(further)) if pair is None else pair.change(further)
-        modes = _rank(jacobian, moved, size)
-        if bodies.has_gauge_yaw and kind == "position":  # it fixes the gauge, which is no mode
-            modes -= (center[1:, :2] != center[0, :2]).any(axis=1)
+        change = question.change(further)
+        modes = _rank(jacobian, question.motions.of_robots(), size)
+        if kind == "position":
+            modes -= question.fixes_gauge[1:]
         before, after = np.nan, modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
         if posterior is not None:
@@ -159,8 +237,7 @@ def advise(
         helps = (modes > 0) | (after < (1.0 - _GAIN) ** 2 * before) | (apart > _DECISIVE)
         best = np.lexsort((-modes, -apart, after, ~helps))[: min(_EACH, helps.sum())]
         for chosen in best.tolist():
-            one = further.select(np.arange(len(further)) // size == chosen)
-            left = motions.robots(further_rows(bodies, one, center))
+            one = candidates.one(chosen)
             rmse = log.dock_radius * np.sqrt([before, after[chosen]])
             advice.append(
                 Advice(
@@ -168,7 +245,7 @@ def advise(
                     robot=int(one.robot[0]),
                     contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
                     floppy_modes=int(modes[chosen]),
-                    determined=np.flatnonzero(floppy & ~left),
+                    determined=question.determined([one]),
                     rmse_before=float(rmse[0]),
                     rmse_after=float(rmse[1]),
                     images_apart_sd=np.nan if pair is None else float(apart[chosen]),
@@ -179,39 +256,70 @@ def advise(
     return [advice[place] for place in order.tolist()]
 
 
-class _Images(NamedTuple):
-    """The two likeliest solutions."""
+def advise_together(
+    log: SensingLog,
+    cues: Collection[str],
+    position: Reals,
+    images: Sequence[Solution] = (),
+    *,
+    budget: int,
+    kinds: Collection[Kind] = (),
+) -> list[Advice] | None:
+    """Find a few further measurements that are worth most together.
 
-    first: Reals
-    """Centers in the likelier one [R], shape (N, 3)."""
+    Each is the one that leaves the least expected error, with those before it. Errors, floppy modes
+    and determined robots of each are those beyond the ones before it; `images_apart_sd` is that of
+    all so far.
 
-    second: Reals
-    """Centers in the other one [R], shape (N, 3)."""
+    Args:
+        log: What was sensed.
+        cues: Cues in use.
+        position: Estimated centers, as for `advise`.
+        images: Solutions between which robots are mirrored, as for `advise`.
+        budget: Largest number of measurements.
+        kinds: Kinds of measurements to choose from; all if there are none.
 
-    odds: float
-    """Product of their weights, which add up to 1."""
-
-    @classmethod
-    def of(cls, images: Sequence[Solution], unit: float) -> "_Images":
-        """Take the first two solutions, in a log whose dock radius is `unit`."""
-        first, second = images[:2]
-        share = first.weight / (first.weight + second.weight)
-        return cls(first.position / unit, second.position / unit, share * (1.0 - share))
-
-    @property
-    def mean_square(self) -> float:
-        """Mean square error of the positions, since both may be true [R^2]."""
-        return self.odds * float(((self.first - self.second) ** 2).sum(axis=1).mean())
-
-    def change(self, rows: Measurements) -> Reals:
-        """Compute by how much the measurement of each row differs between both [R], shape (E,)."""
-        return rows.residual(self.second) - rows.residual(self.first)
-
-    def left(self, apart: Reals) -> Reals:
-        """Bound the mean square error with measurements that differ by some sd [R^2]."""
-        doubt = 0.5 * np.exp(-(apart**2) / 8.0) / np.sqrt(self.odds)
-        left: Reals = self.mean_square * np.minimum(doubt, 1.0)
-        return left
+    Returns:
+        Advice in the order in which it was chosen. None for more than `MOST_ROBOTS` robots, or too
+        many loops.
+    """
+    question = _Question.of(log, cues, position, images)
+    if question is None or (question.posterior is None and question.candidates):
+        return None
+    chosen_from = [each for each in question.candidates if not kinds or each.kind in kinds]
+    question = question._replace(candidates=chosen_from)
+    taken: list[tuple[int, int]] = []
+    rows: list[Measurements] = []
+    advice: list[Advice] = []
+    before, modes, found = (
+        0.0 if not question.candidates else question.mean_square,
+        0,
+        np.array([], int),
+    )
+    while len(advice) < min(
+        budget, sum(len(each.rows) // each.size for each in question.candidates)
+    ):
+        kind, chosen, after, apart = question.best(taken)
+        one = question.candidates[kind].one(chosen)
+        question.measure(one)
+        taken.append((kind, chosen))
+        rows.append(one)
+        removed, determined = question.modes(rows), question.determined(rows)
+        rmse = log.dock_radius * np.sqrt([before, after])
+        advice.append(
+            Advice(
+                kind=question.candidates[kind].kind,
+                robot=int(one.robot[0]),
+                contact=one.sensed_contacts[0, 2:].tolist() if len(one.other) else [],
+                floppy_modes=removed - modes,
+                determined=np.setdiff1d(determined, found),
+                rmse_before=float(rmse[0]),
+                rmse_after=float(rmse[1]),
+                images_apart_sd=np.nan if question.images is None else apart,
+            )
+        )
+        before, modes, found = after, removed, determined
+    return advice
 
 
 def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
@@ -236,7 +344,7 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
 
 
-def _ranges(log: SensingLog, odometry: Odometry, pair: _Images) -> _Candidates:
+def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     """List one range of each robot: the new one within reach that differs most between images."""
     first, second = (cdist(image, image) for image in (pair.first, pair.second))
     change, (i, j) = np.abs(second - first), log.ranges[:, :2].astype(np.int64).T
@@ -264,55 +372,3 @@ def _rank(jacobian: csc_array, motions: Reals, size: int) -> Ints:
     change = (jacobian @ moved).reshape(-1, size, probes)
     rank: Ints = (np.linalg.svd(change, compute_uv=False) > _SEEN * probes**0.5).sum(axis=1)
     return rank
-
-
-class _Posterior:
-    """Covariance C of the centers of all but the anchor, and of the yaws where they are biased."""
-
-    def __init__(self, rows: Measurements, center: Reals, yaw_bias: float) -> None:
-        self.robots = rows.robots
-        self.coordinates = 3 * (self.robots - 1)
-        self.free = slice(3, (4 if yaw_bias > 0.0 else 3) * self.robots)
-        jacobian = rows.jacobian(center)
-        measured = jacobian.T @ diags_array(1.0 / rows.variance()) @ jacobian
-        distances = len(rows.distances.length)
-        i, j = rows.robot[:distances], rows.other[:distances]
-        ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-        weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
-        weight[2 * len(i) :] *= -1.0
-        extent = (center - center.mean(axis=0)).var(axis=0).sum()
-        # Of robots that are very far apart, rounding would leave nothing but a singular matrix.
-        resolved = self.free.stop * np.finfo(float).eps * measured.diagonal().max(initial=0.0)
-        within = max(1.0 / max(extent, SPACING**2), resolved)
-        bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
-        loose = bonds + within * eye_array(self.robots)
-        yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
-        precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
-        self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())
-        square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
-        self.mean_square = float(square) / self.robots
-        """Expected mean square error of the positions [R^2]."""
-
-    def with_rows(
-        self, jacobian: csc_array, variance: Reals, change: Reals, size: int
-    ) -> tuple[Reals, Reals]:
-        """Compute the expected mean square error with each of n candidates of some rows.
-
-        Returns:
-            Mean square errors [R^2], and how far a change of the measurements is beyond what is
-            expected of them [sd], both of shape (n,).
-        """
-        gone, apart = [np.empty(0)], [np.empty(0)]
-        step = size * _AT_ONCE
-        for begin in range(0, len(variance), step):
-            part = slice(begin, begin + step)
-            rows = jacobian[part, self.free]
-            spread = (rows @ self.covariance).reshape(-1, size, rows.shape[1])
-            own = rows.toarray().reshape(spread.shape) @ spread.swapaxes(1, 2)
-            own += variance[part].reshape(-1, size, 1) * np.eye(size)
-            shift = spread[:, :, : self.coordinates]
-            drop = np.linalg.solve(own, shift @ shift.swapaxes(1, 2))
-            gone.append(np.trace(drop, axis1=1, axis2=2))
-            off = change[part].reshape(-1, size, 1)
-            apart.append(np.sqrt((off * np.linalg.solve(own, off)).sum(axis=(1, 2))))
-        return self.mean_square - np.concatenate(gone) / self.robots, np.concatenate(apart)

@@ -10,7 +10,7 @@ import secrets
 import stat
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cached_property
 from hashlib import sha256
@@ -153,8 +153,8 @@ def at_line(path: Path, line: int) -> Iterator[None]:
 class CsvFile:
     """A CSV file whose cells stay text until a column is read; a bad line raises InputError.
 
-    Cells are separated by commas, or as in the header by semicolons or tabs. Lines that start with
-    # are comments.
+    Cells are separated by commas, or as in the header by semicolons or tabs; numbers may then have
+    a decimal comma, the same in all cells of a column. Lines that start with # are comments.
     """
 
     def __init__(self, path: Path) -> None:
@@ -183,6 +183,23 @@ class CsvFile:
         """Line of a row that is counted from 0."""
         return list(self.rows)[row]
 
+    def incomplete(self, columns: Iterable[str]) -> list[int]:
+        """List the lines where a cell of some columns is empty or NaN."""
+        places = [*map(self.columns.index, columns)]
+        return [
+            line
+            for line, cells in self.rows.items()
+            if any(cells[place].strip().lower() in _NO_VALUE for place in places)
+        ]
+
+    def drop(self, lines: Iterable[int]) -> None:
+        """Forget the rows of some lines; at least one is left."""
+        gone = {*lines}
+        if gone.issuperset(self.rows):
+            problem = "no row is complete; add one for each robot"
+            raise InputError(problem, path=self.path, line=min(gone))
+        self.rows = {line: cells for line, cells in self.rows.items() if line not in gone}
+
     def integers(self, column: str) -> Ints:
         """Read a column of whole numbers of 64 bits, shape (rows,)."""
         return np.array(self._values(column, _integer, "a whole number; write it like 7"), np.int64)
@@ -201,10 +218,14 @@ class CsvFile:
         self, column: str, parse: Callable[[str], float], wanted: str, empty: float | None = None
     ) -> list[float]:
         place, values = self.columns.index(column), []
+        has_points = self._separator == "," or any(
+            "." in cells[place] for cells in self.rows.values()
+        )
         for line, cells in self.rows.items():
             cell = cells[place]
+            number = cell if has_points else cell.replace(",", ".", 1)
             try:
-                values.append(parse(cell) if cell or empty is None else empty)
+                values.append(parse(number) if cell or empty is None else empty)
             except ValueError:
                 problem = f"{cell[:40]!r} is not {wanted}"
                 raise InputError(problem, path=self.path, line=line, key=column) from None
@@ -216,6 +237,10 @@ class CsvFile:
         except csv.Error as error:
             problem = f"not a row of a table: {error}; write numbers with commas between them"
             raise InputError(problem, path=self.path, line=line) from error
+
+
+_NO_VALUE = ("", "nan", "na", "n/a", "null", "none", "-nan")
+"""Cells without a value, as programs write them, in lower case."""
 
 
 def _integer(cell: str) -> int:

@@ -1,0 +1,189 @@
+"""Reads the columns of a table of poses by their meaning: names, units, times, incomplete rows."""
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
+from tiswarm.records.io import CsvFile
+from tiswarm.records.messages import counted
+from tiswarm.records.sensing_log import FARTHEST
+
+QUATERNION = ["qw", "qx", "qy", "qz"]
+_AXES = [*"xyz"]
+_WHOLE = ("robot", "sphere", "join")
+_NAMES = {
+    "robot": ("robot", "robot_id", "id"),
+    "time": ("time", "t", "stamp", "timestamp", "frame", "step"),
+}
+"""Names of a column, the first that a table has is read; others have their meaning as name."""
+
+_UNIT = re.compile(
+    r"(?P<name>\w+?)(?:_(?P<suffix>[A-Za-z]+)|\s*[\[(]\s*(?P<brackets>[^\])]*?)\s*[\])])"
+)
+"""A name with its unit: `x_mm`, `x [mm]`, `x (mm)`."""
+
+
+class PoseTable(NamedTuple):
+    """Poses, or spheres, of all robots in the order of their file."""
+
+    rows: pd.DataFrame
+    """Columns `robot`, `x`, `y`, `z`, then `qw`, `qx`, `qy`, `qz` or `sphere`; `join` and `time`
+    where the file has them; `line`, and `run` with the name of the structure."""
+
+    length_unit: str
+    """Unit of lengths as the columns name it; empty where they do not."""
+
+    quaternion_order: Sequence[str]
+    """Columns of the quaternion in the order of the file; none of spheres."""
+
+    notes: Sequence[str] = ()
+    """What was left out, in lines."""
+
+    dock_offset_body: Reals | None = None
+    """Center to dock in the body frame, shape (D, 3); None where the file has no docks."""
+
+
+def read_table(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTable:
+    """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order of columns.
+
+    Times count only where a robot, or sphere, has several rows: other tables are free to have a
+    column of that name.
+
+    Args:
+        path: The table.
+        dock_radius: Radius of a dock sphere.
+        drop_incomplete: Whether to leave out rows that lack a number, instead of refusing them.
+
+    Raises:
+        InputError: the table is malformed, or lacks a column.
+    """
+    text = CsvFile(path)
+    columns, unit = _columns(text.columns, path)
+    notes = _without_incomplete(text, columns.values(), drop=drop_incomplete)
+    time = _find(text.columns, "time")
+    single = [name for name in ("run",) if name in text.columns] + [
+        columns[name] for name in ("robot", "sphere") if name in columns
+    ]
+    cells = zip(*(text.words(name).tolist() for name in single), strict=True)
+    if time and len({*cells}) < len(text.rows):
+        notes += _without_incomplete(text, [time], drop=drop_incomplete)
+        columns["time"] = time
+    numbers = {
+        name: text.integers(column) if name in _WHOLE else text.numbers(column)
+        for name, column in columns.items()
+    }
+    rows = pd.DataFrame(numbers | {"line": [*text.rows], "run": _runs(text)})
+    refuse_far(rows, path, dock_radius, columns)
+    turned = sorted(
+        QUATERNION, key=lambda name: text.columns.index(columns.get(name, columns["x"]))
+    )
+    return PoseTable(rows, unit, () if "sphere" in columns else turned, notes)
+
+
+def refuse_far(
+    rows: pd.DataFrame, path: Path, dock_radius: float, columns: Mapping[str, str] | None = None
+) -> None:
+    """Raise InputError where a coordinate is too large for a log, or is not a number.
+
+    Args:
+        rows: Rows of a table of poses.
+        path: Their file.
+        dock_radius: Radius of a dock sphere.
+        columns: Names of the columns in the file; x, y and z if None.
+    """
+    for axis in _AXES:
+        far = np.flatnonzero(~(np.abs(rows[axis].to_numpy()) <= FARTHEST * dock_radius))
+        if len(far):
+            value, line = rows[axis].iloc[far[0]], int(rows["line"].iloc[far[0]])
+            problem = f"{value:g} is too far out; move the origin to the robots"
+            key = axis if columns is None else columns[axis]
+            raise InputError(problem, path=path, line=line, key=key)
+
+
+def _columns(header: Sequence[str], path: Path) -> tuple[dict[str, str], str]:
+    """Find the column of each quantity, and the unit of lengths."""
+    units = dict.fromkeys(["", *(unit for name, unit in map(_split, header) if name == "x")])
+    found = {
+        name: column for name in ("robot", "sphere", "join") if (column := _find(header, name))
+    }
+    for name in QUATERNION if "sphere" not in found else ():
+        if column := _find(header, name):
+            found[name] = column
+    for unit in units:
+        lengths = {
+            axis: column for axis in _AXES for column in header if _split(column) == (axis, unit)
+        }
+        wanted = ["robot", *(["sphere"] if "sphere" in found else QUATERNION)]
+        if len(lengths) == len(_AXES) and {*wanted} <= {*found}:
+            return {
+                name: found[name] for name in (*wanted, "join") if name in found
+            } | lengths, unit
+    lacking = [name for name in ("robot", *_AXES, *QUATERNION) if not _has(header, name)]
+    problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
+    problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
+    raise InputError(problem, path=path, line=1)
+
+
+def _split(column: str) -> tuple[str, str]:
+    """Split a column's name into its meaning in lower case, and its unit."""
+    found = _UNIT.fullmatch(column)
+    if found is None:
+        return column.lower(), ""
+    return found["name"].lower(), found["suffix"] or found["brackets"] or ""
+
+
+def _find(header: Sequence[str], meaning: str) -> str:
+    """Find the column of a quantity by its names, with a unit or not; empty if there is none."""
+    for name in _NAMES.get(meaning, (meaning,)):
+        for column in header:
+            if column.lower() == name or (meaning == "time" and _split(column)[0] == name):
+                return column
+    return ""
+
+
+def _has(header: Sequence[str], meaning: str) -> bool:
+    """Whether a table has a column of some meaning, in any unit."""
+    in_units: Iterator[str] = (_split(column)[0] for column in header)
+    return bool(_find(header, meaning)) or (meaning in _AXES and meaning in in_units)
+
+
+def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) -> list[str]:
+    """Drop rows that lack a number and say so in a line, or refuse them all at once."""
+    lines = text.incomplete(columns)
+    if not lines:
+        return []
+    rows, where = counted(len(lines), "incomplete row"), f"line {line_ranges(lines)}"
+    if drop:
+        text.drop(lines)
+        return [f"{rows} dropped: {where}"]
+    problem = f"{rows}, empty or NaN: {where}; complete them, or drop them with --drop-incomplete"
+    raise InputError(problem, path=text.path, line=lines[0])
+
+
+def line_ranges(lines: Collection[int]) -> str:
+    """Write ascending numbers of lines, those in a row as a range.
+
+    >>> line_ranges([2, 3, 4, 7, 9, 10])
+    '2-4, 7, 9-10'
+    """
+    number = np.fromiter(lines, int)
+    parts = np.split(number, np.flatnonzero(np.diff(number) > 1) + 1)
+    return ", ".join(f"{p[0]}" if len(p) == 1 else f"{p[0]}-{p[-1]}" for p in parts)
+
+
+def _runs(text: CsvFile) -> list[str]:
+    """Read the structure of each row; its name becomes that of a folder."""
+    if "run" not in text.columns:
+        return [""] * len(text.rows)
+    names: list[str] = text.words("run").tolist()
+    for row, name in enumerate(names):
+        if not re.fullmatch(r"(?!\.)[A-Za-z0-9._-]{1,80}", name):
+            problem = f"{name[:40]!r} cannot be a folder; use letters, digits, dots, - and _"
+            raise InputError(problem, path=text.path, line=text.line(row), key="run")
+    return names

@@ -1,0 +1,283 @@
+"""Stances of robots that moved: what stands still between two flips.
+
+A flip turns a robot about an axis through the center of one dock, the pivot. A robot rests where
+the pivot or the axis of the motion into a pose differs from that of the motion out of it. So a file
+may list each stance once, or sample motions at any rate.
+"""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.compute.math import dock_offsets
+from tiswarm.interop.poses import Poses
+from tiswarm.records.sensing_log import Stances
+
+_SAME_AXIS = 0.9
+"""Least cosine of the angle between two axes that are the same but for noise."""
+
+_STAYS = 0.5
+"""A pivot moves less than this part of what the dock farthest from it moves."""
+
+
+_NEAR = 3.0
+"""Runs of samples, in a row and within this many limits of stillness, are one rest."""
+
+_BACK_AND_FORTH = 0.75
+"""Noise moves docks in two steps by less than this part of the sum of both."""
+
+_OFTEN = 0.25
+"""Share of samples in which noise alone moves docks, where robots mostly rest."""
+
+_NOISE_MARGIN = 3.0
+"""Largest motion of a robot at rest, per median of a step that noise alone makes."""
+
+
+class Rests(NamedTuple):
+    """The M poses at rest of N robots, by robot and then by time; the last is the final one."""
+
+    start: Ints
+    """First rest of each robot, shape (N + 1,)."""
+
+    begin: Reals
+    """Time at which each begins, shape (M,)."""
+
+    end: Reals
+    """Time at which each ends, shape (M,)."""
+
+    position: Reals
+    """Centers, shape (M, 3)."""
+
+    orientation_wxyz: Reals
+    """Body to world, shape (M, 4)."""
+
+    pivot: Ints
+    """Dock that stays put as the robot leaves each but the last, shape (M,); -1 for the last."""
+
+    appeared: Reals
+    """Time of the first pose of each robot, shape (N,)."""
+
+    cut: Ints
+    """Robots whose earlier poses are left out, since no flip leads from them to later ones."""
+
+    @property
+    def last(self) -> Ints:
+        """The final rest of each robot, shape (N,)."""
+        return self.start[1:] - 1
+
+    @property
+    def arrival(self) -> Reals:
+        """Times by which robots join, the most important last: first pose, final rest, (2, N)."""
+        return np.stack([self.appeared, self.begin[self.last]])
+
+
+def find_rests(poses: Poses, *, still: float, put: float) -> Rests:
+    """Find where robots rested, in poses over time.
+
+    Args:
+        poses: Robots with samples.
+        still: Largest motion of a dock of a robot at rest, unless samples at rest are noisier.
+        put: Largest motion of a pivot from one rest to the next, in the same way.
+    """
+    samples = poses.samples
+    if samples is None:
+        raise ValueError("the robots have one pose each")
+    turned = dock_offsets(samples.orientation_wxyz, poses.dock_offset_body)
+    docks = samples.position[:, None] + turned
+    noise = _NOISE_MARGIN * _step_of_noise(docks, samples.robot, most=put)
+    still, put = max(still, noise), max(put, noise)
+    turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
+    start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
+    chosen, begin, end, pivot, cut = [], [], [], [], []
+    for robot, (first, after) in enumerate(pairwise(start.tolist())):
+        runs = first + _runs_at_rest(docks[first:after], still)
+        ends = np.append(runs[1:], after) - 1
+        middle = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
+        rests = np.flatnonzero(~_continues(docks[middle], turn[middle]))
+        begins, lasts = _joined(docks[middle], rests, _NEAR * still)
+        middle = _corners(docks, runs, ends, begins, lasts)
+        runs, ends = runs[begins], ends[lasts]
+        about, moved, farthest = _motions(docks[middle])
+        is_flip = (moved <= put) & (moved < _STAYS * farthest)
+        if not is_flip.all():
+            cut.append(robot)
+            later = np.flatnonzero(~is_flip)[-1] + 1
+            runs, ends, middle, about = runs[later:], ends[later:], middle[later:], about[later:]
+        chosen.append(middle)
+        begin.append(samples.time[runs])
+        end.append(samples.time[ends])
+        pivot.append(np.append(about, -1))
+    rows = np.concatenate(chosen)
+    return Rests(
+        start=np.cumsum([0, *map(len, chosen)]),
+        begin=np.concatenate(begin),
+        end=np.concatenate(end),
+        position=samples.position[rows],
+        orientation_wxyz=samples.orientation_wxyz[rows],
+        pivot=np.concatenate(pivot),
+        appeared=samples.time[start[:-1]],
+        cut=np.array(cut, np.int64),
+    )
+
+
+def _step_of_noise(docks: Reals, robot: Ints, most: float) -> float:
+    """Estimate how far noise moves docks from a sample to the next, (S, D, 3); 0 if it is unknown.
+
+    Noise moves docks back and forth, while motions go on. In tables of stances docks move back and
+    forth by more than noise, `most`, does.
+    """
+    one = np.linalg.norm(docks[1:] - docks[:-1], axis=2).max(axis=1)
+    two = np.linalg.norm(docks[2:] - docks[:-2], axis=2).max(axis=1)
+    same = robot[2:] == robot[:-2]
+    at_rest = same & (two < _BACK_AND_FORTH * (one[1:] + one[:-1]))
+    if at_rest.sum() < _OFTEN * max(1, same.sum()):
+        return 0.0
+    step = float(np.median(one[1:][at_rest]))
+    return step if step <= most else 0.0
+
+
+def _runs_at_rest(docks: Reals, still: float) -> Ints:
+    """Return the first sample of each run without motion, of docks of one robot, (S, D, 3)."""
+    first = [0]
+    ahead, length = 1, 1
+    while ahead < len(docks):
+        off = np.linalg.norm(docks[ahead : ahead + length] - docks[first[-1]], axis=2).max(axis=1)
+        if (off > still).any():
+            first.append(ahead + int((off > still).argmax()))
+            ahead, length = first[-1] + 1, 1
+        else:
+            ahead, length = ahead + length, 2 * length
+    return np.array(first)
+
+
+def _middle(docks: Reals, first: int, last: int) -> int:
+    """Return the sample of a run that is nearest to the median of all."""
+    run = docks[first : last + 1]
+    off = np.linalg.norm(run - np.median(run, axis=0), axis=2).sum(axis=1)
+    return int(first + off.argmin())
+
+
+def _joined(docks: Reals, rests: Ints, near: float) -> tuple[Ints, Ints]:
+    """Join runs at rest that are one: samples turn a corner within a run, or noise splits it.
+
+    Args:
+        docks: Centers of docks at the middle of each run, shape (K, D, 3).
+        rests: Runs at rest, shape (R,).
+        near: Largest distance of a dock between the first and any other run of a rest.
+
+    Returns:
+        First and last run of each rest.
+    """
+    begins, lasts = [rests[0]], [rests[0]]
+    for run in rests[1:].tolist():
+        off = np.linalg.norm(docks[run] - docks[begins[-1]], axis=1).max()
+        if run == lasts[-1] + 1 and off <= near:
+            lasts[-1] = run
+        else:
+            begins.append(run)
+            lasts.append(run)
+    return np.array(begins), np.array(lasts)
+
+
+def _corners(docks: Reals, runs: Ints, ends: Ints, first: Ints, last: Ints) -> Ints:
+    """Return the sample of each rest, shape (K,), where the way of the docks turns a corner.
+
+    It makes the longest detour between the samples at the outer ends of the runs next to the rest.
+    A robot rests at the first sample of its first run, and at the last one of its last run.
+
+    Args:
+        docks: Centers of docks at all samples, shape (S, D, 3).
+        runs: First sample of each run, shape (R,).
+        ends: Last sample of each run, shape (R,).
+        first: First run of each rest, shape (K,).
+        last: Last run of each rest, shape (K,).
+    """
+    corners = [runs[0], *ends[last[1:]]]
+    for k in range(1, len(first) - 1):
+        start, end = runs[first[k] - 1], ends[last[k] + 1]
+        between = docks[start + 1 : end]
+        detour = sum(np.linalg.norm(between - docks[at], axis=2).sum(axis=1) for at in (start, end))
+        corners[k] = start + 1 + detour.argmax()
+    return np.array(corners)
+
+
+def _motions(docks: Reals) -> tuple[Ints, Reals, Reals]:
+    """Find the dock that moves least from each of K poses, (K, D, 3), to the next one.
+
+    Returns:
+        The dock, how far it moves, and how far the dock that moves most does, shapes (K - 1,).
+    """
+    moved = np.linalg.norm(np.diff(docks, axis=0), axis=2)
+    return moved.argmin(axis=1), moved.min(axis=1), moved.max(axis=1)
+
+
+def _continues(docks: Reals, turn: Rotation) -> Bools:
+    """Whether the motion out of each of K poses goes on with that into it, shape (K,)."""
+    continues = np.zeros(len(docks), np.bool_)
+    if len(docks) > 1:
+        about, moved, farthest = _motions(docks)
+        stays = moved < _STAYS * farthest
+        axis = (turn[1:] * turn[:-1].inv()).as_rotvec()
+        axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(float).tiny)
+        along = (axis[1:] * axis[:-1]).sum(axis=1) > _SAME_AXIS
+        continues[1:-1] = stays[1:] & stays[:-1] & (about[1:] == about[:-1]) & along
+    return continues
+
+
+def stances_of(
+    rests: Rests,
+    poses: Poses,
+    order: Ints,
+    *,
+    spacing: Reals,
+    level: Reals,
+    on_one_clock: bool,
+) -> Stances | None:
+    """Derive what robots sensed at rest before their final poses.
+
+    Contacts are with robots that joined earlier and, on one clock, had reached their final poses.
+
+    Args:
+        rests: Poses at rest.
+        poses: Final poses.
+        order: Robots that are in the log, in join order.
+        spacing: Least and greatest distance of two docks in contact, shape (2,).
+        level: Least and greatest height of a dock on the ground, shape (2,); NaN without ground.
+        on_one_clock: Whether times of different robots can be compared.
+
+    Returns:
+        The stances; None if there are none.
+    """
+    rows = [np.arange(rests.start[robot], rests.last[robot]) for robot in order.tolist()]
+    start = np.cumsum([0, *map(len, rows)])
+    chosen = np.concatenate(rows)
+    if not len(chosen):
+        return None
+    turn = rests.orientation_wxyz[chosen]
+    docks = rests.position[chosen, None] + dock_offsets(turn, poses.dock_offset_body)
+    final, number = poses.docks[order], docks.shape[1]
+    near = cKDTree(docks.reshape(-1, 3)).query_ball_tree(
+        cKDTree(final.reshape(-1, 3)), spacing[1], p=2.0
+    )
+    pair = [(own, other) for own, others in enumerate(near) for other in others]
+    own, other = np.array(pair, np.int64).reshape(-1, 2).T
+    apart = np.linalg.norm(docks.reshape(-1, 3)[own] - final.reshape(-1, 3)[other], axis=1)
+    stance, robot = own // number, other // number
+    place = np.repeat(np.arange(len(order)), np.diff(start))
+    is_contact = (apart >= spacing[0]) & (robot < place[stance])
+    if on_one_clock:
+        arrived = rests.begin[rests.last[order]]
+        is_contact &= arrived[robot] <= rests.end[chosen[stance]]
+    contacts = np.column_stack([stance, own % number, robot, other % number])[is_contact]
+    standing = (docks[:, :, 2] >= level[0]) & (docks[:, :, 2] <= level[1])
+    return Stances(
+        start=start,
+        orientation_wxyz=turn,
+        pivot_dock=rests.pivot[chosen].astype(np.int32),
+        contacts=np.unique(contacts, axis=0).astype(np.int32),
+        ground_docks=np.argwhere(standing).astype(np.int32),
+    )
