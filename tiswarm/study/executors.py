@@ -27,7 +27,8 @@ from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.compute.backend import available_threads
-from tiswarm.study.runner import Job, Outcome, run_job
+from tiswarm.study.jobs import Job
+from tiswarm.study.runner import Outcome, run_job
 
 CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job

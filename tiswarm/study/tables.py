@@ -24,13 +24,14 @@ from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_dif
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.frames import read_frame
+from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
-from tiswarm.study.cases import point_cells, point_text
-from tiswarm.study.store import CaseRecord
+from tiswarm.study.cases import Plan
+from tiswarm.study.scaling import scaling
+from tiswarm.study.store import CaseRecord, RunFolder
 
 _ACCURACY = (
     "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
@@ -48,6 +49,26 @@ _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
 
 
+def write_tables(folder: RunFolder, whole: Plan, stored: Mapping[str, CaseRecord]) -> None:
+    """Write all tables of a run from the records of its stored cases, by name."""
+    cases = [case for case in whole.cases if case.name in stored]
+    records = [stored[case.name] for case in cases]
+    settings = [case.settings for case in cases]
+    written = {
+        "summary": summary(records, settings),
+        "table": table(records, settings),
+        "paired": paired(records),
+        "profiles": profiles(records, folder.cases),
+    }
+    if len({setting.robots for setting in settings}) > 1:
+        costs = {name: folder.read_cost(name) for name in stored}
+        written["scaling"] = scaling(whole.structures, stored, costs)
+    if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
+        written["suites"] = suites(records, settings, folder.cases)
+    for name, content in written.items():
+        write_frame(content, folder.path / f"{name}.csv")
+
+
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate every case, failed ones included."""
     rows = [
@@ -56,9 +77,9 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "seed": record.seed,
             "series": record.series,
             "condition": record.condition,
-            "point": point_text(record.point),
+            "point": record.point_text,
             "kind": setting.structure.kind,
-            **point_cells(record.point),
+            **record.point_cells,
             "robots": setting.robots,
             "status": record.status,
             "distrust": record.distrust,
@@ -84,12 +105,12 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
-    for of_point in _grouped(records, lambda record: point_text(record.point)):
+    for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
             setting = setting_of[first.case]
-            row = {"condition": first.condition, **point_cells(first.point), **ours}
+            row = {"condition": first.condition, **first.point_cells, **ours}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
         base = (of_paper or at_point)[0]
@@ -163,12 +184,12 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
 def paired(records: Sequence[CaseRecord]) -> pd.DataFrame:
     """Tabulate differences between conditions of a point on the same structures, by measure."""
     rows = []
-    for of_point in _grouped(records, lambda record: point_text(record.point)):
+    for of_point in _grouped(records, lambda record: record.point_text):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
             names = {"condition": second[0].condition, "against": first[0].condition}
             rows += differences(
-                {**names, **point_cells(first[0].point)},
+                {**names, **first[0].point_cells},
                 accuracy_by_key({record.seed: record for record in first}),
                 accuracy_by_key({record.seed: record for record in second}),
             )
@@ -208,7 +229,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         ]
         errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
         parts.append(pd.concat(errors))
-        first = {"condition": of_row[0].condition, **point_cells(of_row[0].point)}
+        first = {"condition": of_row[0].condition, **of_row[0].point_cells}
         names_of += [first] * len(parts[-1])
     if not parts:
         return pd.DataFrame(columns=["condition", "by"])
@@ -234,7 +255,7 @@ def suites(
         ]
         row = {
             "condition": first.condition,
-            **point_cells(first.point),
+            **first.point_cells,
             "suite": suite.name,
             "way": setting.localization.method + ", touch" * touch,
             "needs": suite.needs,
