@@ -67,10 +67,10 @@ def run(
     """
     whole = plan(scenario)
     running = _start_device(whole, arch, threads, execution, progress)
-    folder = RunFolder.of(scenario, parent)
     number, count = execution.shard
     mine = whole.structures[number - 1 :: count]
-    with folder.locked("" if count == 1 else f"{number}-of-{count}"):
+    part = "" if count == 1 else f"{number}-of-{count}"
+    with RunFolder.opened(scenario, parent, part) as folder:
         stored = _read_stored(mine, folder, progress)
         missing = _without(mine, stored)
         outcomes: list[Outcome] = []
@@ -88,8 +88,9 @@ def run(
         records |= {name: record for name, record in others.items() if record.is_current}
         if len(records) == len(whole.cases):
             used = set(chain.from_iterable(outcome.used for outcome in outcomes))
-            folder.complete([records[case.name] for case in whole.cases], used)
-            write_tables(folder, whole, records)
+            costs = folder.read_costs(whole.cases)
+            folder.complete(records, costs, used)
+            write_tables(folder.path, whole, records, costs)
     return RunResult(
         folder=folder.path,
         computed=len(computed),
@@ -174,4 +175,4 @@ def tabulate(path: Path, progress: Progress) -> None:
     if lost := len(whole.cases) - len(stored):
         many = counted(lost, "case")
         progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
-    write_tables(folder, whole, stored)
+    write_tables(path, whole, stored, folder.read_costs(whole.cases))

@@ -126,6 +126,14 @@ class RunFolder:
         write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
         return folder
 
+    @classmethod
+    @contextmanager
+    def opened(cls, scenario: Scenario, parent: Path, shard: str = "") -> "Iterator[RunFolder]":
+        """Make or open the folder of a scenario, and keep other runs out while the block runs."""
+        folder = cls.of(scenario, parent)
+        with folder.locked(shard):
+            yield folder
+
     @contextmanager
     def locked(self, shard: str = "") -> Iterator[None]:
         """Keep other runs out of the folder, except those of other shards, which have names.
@@ -228,6 +236,10 @@ class RunFolder:
         """Read the cost of a case by stage; empty where it is unknown."""
         return read_json(self.cases / name / _COST, _COSTS_KIND) or {}
 
+    def read_costs(self, cases: Sequence[Case]) -> dict[str, Mapping[str, Cost]]:
+        """Read the costs of cases by name and stage."""
+        return {case.name: self.read_cost(case.name) for case in cases}
+
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
         write_json(self.cases / name / _COST, cost)
@@ -253,20 +265,25 @@ class RunFolder:
         for name in ("manifest.json", "report.html"):
             remove(self.path / name)
 
-    def complete(self, records: Sequence[CaseRecord], used: Collection[Used]) -> None:
+    def complete(
+        self,
+        records: Mapping[str, CaseRecord],
+        costs: Mapping[str, Mapping[str, Cost]],
+        used: Collection[Used],
+    ) -> None:
         """Write the manifest of a run whose cases are all stored, unless it has one.
 
         Kept structures go, unless cases failed: the next run tries these again.
 
         Args:
-            records: Records of all cases.
+            records: Records of all cases by name.
+            costs: Their costs by name and stage.
             used: What computed them, as far as this process knows.
         """
         if not self._has_manifest():
-            costs = [self.read_cost(record.case) for record in records]
             used = used or {Used("grow", backend.current())}
-            write_manifest(self.path, manifest(used, costs))
-        if all(record.is_done for record in records):
+            write_manifest(self.path, manifest(used, [*costs.values()]))
+        if all(record.is_done for record in records.values()):
             remove(self.path / _STRUCTURES)
 
     def _has_manifest(self) -> bool:

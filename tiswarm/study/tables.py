@@ -30,8 +30,9 @@ from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
 from tiswarm.study.cases import Plan
+from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
-from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.study.store import CaseRecord
 
 _ACCURACY = (
     "rmse_R", "rmse_rho", "rmse_yaw_aligned_R", "rmse_rigid_aligned_R", "rmse_per_contact_R",
@@ -49,8 +50,13 @@ _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
 
 
-def write_tables(folder: RunFolder, whole: Plan, stored: Mapping[str, CaseRecord]) -> None:
-    """Write all tables of a run from the records of its stored cases, by name."""
+def write_tables(
+    run: Path,
+    whole: Plan,
+    stored: Mapping[str, CaseRecord],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> None:
+    """Write all tables of a run folder from the records and costs of its stored cases, by name."""
     cases = [case for case in whole.cases if case.name in stored]
     records = [stored[case.name] for case in cases]
     settings = [case.settings for case in cases]
@@ -58,15 +64,14 @@ def write_tables(folder: RunFolder, whole: Plan, stored: Mapping[str, CaseRecord
         "summary": summary(records, settings),
         "table": table(records, settings),
         "paired": paired(records),
-        "profiles": profiles(records, folder.cases),
+        "profiles": profiles(records, run / "cases"),
     }
     if len({setting.robots for setting in settings}) > 1:
-        costs = {name: folder.read_cost(name) for name in stored}
         written["scaling"] = scaling(whole.structures, stored, costs)
     if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
-        written["suites"] = suites(records, settings, folder.cases)
+        written["suites"] = suites(records, settings, run / "cases")
     for name, content in written.items():
-        write_frame(content, folder.path / f"{name}.csv")
+        write_frame(content, run / f"{name}.csv")
 
 
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
