@@ -56,9 +56,9 @@ def test_version_is_printed(tiswarm):
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "invalid shard 3/2: use I/N"),
         (
             ("run", "scenarios/tower.yaml", "--scheduler", "tcp://here:1", "--workers", "2"),
-            "choose only one of --workers, --scheduler",
+            "--workers: a scheduler has workers of its own; leave one out",
         ),
-        (("run", "scenarios/tower.yaml", "--plan", "--shard", "0/0"), "invalid shard 0/0: use"),
+        (("run", "scenarios/tower.yaml", "--shard", "0/0"), "invalid shard 0/0: use"),
         (("run", "scenarios/tower.yaml", "--movie", "mp4"), "--movie: there is no animation to"),
         (("render", "scenarios", "--movie", "gif"), "--movie: there is no animation to write as g"),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),

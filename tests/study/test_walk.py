@@ -32,7 +32,11 @@ def calls(tmp_path_factory) -> Counter:
     """Calls from file to file that the study makes in a small run: (from, to, function)."""
     small = load_scenario(
         REPOSITORY / "tests" / "tower.yaml",
-        ["sweep={robots: [5, 6]}", "seeds=2", "conditions={a: {}, b: {localization.iterations: 9}}"],
+        [
+            "sweep={robots: [5, 6]}",
+            "seeds=2",
+            "conditions={a: {}, b: {localization.iterations: 9}}",
+        ],
     )
     found: Counter = Counter()
 

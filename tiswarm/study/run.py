@@ -36,7 +36,9 @@ class RunResult:
 
     @property
     def what_failed(self) -> str:
-        """How many cases failed, and why the first of them did."""
+        """How many cases failed, and why the first of them did; empty if none failed."""
+        if not self.failed:
+            return ""
         many, first = counted(len(self.failed), "case"), self.failed[0]
         return f"{many} failed, the first: {first.case}: {first.reason}"
 
