@@ -1,5 +1,6 @@
 """Every command explains itself, and bad input ends in one line and status 2."""
 
+import ast
 import json
 import os
 import re
@@ -273,3 +274,17 @@ def test_help_begins_with_what_people_do_most(monkeypatch, capsys):
     names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
     assert [names[0], names[1], names[6], names[-1]] == ["run", "localize", "report", "doctor"]
     assert "..." not in listed  # whole sentences
+
+
+def test_commands_reach_the_rooms_through_the_api():
+    """What a command does can be called from Python, too. Schemas and lists only print texts."""
+    texts = {"interop.poses", "records.sensing_format", "scenario.model", "scenario.shipped"}
+    imported = set()
+    for file in (REPOSITORY / "tiswarm" / "cli").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("tiswarm"):
+                module = node.module.removeprefix("tiswarm").removeprefix(".")
+                imported |= {module} if module else {alias.name for alias in node.names}
+
+    reached = {name for name in imported if name.split(".")[0] not in {"api", "app", "base", "cli"}}
+    assert reached <= texts

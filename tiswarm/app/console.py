@@ -58,7 +58,7 @@ class ConsoleProgress(Progress):
         if self.cell:
             yield self.cell.bar(name, total, begun, note)
         elif self.console.is_terminal:
-            with self._bar(name, total, note) as advance:
+            with self._bar(name, total, begun, note) as advance:
                 yield advance
         else:
             yield self._lines(name, total, begun, note)
@@ -66,14 +66,14 @@ class ConsoleProgress(Progress):
         self.info(f"{noted} in {time.perf_counter() - begun:.1f} s")
 
     def _lines(self, name: str, total: int, begun: float, note: Note) -> Advance:
-        def show(done: float, left: float | None) -> None:
-            remains = "" if left is None else f"about {left:.0f} s left"
-            self.info(", ".join(filter(None, (f"{name}: {done:.0f} of {total}", note(), remains))))
+        def show(done: float, left: str) -> None:
+            parts = (f"{name}: {done:.0f} of {total}", note(), left and f"about {left}")
+            self.info(", ".join(filter(None, parts)))
 
         return _paced(show, total, begun, _LINE_EVERY_S)
 
     @contextmanager
-    def _bar(self, name: str, total: int, note: Note) -> Iterator[Advance]:
+    def _bar(self, name: str, total: int, begun: float, note: Note) -> Iterator[Advance]:
         """Add a bar below those of the tasks that this one runs within."""
         if outermost := self.bars is None:
             self.bars = rich.progress.Progress(
@@ -81,16 +81,19 @@ class ConsoleProgress(Progress):
                 rich.progress.BarColumn(),
                 rich.progress.TaskProgressColumn(),
                 rich.progress.MofNCompleteColumn(),
-                rich.progress.TextColumn("{task.fields[note]}"),
-                rich.progress.TimeRemainingColumn(),
+                rich.progress.TextColumn("{task.fields[beside]}"),
                 console=self.console,
                 transient=True,
             )
             self.bars.start()
         bars = self.bars
-        task = bars.add_task(name, total=total, note=note())
+        task = bars.add_task(name, total=total, beside="")
+
+        def show(done: float, left: str) -> None:
+            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), left))))
+
         try:
-            yield lambda steps: bars.update(task, advance=steps, note=note())
+            yield _paced(show, total, begun, 0.0)
         finally:
             bars.remove_task(task)
             if outermost:
@@ -122,22 +125,19 @@ class _Cell:
     def bar(self, name: str, total: int, begun: float, note: Note) -> Advance:
         """Show a bar, and return what moves it."""
 
-        def show(done: float, left: float | None) -> None:
+        def show(done: float, left: str) -> None:
             filled = "#" * int(_BAR * done / total)
-            remains = "" if left is None else f"{left:.0f} s left"
-            parts = filter(None, (f"{done:.0f} of {total}", note(), remains))
-            self.show(f"{name} [{filled:.<{_BAR}}] {', '.join(parts)}")
+            parts = ", ".join(filter(None, (f"{done:.0f} of {total}", note(), left)))
+            self.show(f"{name} [{filled:.<{_BAR}}] {parts}")
 
-        show(0.0, None)
+        show(0.0, "")
         return _paced(show, total, begun, _CELL_EVERY_S)
 
 
-def _paced(
-    show: Callable[[float, float | None], None], total: int, begun: float, every_s: float
-) -> Advance:
-    """Return what shows the steps done and the time left [s], not more often than every so long.
+def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
+    """Return what shows the steps done and the time left, not more often than every so long.
 
-    The time left is None while no step is done.
+    The time left is unknown, and empty, while no step is done.
     """
     done, shown = 0.0, begun
 
@@ -146,7 +146,7 @@ def _paced(
         done += steps
         now = time.perf_counter()
         if now - shown >= every_s and done < total:
-            show(done, (now - begun) * (total - done) / done if done else None)
+            show(done, f"{(now - begun) * (total - done) / done:.0f} s left" if done else "")
             shown = now
 
     return advance
