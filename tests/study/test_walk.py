@@ -86,6 +86,13 @@ def test_a_scenario_makes_at_most_25_stops(calls):
     assert len(stops) <= 25, sorted(stops)
 
 
+def test_each_list_is_made_once(calls):
+    """The plan sorts all cases; jobs, outcomes and tables take them in its orders."""
+    made = {"variants", "plan", "batch", "compute", "write_tables"}
+
+    assert {name: n for (_, _, name), n in calls.items() if name in made} == dict.fromkeys(made, 1)
+
+
 def test_nothing_climbs_back(calls):
     """No file of the line enters one before it."""
     climbs = [
