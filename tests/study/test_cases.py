@@ -34,9 +34,9 @@ def test_small_structures_are_computed_first(tmp_path):
 
 def test_all_processes_have_jobs(tmp_path):
     """Several jobs each, so that they end at about the same time; or one job a structure."""
-    assert len(_jobs(tmp_path, "seeds=40")) == 1
-    assert len(_jobs(tmp_path, "seeds=40", width=2)) == 8
-    assert len(_jobs(tmp_path, "seeds=40", alone=True)) == 40
+    assert len(_jobs(tmp_path, "seeds=80")) == 1
+    assert len(_jobs(tmp_path, "seeds=80", width=2)) == 8
+    assert len(_jobs(tmp_path, "seeds=80", alone=True)) == 80
 
 
 def test_a_job_is_split_between_structures_and_then_within_one(tmp_path):
