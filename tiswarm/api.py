@@ -43,6 +43,8 @@ from tiswarm.records.sensing_log import SensingLog
 if TYPE_CHECKING:
     from tiswarm.evaluation.tables import Scores
     from tiswarm.interop.imports import Imported
+    from tiswarm.scenario.model import Scenario
+    from tiswarm.study.forecast import Forecast
 
 Source = Run | SensingLog | File
 """What can be shown: a run or its folder, or a log or its file."""
@@ -137,7 +139,10 @@ def run(
     threads: int | None = None,
     workers: int | None = None,
     pictures: bool = True,
+    pdf: bool = False,
+    movie: AnyMovie | None = None,
     quiet: bool = False,
+    **execution: Any,  # noqa: ANN401 - types of their own
 ) -> Run:
     """Grow, sense, localize, evaluate and draw all cases of a scenario, as `tiswarm run` does.
 
@@ -151,31 +156,54 @@ def run(
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
         pictures: Whether to draw figures, renders and report.html.
+        pdf: Whether to draw figures as vector PDF, too.
+        movie: File format of an animation of the growth; none if None.
         quiet: Whether to hide progress.
+        execution: Other fields of `tiswarm.study.Execution`, such as `scheduler` and `shard`.
 
     Raises:
-        InputError: the scenario has a mistake.
+        InputError: the scenario has a mistake, or there is no such field.
         EnvironmentTroubleError: the machine lacks the device.
+        CasesFailedError: a case failed, and `fail_fast` stops at failures.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.app.drawing import draw_all  # noqa: PLC0415 - slow to import
-    from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
-    progress = ConsoleProgress(quiet=quiet)
-    plan = load_scenario(as_path(scenario, "scenario"), as_texts(overrides or ()))
-    execution = study.Execution(workers=workers)
+    for name in execution:
+        choose(name, [field.name for field in fields(study.Execution)], "execution")
+    where, progress = study.Execution(workers=workers, **execution), ConsoleProgress(quiet=quiet)
     result = study.run(
-        plan,
-        as_path(out, "out"),
-        progress=progress,
-        arch=arch,
-        threads=threads,
-        execution=execution,
-    )
-    draw_all(result, progress, pictures=pictures)
+        _load(scenario, overrides), as_path(out, "out"),
+        progress=progress, arch=arch, threads=threads, execution=where,
+    )  # fmt: skip
+    if not result.missing:
+        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie)
     if result.failed:
         warn(result.what_failed)
-    return Run(result.folder)
+    return Run(result.folder, failed=result.what_failed, missing=result.missing)
+
+
+def forecast(scenario: File, overrides: Overrides | None = None) -> "Forecast":
+    """Estimate time and memory of the run of a scenario, and compute nothing."""
+    from tiswarm import study  # noqa: PLC0415 - slow to import
+
+    return study.forecast(_load(scenario, overrides))
+
+
+def report(run: Run | File, *, pdf: bool = False, quiet: bool = False) -> Run:
+    """Write tables, figures and page of a run again, from its stored cases.
+
+    Args:
+        run: Run, or its folder.
+        pdf: Whether to draw figures as vector PDF, too.
+        quiet: Whether to hide progress.
+
+    Raises:
+        InputError: it is not the folder of a run, or no case is intact.
+    """
+    found = run if isinstance(run, Run) else Run(as_path(run, "run"))
+    found.redraw(pdf=pdf, quiet=quiet)
+    return found
 
 
 def check(path: File) -> Inspection:
@@ -397,6 +425,12 @@ def export(
     if isinstance(shown, Run):
         return shown.export(form, out=out, case=case, quiet=quiet)
     return shown.export(form, estimate, truth, out=out or "export", quiet=quiet)
+
+
+def _load(scenario: File, overrides: Overrides | None) -> "Scenario":
+    from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
+
+    return load_scenario(as_path(scenario, "scenario"), as_texts(overrides or ()))
 
 
 def _refuse(reason: str, given: Mapping[str, object]) -> None:

@@ -135,7 +135,7 @@ def read_structures(folder: Path) -> Structures:
     except OSError as error:
         msg = "this is not a run folder: it has no summary.csv; name a folder of `tiswarm run`"
         raise InputError(msg, path=folder) from error
-    cases = plan(load_scenario(folder / "scenario.yaml"))
+    cases = plan(load_scenario(folder / "scenario.yaml")).cases
     done = set(summary.index[summary["status"] == "done"])
     cases = [case for case in cases if case.variant.condition == cases[0].variant.condition]
     totals: list[dict[str, object]] = []

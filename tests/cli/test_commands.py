@@ -1,5 +1,6 @@
 """Every command explains itself, and bad input ends in one line and status 2."""
 
+import ast
 import json
 import os
 import re
@@ -56,9 +57,9 @@ def test_version_is_printed(tiswarm):
         (("run", "scenarios/tower.yaml", "--shard", "3/2"), "invalid shard 3/2: use I/N"),
         (
             ("run", "scenarios/tower.yaml", "--scheduler", "tcp://here:1", "--workers", "2"),
-            "choose only one of --workers, --scheduler",
+            "--workers: a scheduler has workers of its own; leave one out",
         ),
-        (("run", "scenarios/tower.yaml", "--plan", "--shard", "0/0"), "invalid shard 0/0: use"),
+        (("run", "scenarios/tower.yaml", "--shard", "0/0"), "invalid shard 0/0: use"),
         (("run", "scenarios/tower.yaml", "--movie", "avi"), "--movie"),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),
@@ -272,3 +273,17 @@ def test_help_begins_with_what_people_do_most(monkeypatch, capsys):
     names = re.findall(r"^  (\w+)", listed, re.MULTILINE)
     assert [names[0], names[1], names[6], names[-1]] == ["run", "localize", "report", "doctor"]
     assert "..." not in listed  # whole sentences
+
+
+def test_commands_reach_the_rooms_through_the_api():
+    """What a command does can be called from Python, too. Schemas and lists only print texts."""
+    texts = {"interop.poses", "records.sensing_format", "scenario.model", "scenario.shipped"}
+    imported = set()
+    for file in (REPOSITORY / "tiswarm" / "cli").glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("tiswarm"):
+                module = node.module.removeprefix("tiswarm").removeprefix(".")
+                imported |= {module} if module else {alias.name for alias in node.names}
+
+    reached = {name for name in imported if name.split(".")[0] not in {"api", "app", "base", "cli"}}
+    assert reached <= texts

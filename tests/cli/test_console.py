@@ -1,5 +1,6 @@
 """Logs of long jobs show how work goes on."""
 
+import io
 import itertools
 import re
 import sys
@@ -34,6 +35,50 @@ def test_without_a_terminal_lines_show_the_progress(capsys, monkeypatch):
         "grow: 18 of 20, about 10 s left",
         "grow: 20 in 110.0 s",
     ]
+
+
+def test_lines_come_before_the_first_step_is_done(capsys, monkeypatch):
+    """Cases may take hours: a user sees that work goes on, and how many failed."""
+    clock = itertools.count(0.0, 10.0)
+    monkeypatch.setattr(console.time, "perf_counter", lambda: next(clock))
+    failed = []
+
+    with console.ConsoleProgress().task(
+        "cases", 4, lambda: f"{len(failed)} failed" if failed else ""
+    ) as advance:
+        for _ in range(3):
+            advance(0)
+        failed.append("0-a")
+        for _ in range(3):
+            advance(1)
+        advance(1)
+
+    assert capsys.readouterr().err.splitlines() == [
+        "cases: 0 of 4",
+        "cases: 3 of 4, 1 failed, about 20 s left",
+        "cases: 4, 1 failed in 80.0 s",
+    ]
+
+
+def test_a_terminal_shows_a_task_within_another(monkeypatch):
+    """One display has both bars; a library that draws may refuse a second display."""
+    output = io.StringIO()
+    terminal = partial(console.Console, file=output, force_terminal=True, width=100)
+    monkeypatch.setattr(console, "Console", lambda **_: terminal())
+    progress = console.ConsoleProgress()
+
+    with progress.task("cases", 4, lambda: "1 failed") as advance:
+        advance(1)
+        with progress.task("grow", 20) as advance_growth:
+            advance_growth(5)
+            shown = [task.description for task in progress.bars.tasks]
+            progress.bars.refresh()
+
+    assert shown == ["cases", "grow"]
+    assert "1/4" in output.getvalue()
+    assert "1 failed" in output.getvalue()
+    assert "5/20" in output.getvalue()
+    assert progress.bars is None
 
 
 def test_a_notebook_has_one_output(monkeypatch):

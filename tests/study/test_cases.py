@@ -1,4 +1,4 @@
-"""Order of cases, and their series, points and kinds."""
+"""Order of cases, their jobs, and their series, points and kinds."""
 
 import json
 
@@ -9,17 +9,48 @@ from tiswarm import study
 from tiswarm.base.progress import Progress
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study.cases import batches, plan
+from tiswarm.study.cases import plan
+from tiswarm.study.jobs import Job, batch
+from tiswarm.study.store import RunFolder
 
 
-def test_small_structures_are_computed_first():
-    """Batches are ordered by size, in any order of the sweep, with all conditions together."""
-    overrides = ["seeds=2", 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}']
-    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", overrides)
+def _jobs(out, *overrides, **settings):
+    whole = plan(load_scenario(REPOSITORY / "tests" / "tower.yaml", overrides))
+    return batch(whole.structures, RunFolder(out), arch="cpu", threads=1, **settings)
 
-    robots = [[case.settings.robots for case in batch] for batch in batches(plan(scenario))]
 
-    assert robots == [[4] * 6, [30] * 6, [100] * 6]
+def _sizes(jobs: list[Job]) -> list[list[int]]:
+    return [[case.settings.robots for case in job.cases] for job in jobs]
+
+
+def test_small_structures_are_computed_first(tmp_path):
+    """Jobs are ordered by size, in any order of the sweep, with all conditions together."""
+    sweep = 'sweep={"robots, structure.movers": [[30, 3], [4, 1], [100, 10]]}'
+
+    jobs = _jobs(tmp_path, "seeds=2", sweep)
+
+    assert _sizes(jobs) == [[4] * 6, [30] * 6, [100] * 6]
+
+
+def test_all_processes_have_jobs(tmp_path):
+    """Several jobs each, so that they end at about the same time; or one job a structure."""
+    assert len(_jobs(tmp_path, "seeds=80")) == 1
+    assert len(_jobs(tmp_path, "seeds=80", width=2)) == 8
+    assert len(_jobs(tmp_path, "seeds=80", alone=True)) == 80
+
+
+def test_a_job_is_split_between_structures_and_then_within_one(tmp_path):
+    """No structure is grown twice before it must be, and no case is lost."""
+    [job] = _jobs(tmp_path, "seeds=3")
+
+    one, two = job.halves
+    first, rest = one.halves
+
+    assert [case.seed for case in one.cases] == [0] * 3
+    assert [case.seed for case in two.cases] == [1] * 3 + [2] * 3
+    assert [len(half.cases) for half in (first, rest)] == [1, 2]
+    assert [*one.cases, *two.cases] == job.cases
+    assert [*first.cases, *rest.cases] == one.cases
 
 
 def test_series_point_and_kind_of_each_case_are_stated(tmp_path):

@@ -5,13 +5,15 @@ import os
 import signal
 import socket
 import textwrap
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from tests.recorder import Recorder
 from tests.runs import REPOSITORY, assert_same_results
-from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError
-from tiswarm.base.progress import Progress
+from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError, InputError
+from tiswarm.base.progress import Progress, ignore
 from tiswarm.compute import backend
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import Execution, run, runner
@@ -20,9 +22,25 @@ SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations:
 QUIET = Progress()
 
 
-def _run(out, *overrides, **execution):
+class _Watcher(Recorder):
+    """Keeps the lines, and the steps of the task `cases` with what stands beside them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.total, self.steps = 0, []
+
+    @contextmanager
+    def task(self, name, total, note=lambda: ""):
+        if name != "cases":
+            yield ignore
+            return
+        self.total = total
+        yield lambda steps: steps and self.steps.append((steps, note()))
+
+
+def _run(out, *overrides, progress=QUIET, **execution):
     scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", [*SMALL, *overrides])
-    return run(scenario, out, progress=QUIET, execution=Execution(**execution))
+    return run(scenario, out, progress=progress, execution=Execution(**execution))
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +73,55 @@ def test_processes_side_by_side_change_no_byte(whole, tmp_path, monkeypatch):
     assert_same_results(whole, result.folder)
 
 
+@pytest.mark.parametrize(
+    ("execution", "cases", "least_jobs"),
+    [({}, 8, 1), ({"workers": 2}, 8, 4), ({"shard": (1, 2)}, 4, 1), ({"case_limit_s": 600}, 8, 4)],
+    ids=["here", "workers", "shard", "limit"],
+)
+def test_cases_are_reported_wherever_they_are_computed(tmp_path, execution, cases, least_jobs):
+    """The first line names the command that shows them, and the task moves as each job ends."""
+    watcher = _Watcher()
+
+    result = _run(tmp_path / "out of sight", progress=watcher, **execution)
+
+    assert watcher.lines[0] == f"to watch: tiswarm view --live '{result.folder}'"
+    assert watcher.total == cases == sum(steps for steps, _ in watcher.steps)
+    assert len(watcher.steps) >= least_jobs
+    assert {note for _, note in watcher.steps} == {""}
+
+
+def test_failed_cases_are_counted_while_others_are_computed(tmp_path, monkeypatch):
+    """A user who sees most of them fail need not wait for the end."""
+
+    def fail(history, params):
+        if history.seed == 1:
+            raise ZeroDivisionError
+        return observe(history, params)
+
+    observe, watcher = runner.observe, _Watcher()
+    monkeypatch.setattr(runner, "observe", fail)
+
+    result = _run(tmp_path, progress=watcher)
+
+    assert len(result.failed) == 2
+    assert sum(steps for steps, _ in watcher.steps) == 8
+    assert watcher.steps[0] == (2, "")
+    assert watcher.steps[-1][1] == "2 failed"
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"shard": (3, 2)}, "invalid shard 3/2: use I/N"),
+        ({"workers": 2, "scheduler": "tcp://here:1"}, "workers: a scheduler has workers"),
+    ],
+)
+def test_an_impossible_execution_is_refused(fields, problem):
+    """A caller from Python gets the message of the command."""
+    with pytest.raises(InputError, match=problem):
+        Execution(**fields)
+
+
 def test_processes_keep_the_kernels_that_they_compile(tmp_path, monkeypatch):
     """They end by themselves once there is no more to do, as kernels are stored at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -81,9 +148,11 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
     ) as cluster:
-        result = _run(tmp_path, scheduler=cluster.scheduler_address)
+        watcher = _Watcher()
+        result = _run(tmp_path, scheduler=cluster.scheduler_address, progress=watcher)
 
-    assert result.computed == 8
+    assert result.computed == 8 == sum(steps for steps, _ in watcher.steps)
+    assert watcher.lines == [f"to watch: tiswarm view --live {result.folder}"]
     assert_same_results(whole, result.folder)
 
 

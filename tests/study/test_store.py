@@ -236,7 +236,7 @@ def test_a_run_that_was_killed_at_its_end_is_made_whole(tmp_path, monkeypatch):
 def test_a_kept_structure_is_read_back_or_grown_again(tmp_path, monkeypatch):
     """It is read as it was, unless its file is damaged or other code grew it."""
     scenario = load_scenario(REPOSITORY / "scenarios" / "bridge.yaml", ["robots=30", "seeds=1"])
-    [case] = plan(scenario)[:1]
+    [case] = plan(scenario).cases[:1]
     settings = case.settings
     [history] = grow(settings.structure, robots=30, seeds=[case.seed], robot=settings.robot)
     folder = RunFolder.of(scenario, tmp_path)

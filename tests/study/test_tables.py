@@ -35,7 +35,7 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
     """Rows of the paper's settings have its numbers; rows of other settings have none."""
     only = () if len(published) > 1 else ("sweep={}", "conditions={baseline: {}}")
     paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=1", *only, changed])
-    cases = study.plan(paper)
+    cases = study.plan(paper).cases
     records = [replace(failure(case, ""), status="done", scores={"rmse_R": 3.0}) for case in cases]
 
     table = tables.table(records, [case.settings for case in cases])
@@ -51,7 +51,7 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
 def test_rounds_of_back_propagation_are_in_the_table():
     """A round follows the last join at the latest; conditions without rounds have gaps."""
     path = REPOSITORY / "scenarios" / "back-propagation.yaml"
-    cases = study.plan(load_scenario(path, ["seeds=1"]))
+    cases = study.plan(load_scenario(path, ["seeds=1"])).cases
     records = [replace(failure(case, ""), status="done", scores={"rmse_R": 3.0}) for case in cases]
 
     table = tables.table(records, [case.settings for case in cases]).set_index("condition")
@@ -66,7 +66,7 @@ def test_rounds_of_back_propagation_are_in_the_table():
 def test_tables_have_verdicts_and_their_reason():
     """`summary.csv` has them by case, `table.csv` their means over structures."""
     paper = load_scenario(REPOSITORY / "scenarios" / "paper.yaml", ["seeds=2", "sweep={}"])
-    cases = study.plan(paper)[:2]
+    cases = study.plan(paper).cases[:2]
     scores = {"rmse_R": 3.0, "converged": True, "sd_factor": 2.0, "misfit_sd": 9.0, "mirrored": 3}
     records = [
         replace(
@@ -109,7 +109,7 @@ def test_a_condition_may_have_the_name_of_a_missing_value(tmp_path, name):
 
 def _records(scenario, scores):
     """List the cases of a scenario as finished with scores by number of robots, and settings."""
-    cases = study.plan(scenario)
+    cases = study.plan(scenario).cases
     done = [
         replace(failure(case, ""), status="done", scores=scores[case.settings.robots, case.seed])
         for case in cases

@@ -11,7 +11,7 @@ import rich.progress
 from rich.console import Console
 
 from tiswarm.base.errors import InputError, TiswarmError
-from tiswarm.base.progress import Advance, Progress, ignore
+from tiswarm.base.progress import Advance, Note, Progress, ignore
 
 _LINE_EVERY_S = 30.0
 """Least time between two progress lines where there is no terminal to draw a bar on."""
@@ -37,6 +37,7 @@ class ConsoleProgress(Progress):
         self.quiet = quiet
         self.console = Console(stderr=True, highlight=False, soft_wrap=True)
         self.cell = _Cell() if self.console.is_jupyter else None
+        self.bars: rich.progress.Progress | None = None  # of the tasks that run, on a terminal
 
     def info(self, text: str) -> None:
         """Print one line."""
@@ -48,38 +49,56 @@ class ConsoleProgress(Progress):
             self.console.print(text, markup=False)
 
     @contextmanager
-    def task(self, name: str, total: int) -> Iterator[Advance]:
+    def task(self, name: str, total: int, note: Note = lambda: "") -> Iterator[Advance]:
         """Show a task while the block runs; the block calls the result with the steps just done."""
         if self.quiet or total == 0:
             yield ignore
-        elif self.cell:
-            begun = time.perf_counter()
-            yield self.cell.bar(name, total, begun)
-            self.info(_summary(name, total, begun))
+            return
+        begun = time.perf_counter()
+        if self.cell:
+            yield self.cell.bar(name, total, begun, note)
         elif self.console.is_terminal:
-            with self._bar() as bar:
-                task = bar.add_task(name, total=total)
-                yield lambda steps: bar.advance(task, steps)
+            with self._bar(name, total, begun, note) as advance:
+                yield advance
         else:
-            begun = time.perf_counter()
-            yield self._lines(name, total, begun)
-            self.info(_summary(name, total, begun))
+            yield self._lines(name, total, begun, note)
+        noted = ", ".join(filter(None, (f"{name}: {total}", note())))
+        self.info(f"{noted} in {time.perf_counter() - begun:.1f} s")
 
-    def _lines(self, name: str, total: int, begun: float) -> Advance:
-        def show(done: float, left: float) -> None:
-            self.info(f"{name}: {done:.0f} of {total}, about {left:.0f} s left")
+    def _lines(self, name: str, total: int, begun: float, note: Note) -> Advance:
+        def show(done: float, left: str) -> None:
+            parts = (f"{name}: {done:.0f} of {total}", note(), left and f"about {left}")
+            self.info(", ".join(filter(None, parts)))
 
         return _paced(show, total, begun, _LINE_EVERY_S)
 
-    def _bar(self) -> rich.progress.Progress:
-        return rich.progress.Progress(
-            rich.progress.TextColumn("{task.description:<20}"),
-            rich.progress.BarColumn(),
-            rich.progress.TaskProgressColumn(),
-            rich.progress.MofNCompleteColumn(),
-            rich.progress.TimeRemainingColumn(elapsed_when_finished=True),
-            console=self.console,
-        )
+    @contextmanager
+    def _bar(self, name: str, total: int, begun: float, note: Note) -> Iterator[Advance]:
+        """Add a bar below those of the tasks that this one runs within."""
+        if outermost := self.bars is None:
+            self.bars = rich.progress.Progress(
+                rich.progress.TextColumn("{task.description:<20}"),
+                rich.progress.BarColumn(),
+                rich.progress.TaskProgressColumn(),
+                rich.progress.MofNCompleteColumn(),
+                rich.progress.TextColumn("{task.fields[beside]}"),
+                console=self.console,
+                transient=True,
+            )
+            self.bars.start()
+        bars = self.bars
+        task = bars.add_task(name, total=total, beside="")
+
+        def show(done: float, left: str) -> None:
+            bars.update(task, completed=done, beside=", ".join(filter(None, (note(), left))))
+
+        try:
+            yield _paced(show, total, begun, 0.0)
+        finally:
+            bars.remove_task(task)
+            if outermost:
+                bars.stop()
+                self.bars = None
 
 
 class _Cell:
@@ -103,36 +122,34 @@ class _Cell:
         else:
             self.handle.update(content, raw=True)
 
-    def bar(self, name: str, total: int, begun: float) -> Advance:
+    def bar(self, name: str, total: int, begun: float, note: Note) -> Advance:
         """Show a bar, and return what moves it."""
 
-        def show(done: float, left: float) -> None:
+        def show(done: float, left: str) -> None:
             filled = "#" * int(_BAR * done / total)
-            self.show(f"{name} [{filled:.<{_BAR}}] {done:.0f} of {total}, {left:.0f} s left")
+            parts = ", ".join(filter(None, (f"{done:.0f} of {total}", note(), left)))
+            self.show(f"{name} [{filled:.<{_BAR}}] {parts}")
 
-        self.show(f"{name} [{'.' * _BAR}] 0 of {total}")
+        show(0.0, "")
         return _paced(show, total, begun, _CELL_EVERY_S)
 
 
-def _paced(
-    show: Callable[[float, float], None], total: int, begun: float, every_s: float
-) -> Advance:
-    """Return what shows the steps done and the time left [s], not more often than every so long."""
+def _paced(show: Callable[[float, str], None], total: int, begun: float, every_s: float) -> Advance:
+    """Return what shows the steps done and the time left, not more often than every so long.
+
+    The time left is unknown, and empty, while no step is done.
+    """
     done, shown = 0.0, begun
 
     def advance(steps: float) -> None:
         nonlocal done, shown
         done += steps
         now = time.perf_counter()
-        if now - shown >= every_s and 0 < done < total:
-            show(done, (now - begun) * (total - done) / done)
+        if now - shown >= every_s and done < total:
+            show(done, f"{(now - begun) * (total - done) / done:.0f} s left" if done else "")
             shown = now
 
     return advance
-
-
-def _summary(name: str, total: int, begun: float) -> str:
-    return f"{name}: {total} in {time.perf_counter() - begun:.1f} s"
 
 
 def fail(error: TiswarmError | str) -> None:

@@ -58,7 +58,8 @@ class _LiveRun:
     """A run folder, whose cases are read once each."""
 
     def __init__(self, path: Path) -> None:
-        self._folder, self._cases = study.open_folder(path)
+        self._folder, whole = study.open_folder(path)
+        self._cases = whole.cases
         self.lock = Lock()  # of all methods: each request has a thread
         self._known: dict[str, tuple[int, CaseRecord]] = {}  # by name, with the time of the record
 

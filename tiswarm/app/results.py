@@ -3,7 +3,7 @@
 import html
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ import numpy as np
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyFormat, AnyMovie
-from tiswarm.records.messages import did_you_mean
+from tiswarm.records.messages import counted, did_you_mean
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -59,6 +59,16 @@ class Run:
     """Results of a run, as data frames and figures."""
 
     folder: Path
+    failed: str = field(default="", compare=False)
+    """How many cases the call failed to compute, and why; empty if none."""
+    missing: int = field(default=0, compare=False)
+    """Cases that the call left to other parts of the run; tables come with the last part."""
+
+    @property
+    def page(self) -> Path:
+        """The page of the run, or its folder while it has no page."""
+        page = self.folder / "report.html"
+        return page if page.exists() else self.folder
 
     @property
     def table(self) -> "pd.DataFrame":
@@ -110,6 +120,16 @@ class Run:
         if not page.exists():
             draw(load_run(self.folder), ConsoleProgress(quiet=quiet))
         return page
+
+    def redraw(self, *, pdf: bool = False, quiet: bool = False) -> None:
+        """Write tables, figures and page again from the stored cases; arguments as `api.report`."""
+        from tiswarm import study  # noqa: PLC0415 - slow to import
+        from tiswarm.app.drawing import draw  # noqa: PLC0415 - slow to import
+        from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
+
+        progress = ConsoleProgress(quiet=quiet)
+        study.tabulate(self.folder, progress)
+        draw(load_run(self.folder), progress, figures=True, pdf=pdf)
 
     def render(
         self,
@@ -165,10 +185,20 @@ class Run:
         export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
         return folder
 
+    def __str__(self) -> str:
+        """Write a line for each condition, or how many cases other parts lack."""
+        from tiswarm.report.headline import headline  # noqa: PLC0415 - slow to import
+
+        if self.missing:
+            return f"this part is done; other parts still lack {counted(self.missing, 'case')}"
+        return headline(self.folder)
+
     def _repr_html_(self) -> str:
-        page, table = self.folder / "report.html", self.table
+        if self.missing:
+            return html.escape(str(self))
+        page, table = self.page, self.table
         name = html.escape(self.folder.name)
-        link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.exists() else name
+        link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
         errors = table.filter(["rmse_R_mean", "procrustes_disparity_mean"])
         return link + table.loc[:, :"cases"].join(errors).to_html(index=False)
 

@@ -7,6 +7,9 @@ from contextlib import AbstractContextManager, nullcontext
 Advance = Callable[[float], None]
 """Receives the steps that were just done."""
 
+Note = Callable[[], str]
+"""Returns what to show beside the steps of a task, such as `2 failed`; empty for nothing."""
+
 _PARTS = 64
 """Parts of a step that are reported: a power of 2, so that sums of them are exact."""
 
@@ -17,8 +20,16 @@ class Progress:
     def info(self, text: str) -> None:
         """Report one line."""
 
-    def task(self, name: str, total: int) -> AbstractContextManager[Advance]:  # noqa: ARG002
-        """Start a task of `total` steps; the block calls the result with the steps just done."""
+    def task(
+        self,
+        name: str,  # noqa: ARG002 - for those that show it
+        total: int,  # noqa: ARG002
+        note: Note = lambda: "",  # noqa: ARG002
+    ) -> AbstractContextManager[Advance]:
+        """Start a task of `total` steps; the block calls the result with the steps just done.
+
+        A task may run within the block of another one.
+        """
         return nullcontext(ignore)
 
 

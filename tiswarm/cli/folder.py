@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.params import AnyFormat
 from tiswarm.cli.app import (
     Animate,
@@ -29,18 +28,13 @@ def report(
     run: RunFolderPath, *, pdf: Pdf = False, opened: Open = False, quiet: Quiet = False
 ) -> None:
     """Redraw tables, figures and report.html of a run."""
-    from tiswarm import study
-    from tiswarm.app.drawing import PAGE, draw
-    from tiswarm.report.headline import headline
-    from tiswarm.report.run_data import load_run
+    from tiswarm import api
 
-    progress = ConsoleProgress(quiet=quiet)
-    study.tabulate(run, progress)
-    draw(load_run(run), progress, figures=True, pdf=pdf)
+    found = api.report(run, pdf=pdf, quiet=quiet)
     if not quiet:
-        typer.echo(headline(run))
+        typer.echo(found)
     if opened or not quiet:
-        show_page(run / PAGE, opened=opened)
+        show_page(found.page, opened=opened)
 
 
 @app.command(epilog="Example: tiswarm render reports/tower-1a2b3c4d --renderer open3d")

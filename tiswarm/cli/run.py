@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import CasesFailedError, InputError
 from tiswarm.cli.app import (
     Animate,
@@ -22,7 +21,6 @@ from tiswarm.cli.app import (
     chosen_movie,
     show_page,
 )
-from tiswarm.records.messages import counted
 
 ScenarioFile = Annotated[
     Path, Argument(metavar="SCENARIO", help="Scenario file, or name of a shipped one.")
@@ -62,44 +60,28 @@ def run(
 
     An interrupted run continues where it stopped.
     """
-    from tiswarm import study
-    from tiswarm.scenario.expansion import load_scenario
+    from tiswarm import api
 
-    progress = ConsoleProgress(quiet=quiet)
     animated, part = chosen_movie(movie, animate=animate), _shard(shard)
-    if workers is not None and scheduler is not None:
-        raise InputError("choose only one of --workers, --scheduler")
-    plan = load_scenario(scenario, overrides)
     if only_plan:
-        typer.echo(study.forecast(plan))
+        typer.echo(api.forecast(scenario, overrides))
         return
-    execution = study.Execution(
-        workers=workers, scheduler=scheduler, shard=part, case_limit_s=case_limit,
-        fail_fast=fail_fast,
+    found = api.run(
+        scenario, overrides,
+        out=out, arch=arch, threads=threads, workers=workers, scheduler=scheduler, shard=part,
+        case_limit_s=case_limit, fail_fast=fail_fast, pictures=pictures, pdf=pdf, movie=animated,
+        quiet=quiet,
     )  # fmt: skip
-    result = study.run(
-        plan, out, progress=progress, arch=arch, threads=threads, execution=execution
-    )
-    if result.missing:
-        lacking = counted(result.missing, "case")
-        progress.info(f"part {shard} is done; other parts still lack {lacking}")
-    else:
-        from tiswarm.app.drawing import PAGE, draw_all
-        from tiswarm.report.headline import headline
-
-        draw_all(result, progress, pictures=pictures, pdf=pdf, movie=animated)
-        if not quiet:
-            typer.echo(headline(result.folder))
-        page = result.folder / PAGE
-        if opened or not quiet:
-            show_page(page if page.exists() else result.folder, opened=opened)
-    if result.failed:
-        raise CasesFailedError(result.what_failed)
+    if not quiet:
+        typer.echo(found)
+    if not found.missing and (opened or not quiet):
+        show_page(found.page, opened=opened)
+    if found.failed:
+        raise typer.Exit(CasesFailedError.exit_status)
 
 
 def _shard(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d+)/(\d+)", text)
-    number, count = map(int, found.groups()) if found else (0, 0)
-    if not 1 <= number <= count:
+    if not found:
         raise InputError(f"invalid shard {text}: use I/N with 1 <= I <= N")
-    return number, count
+    return int(found[1]), int(found[2])

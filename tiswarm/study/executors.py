@@ -23,11 +23,12 @@ from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 from tiswarm.base.child import child_command
-from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
 from tiswarm.compute.backend import available_threads
-from tiswarm.study.runner import Job, Outcome, run_job
+from tiswarm.study.jobs import Job
+from tiswarm.study.runner import Outcome, run_job
 
 CONNECT_S = 3  # time that a scheduler has to accept a connection, and again to answer
 START_S = 600.0  # time that a process has to start and to compile the kernels of a job
@@ -46,6 +47,16 @@ class Execution:
     shard: tuple[int, int] = (1, 1)  # part to compute, and the number of parts
     case_limit_s: float | None = None  # longest wall time of a case [s]
     fail_fast: bool = False  # whether the first case that fails ends the run
+
+    def __post_init__(self) -> None:
+        """Raise InputError for values that exclude each other."""
+        number, count = self.shard
+        if not 1 <= number <= count:
+            raise InputError(f"invalid shard {number}/{count}: use I/N with 1 <= I <= N")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError(
+                "a scheduler has workers of its own; leave one out", argument="workers"
+            )
 
 
 class _JobError(Exception):

@@ -1,39 +1,27 @@
-"""Runs a scenario case by case, and continues where an earlier run ended."""
+"""Runs a scenario: plan, cases, jobs, outcomes, tables; continues where an earlier run ended."""
 
-from collections import deque
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
-from tiswarm.base.errors import (
-    CasesFailedError,
-    EnvironmentTroubleError,
-    InputError,
-    OutOfMemoryError,
-    TiswarmError,
-)
+from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, Arch
 from tiswarm.base.progress import Progress
-from tiswarm.compute import backend
 from tiswarm.localization import registry
-from tiswarm.records.frames import write_frame
 from tiswarm.records.io import run_file
 from tiswarm.records.messages import counted
-from tiswarm.records.run_folder import read_manifest, write_manifest
-from tiswarm.scenario.expansion import load_scenario, variants
+from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import Scenario
-from tiswarm.study import tables
-from tiswarm.study.cases import ROBOTS_AT_ONCE, Case, batches, halves, plan, shard, structures
-from tiswarm.study.executors import Execution, Executor, open_executor, reason
-from tiswarm.study.provenance import Used, manifest
-from tiswarm.study.runner import Job, Outcome, failure
-from tiswarm.study.scaling import scaling
-from tiswarm.study.store import CaseRecord, RunFolder, remove
+from tiswarm.study.cases import Group, Plan, plan
+from tiswarm.study.executors import Execution, open_executor
+from tiswarm.study.jobs import batch
+from tiswarm.study.outcomes import compute
+from tiswarm.study.runner import Outcome
+from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.study.tables import write_tables
 
 _HERE = Execution()
-_BATCHES_EACH = 4
-"""Batches for each process of an executor, so that all end at about the same time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +36,9 @@ class RunResult:
 
     @property
     def what_failed(self) -> str:
-        """How many cases failed, and why the first of them did."""
+        """How many cases failed, and why the first of them did; empty if none failed."""
+        if not self.failed:
+            return ""
         many, first = counted(len(self.failed), "case"), self.failed[0]
         return f"{many} failed, the first: {first.case}: {first.reason}"
 
@@ -77,54 +67,65 @@ def run(
         EnvironmentTroubleError: the device is missing, the folder is in use, or workers run
             other code.
     """
-    arch = _start_device(scenario, arch, threads, execution, progress)
-    folder = RunFolder.of(scenario, parent)
-    cases = plan(scenario)
-    mine = shard(cases, *execution.shard)
-    part = "" if execution.shard == _HERE.shard else "{}-of-{}".format(*execution.shard)
-    with folder.locked(part):
-        stored = folder.read_cases(mine)
-        stored = {name: record for name, record in stored.items() if record.is_done}
-        records = {name: record for name, record in stored.items() if record.is_current}
-        missing = [case for case in mine if case.name not in records]
-        if found := len(records):
-            progress.info(f"{found} of {len(mine)} cases are already stored")
-        if outdated := len(stored) - found:
-            were, them = ("was", "it") if outdated == 1 else ("were", "them")
-            many = counted(outdated, "case")
-            progress.info(f"{many} {were} computed by other code; computing {them} again")
-        used: set[Used] = set()
+    whole = plan(scenario)
+    running = _start_device(whole, arch, threads, execution, progress)
+    number, count = execution.shard
+    mine = whole.structures[number - 1 :: count]
+    part = "" if count == 1 else f"{number}-of-{count}"
+    with RunFolder.opened(scenario, parent, part) as folder:
+        stored = _read_stored(mine, folder, progress)
+        missing = _without(mine, stored)
+        outcomes: list[Outcome] = []
         if missing:
-            for name in ("manifest.json", "report.html"):  # they describe a complete run
-                remove(folder.path / name)
+            folder.reopen()
             with open_executor(execution, threads, progress) as executor:
-                for outcome in _compute(missing, folder, executor, arch, execution, progress):
-                    records |= {record.case: record for record in outcome.records}
-                    used.update(outcome.used)
-        failed = tuple(record for record in records.values() if not record.is_done)
-        others = folder.read_cases([case for case in cases if case.name not in records])
+                jobs = batch(
+                    missing, folder, arch=running, threads=executor.threads, width=executor.width,
+                    alone=execution.case_limit_s is not None,  # to find the one that hangs
+                )  # fmt: skip
+                outcomes = compute(jobs, executor, progress, fail_fast=execution.fail_fast)
+        computed = {record.case: record for outcome in outcomes for record in outcome.records}
+        records = stored | computed
+        others = folder.read_cases([case for case in whole.cases if case.name not in records])
         records |= {name: record for name, record in others.items() if record.is_current}
-        result = RunResult(
-            folder=folder.path,
-            computed=len(missing),
-            found=found,
-            failed=failed,
-            missing=len(cases) - len(records),
-        )
-        if not result.missing:
-            if not _has_manifest(folder.path):
-                costs = [folder.read_cost(case.name) for case in cases]
-                write_manifest(
-                    folder.path, manifest(used or {Used("grow", backend.current())}, costs)
-                )
-            _write_tables(folder, cases, [records[case.name] for case in cases])
-            if all(record.is_done for record in records.values()):
-                folder.remove_structures()
-    return result
+        if len(records) == len(whole.cases):
+            used = set(chain.from_iterable(outcome.used for outcome in outcomes))
+            costs = folder.read_costs(whole.cases)
+            folder.complete(records, costs, used)
+            write_tables(folder.path, whole, records, costs)
+    return RunResult(
+        folder=folder.path,
+        computed=len(computed),
+        found=len(stored),
+        failed=tuple(record for record in computed.values() if not record.is_done),
+        missing=len(whole.cases) - len(records),
+    )
+
+
+def _read_stored(
+    mine: Sequence[Group], folder: RunFolder, progress: Progress
+) -> dict[str, CaseRecord]:
+    """Read finished cases by name, and report how many are kept and how many are outdated."""
+    cases = [case for group in mine for case in group]
+    stored = [record for record in folder.read_cases(cases).values() if record.is_done]
+    current = {record.case: record for record in stored if record.is_current}
+    if found := len(current):
+        progress.info(f"{found} of {len(cases)} cases are already stored")
+    if outdated := len(stored) - found:
+        were, them = ("was", "it") if outdated == 1 else ("were", "them")
+        many = counted(outdated, "case")
+        progress.info(f"{many} {were} computed by other code; computing {them} again")
+    return current
+
+
+def _without(structures: Sequence[Group], stored: dict[str, CaseRecord]) -> list[Group]:
+    """Leave out cases that are stored, and structures without other cases."""
+    lacking = ([case for case in group if case.name not in stored] for group in structures)
+    return [group for group in lacking if group]
 
 
 def _start_device(
-    scenario: Scenario,
+    whole: Plan,
     arch: AnyArch,
     threads: int | None,
     execution: Execution,
@@ -134,7 +135,7 @@ def _start_device(
 
     On a cluster, only its workers can start it.
     """
-    points = [variant.settings for variant in variants(scenario)]
+    points = {case.variant.label: case.settings for case in whole.cases}.values()
     titles = {registry.title(settings.localization) for settings in points}
     if execution.scheduler is not None:
         if arch == "auto":
@@ -149,32 +150,8 @@ def _start_device(
     return running.arch
 
 
-def _has_manifest(run: Path) -> bool:
-    try:
-        return bool(read_manifest(run).tiswarm)
-    except InputError:
-        return False
-
-
-def _write_tables(folder: RunFolder, cases: Sequence[Case], records: Sequence[CaseRecord]) -> None:
-    settings = [case.settings for case in cases]
-    costs = [folder.read_cost(case.name) for case in cases]
-    written = {
-        "summary": tables.summary(records, settings),
-        "table": tables.table(records, settings),
-        "paired": tables.paired(records, settings),
-        "profiles": tables.profiles(records, folder.cases),
-    }
-    if len({setting.robots for setting in settings}) > 1:
-        written["scaling"] = scaling(cases, records, costs)
-    if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
-        written["suites"] = tables.suites(records, settings, folder.cases)
-    for name, content in written.items():
-        write_frame(content, folder.path / f"{name}.csv")
-
-
-def open_folder(path: Path) -> tuple[RunFolder, list[Case]]:
-    """Open the folder of a run, finished or not; returns it and all cases of its scenario.
+def open_folder(path: Path) -> tuple[RunFolder, Plan]:
+    """Open the folder of a run, finished or not; returns it and the plan of its scenario.
 
     Raises:
         InputError: it is no folder of a run.
@@ -192,80 +169,12 @@ def tabulate(path: Path, progress: Progress) -> None:
     Raises:
         InputError: it is no folder of a run, or no case is intact.
     """
-    folder, cases = open_folder(path)
-    stored = folder.read_cases(cases)
-    kept = [case for case in cases if case.name in stored]
-    if not kept:
+    folder, whole = open_folder(path)
+    stored = folder.read_cases(whole.cases)
+    if not stored:
         problem = "no case of this run is intact; run the scenario again to restore them"
         raise InputError(problem, path=path)
-    if lost := len(cases) - len(kept):
+    if lost := len(whole.cases) - len(stored):
         many = counted(lost, "case")
         progress.info(f"without {many}, missing or damaged; run the scenario again to restore")
-    _write_tables(folder, kept, [stored[case.name] for case in kept])
-
-
-def _compute(
-    missing: Sequence[Case],
-    folder: RunFolder,
-    executor: Executor,
-    arch: Arch,
-    execution: Execution,
-    progress: Progress,
-) -> Iterator[Outcome]:
-    """Compute cases in batches; a batch that fails is split until the failing case is alone."""
-    waiting = deque(batches(missing, _robots_at_once(missing, executor, execution)))
-    running: dict[Future[Outcome], list[Case]] = {}
-    while waiting or running:
-        while waiting and len(running) < executor.width:
-            batch = waiting.popleft()
-            job = Job(folder=folder, cases=batch, arch=arch, threads=executor.threads)
-            running[executor.submit(job)] = batch
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            batch = running.pop(future)
-            outcome = _outcome(future, batch, folder)
-            if outcome is None:
-                waiting.extendleft(reversed(halves(batch)))
-                continue
-            if not all(record.is_current for record in outcome.records):
-                msg = "workers run other code; install the same tiswarm on all machines"
-                raise EnvironmentTroubleError(msg)
-            _report(outcome.records, progress)
-            first = next((record for record in outcome.records if not record.is_done), None)
-            if first is not None and execution.fail_fast:
-                raise CasesFailedError(f"stopped, for a case failed: {first.case}: {first.reason}")
-            yield outcome
-
-
-def _robots_at_once(missing: Sequence[Case], executor: Executor, execution: Execution) -> int:
-    """Choose the size of a batch: large, but enough batches to keep all processes busy."""
-    if execution.case_limit_s is not None:  # one structure each, to find the one that hangs
-        return 1
-    if executor.width == 1:
-        return ROBOTS_AT_ONCE
-    robots = sum(group[0].settings.robots for group in structures(missing))
-    return min(ROBOTS_AT_ONCE, robots // (_BATCHES_EACH * executor.width) + 1)
-
-
-def _outcome(future: "Future[Outcome]", batch: list[Case], folder: RunFolder) -> Outcome | None:
-    """Return the outcome of a batch; None if it is to be split."""
-    error = future.exception()
-    if error is None:
-        return future.result()
-    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, OutOfMemoryError)
-    if concerns_all or not isinstance(error, Exception):
-        raise error
-    if len(batch) > 1:
-        return None
-    record = failure(batch[0], reason(error))
-    folder.store_failure(record)
-    return Outcome(records=[record], used=())
-
-
-def _report(records: Sequence[CaseRecord], progress: Progress) -> None:
-    """Report cases that failed and structures that ended early."""
-    for record in records:
-        if not record.is_done:
-            progress.info(f"case {record.case} failed: {record.reason}")
-    ended = {record.seed: record.reason for record in records if record.is_done and record.reason}
-    for seed, why in ended.items():
-        progress.info(f"seed {seed}: growth ended: {why}")
+    write_tables(path, whole, stored, folder.read_costs(whole.cases))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from types import MappingProxyType
 from typing import Literal, NamedTuple
@@ -10,22 +10,20 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tiswarm.base.memory import naming_shortage
-from tiswarm.base.params import AnyPrecision, Arch
+from tiswarm.base.params import AnyPrecision
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
-from tiswarm.evaluation import tables as scores
-from tiswarm.evaluation.profiles import by_hops_apart
+from tiswarm.evaluation.evaluate import evaluate
 from tiswarm.localization.params import JointParams, LocalizationParams
 from tiswarm.localization.registry import localize_many, start_for, title
-from tiswarm.measurements.cues import Measured
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.positions import Truth
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
 from tiswarm.study.cases import Case
+from tiswarm.study.jobs import Job
 from tiswarm.study.provenance import Costs, Used, case_code
-from tiswarm.study.store import CaseRecord, RunFolder
+from tiswarm.study.store import CaseRecord
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.validity import find_fault
@@ -35,16 +33,6 @@ KEPT_FROM_S = 10.0
 
 SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
 """Size and seed of the structure that warms up the kernels."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """A batch of cases whose structures are of one kind, and where to compute and store them."""
-
-    folder: RunFolder
-    cases: Sequence[Case]
-    arch: Arch
-    threads: int | None  # CPU threads; all if None
 
 
 class Outcome(NamedTuple):
@@ -108,7 +96,7 @@ class _CaseRunner:
                     records.append(self._store(case, histories[case.seed], log, estimate))
                     advance(1)
             for case in cases:
-                self.job.folder.store_cost(case.name, self.costs.of(case.name))
+                self.job.folder.store_cost(case.name, self.costs[case.name])
         return records
 
     @contextmanager
@@ -164,7 +152,7 @@ class _CaseRunner:
             )  # fmt: skip
         self.used.add(Used("grow", backend.processor()))
         for seed, history in zip(seeds, grown, strict=True):
-            share = self.costs.of(first[seed].name)["grow"]
+            share = self.costs[first[seed].name]["grow"]
             if share["wall_s"] * len(missing) > KEPT_FROM_S and history.walks:
                 self.job.folder.keep_structure(first[seed], history, share)
         return histories | dict(zip(seeds, grown, strict=True))
@@ -220,31 +208,18 @@ class _CaseRunner:
         self, case: Case, history: History, log: SensingLog, estimate: Estimate
     ) -> CaseRecord:
         """Evaluate and store one case."""
-        truth = Truth(
-            robot_id=log.robot_id,
-            position=history.position,
-            orientation_wxyz=history.orientation_wxyz,
-        )
-        cues, measured = case.settings.localization.cues, Measured(log)
-        rows = measured.rows(cues)
-        scored = scores.score(truth, log, estimate, history.robot, rows=rows)
-        scored |= scores.outlier_scores(history, estimate, rows=rows) | scores.totals(history)
-        record = _record(case, "done", history.ended, scored)
-        record = replace(record, measurements=", ".join(measured.used(cues)))
+        found = evaluate(history, log, estimate, case.settings.localization.cues)
+        record = _record(case, "done", history.ended, found.scores)
+        record = replace(record, measurements=found.measurements)
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(
             record,
-            truth=truth,
+            truth=found.truth,
             log=log,
             estimate=estimate,
-            tables={
-                "robots": scores.by_robot(truth, log, estimate, history.sensed),
-                "convergence": scores.by_iteration(truth, estimate),
-                "growth": scores.by_join(history),
-                "relative": by_hops_apart(truth, log, estimate),
-            },
-            cost=self.costs.of(case.name),
+            tables=found.tables,
+            cost=self.costs[case.name],
         )
 
 

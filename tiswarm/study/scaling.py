@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from tiswarm.evaluation.metrics import power_law_exponent
-from tiswarm.study.cases import Case, series_text, structures
+from tiswarm.study.cases import Group
 from tiswarm.study.provenance import Cost
 from tiswarm.study.store import CaseRecord
 
@@ -15,28 +16,32 @@ _SCALED = ("rmse_R", "procrustes_disparity")
 
 
 def scaling(
-    cases: Sequence[Case], records: Sequence[CaseRecord], costs: Sequence[Mapping[str, Cost]]
+    structures: Sequence[Group],
+    records: Mapping[str, CaseRecord],
+    costs: Mapping[str, Mapping[str, Cost]],
 ) -> pd.DataFrame:
     """Tabulate accuracy, times and memory of each stage against N, with exponents p of N^p.
 
     `exponent` is fitted to all sizes; `slope` is p between a size and the one before, where
     constant costs matter less. The growth of a structure counts once for any number of its
-    conditions. Memory is that of the whole batch that a structure was computed in. `records` and
-    `costs`, by stage, are those of each case.
+    conditions. Memory is that of the whole batch that a structure was computed in.
+
+    Args:
+        structures: Cases by the structure that they share, small ones first.
+        records: Records of stored cases by name.
+        costs: Costs of these cases by name and stage.
     """
-    record_of = {record.case: record for record in records}
-    cost_of = {case.name: cost for case, cost in zip(cases, costs, strict=True)}
     rows = []
-    for group in structures(cases):
-        done = [case for case in group if record_of[case.name].is_done]
-        grown = _together([cost_of[case.name].get("grow", {}) for case in done])
+    for group in structures:
+        done = [case for case in group if case.name in records and records[case.name].is_done]
+        grown = _together([costs[case.name].get("grow", {}) for case in done])
         for case in done:
-            point = {key: value for key, value in case.variant.point.items() if key != "robots"}
-            measured = {name: record_of[case.name].scores[name] for name in _SCALED}
-            for stage, cost in {**cost_of[case.name], "grow": grown}.items():
+            record = records[case.name]
+            point = {key: value for key, value in record.point.items() if key != "robots"}
+            measured = {name: record.scores[name] for name in _SCALED}
+            for stage, cost in {**costs[case.name], "grow": grown}.items():
                 measured |= {f"{stage.replace(' ', '_')}_{unit}": n for unit, n in cost.items()}
-            series = series_text(point, case.variant.condition)
-            row = {"series": series, "robots": case.settings.robots}
+            row = {"series": replace(record, point=point).series, "robots": case.settings.robots}
             rows += [row | {"measure": name, "mean": value} for name, value in measured.items()]
     table = pd.DataFrame(rows, columns=["series", "measure", "robots", "mean"])
     alike = table.groupby(["series", "measure", "robots"], sort=False, as_index=False)

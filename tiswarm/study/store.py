@@ -5,7 +5,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, field, replace
 from hashlib import sha256
@@ -16,9 +16,10 @@ import pandas as pd
 from pydantic import ConfigDict, TypeAdapter
 from pydantic.dataclasses import dataclass
 
-from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.version import __version__
+from tiswarm.compute import backend
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame
 from tiswarm.records.io import (
@@ -31,13 +32,13 @@ from tiswarm.records.io import (
     write_text,
 )
 from tiswarm.records.positions import Truth, write_estimate, write_positions
-from tiswarm.records.run_folder import check_folders
+from tiswarm.records.run_folder import check_folders, read_manifest, write_manifest
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.trace import write_trace
 from tiswarm.scenario.model import Scenario, dump_scenario, scenario_hash
-from tiswarm.study.cases import Case, series_text, structure_key
-from tiswarm.study.provenance import Cost, case_code, structure_code
+from tiswarm.study.cases import Case
+from tiswarm.study.provenance import Cost, Used, case_code, manifest, structure_code
 from tiswarm.world.history import History, read_history, write_history
 
 _COST = "cost.json"
@@ -69,9 +70,19 @@ class CaseRecord:
     digest: str = ""  # SHA-256 of the record without it
 
     @property
+    def point_cells(self) -> dict[str, str]:
+        """Values of the swept keys as YAML has them, as `{kind: tower}` or `true`, by key."""
+        return {key: json.dumps(value).replace('"', "") for key, value in self.point.items()}
+
+    @property
+    def point_text(self) -> str:
+        """The point in one line, as `robots=300, structure={kind: tower}`."""
+        return ", ".join(f"{key}={value}" for key, value in self.point_cells.items())
+
+    @property
     def series(self) -> str:
         """Point and condition, which cases of other seeds share."""
-        return series_text(self.point, self.condition)
+        return ", ".join(filter(None, [self.point_text, self.condition]))
 
     @property
     def is_done(self) -> bool:
@@ -116,6 +127,14 @@ class RunFolder:
         make_folder(folder.cases)
         write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
         return folder
+
+    @classmethod
+    @contextmanager
+    def opened(cls, scenario: Scenario, parent: Path, shard: str = "") -> "Iterator[RunFolder]":
+        """Make or open the folder of a scenario, and keep other runs out while the block runs."""
+        folder = cls.of(scenario, parent)
+        with folder.locked(shard):
+            yield folder
 
     @contextmanager
     def locked(self, shard: str = "") -> Iterator[None]:
@@ -220,6 +239,10 @@ class RunFolder:
         """Read the cost of a case by stage; empty where it is unknown."""
         return read_json(self.cases / name / _COST, _COSTS_KIND) or {}
 
+    def read_costs(self, cases: Sequence[Case]) -> dict[str, Mapping[str, Cost]]:
+        """Read the costs of cases by name and stage."""
+        return {case.name: self.read_cost(case.name) for case in cases}
+
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
         write_json(self.cases / name / _COST, cost)
@@ -240,12 +263,40 @@ class RunFolder:
         write_json(path.with_suffix(".json"), cost)
         write_history(history, path)
 
-    def remove_structures(self) -> None:
-        """Remove all structures that were kept."""
-        remove(self.path / _STRUCTURES)
+    def reopen(self) -> None:
+        """Remove what describes a complete run, as cases are to be computed."""
+        for name in ("manifest.json", "report.html"):
+            remove(self.path / name)
+
+    def complete(
+        self,
+        records: Mapping[str, CaseRecord],
+        costs: Mapping[str, Mapping[str, Cost]],
+        used: Collection[Used],
+    ) -> None:
+        """Write the manifest of a run whose cases are all stored, unless it has one.
+
+        Kept structures go, unless cases failed: the next run tries these again.
+
+        Args:
+            records: Records of all cases by name.
+            costs: Their costs by name and stage.
+            used: What computed them, as far as this process knows.
+        """
+        if not self._has_manifest():
+            used = used or {Used("grow", backend.current())}
+            write_manifest(self.path, manifest(used, [*costs.values()]))
+        if all(record.is_done for record in records.values()):
+            remove(self.path / _STRUCTURES)
+
+    def _has_manifest(self) -> bool:
+        try:
+            return bool(read_manifest(self.path).tiswarm)
+        except InputError:
+            return False
 
     def _structure_path(self, case: Case) -> Path:
-        key = sha256(repr((structure_key(case), structure_code())).encode()).hexdigest()[:12]
+        key = sha256(repr((case.structure_key, structure_code())).encode()).hexdigest()[:12]
         return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
 
 

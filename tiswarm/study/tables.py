@@ -24,12 +24,14 @@ from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_dif
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
 from tiswarm.localization.params import VirtualForceParams
-from tiswarm.records.frames import read_frame
+from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.suites import SUITES
-from tiswarm.study.cases import point_cells, point_text
+from tiswarm.study.cases import Plan
+from tiswarm.study.provenance import Cost
+from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord
 
 _ACCURACY = (
@@ -48,6 +50,30 @@ _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
 
 
+def write_tables(
+    run: Path,
+    whole: Plan,
+    stored: Mapping[str, CaseRecord],
+    costs: Mapping[str, Mapping[str, Cost]],
+) -> None:
+    """Write all tables of a run folder from the records and costs of its stored cases, by name."""
+    cases = [case for case in whole.cases if case.name in stored]
+    records = [stored[case.name] for case in cases]
+    settings = [case.settings for case in cases]
+    written = {
+        "summary": summary(records, settings),
+        "table": table(records, settings),
+        "paired": paired(records, settings),
+        "profiles": profiles(records, run / "cases"),
+    }
+    if len({setting.robots for setting in settings}) > 1:
+        written["scaling"] = scaling(whole.structures, stored, costs)
+    if {setting.sensing.suite for setting in settings} != {"fireant-v3"}:
+        written["suites"] = suites(records, settings, run / "cases")
+    for name, content in written.items():
+        write_frame(content, run / f"{name}.csv")
+
+
 def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate every case, failed ones included."""
     rows = [
@@ -56,9 +82,9 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "seed": record.seed,
             "series": record.series,
             "condition": record.condition,
-            "point": point_text(record.point),
+            "point": record.point_text,
             "kind": setting.structure.kind,
-            **point_cells(record.point),
+            **record.point_cells,
             "robots": setting.robots,
             "measurements": record.measurements,
             "status": record.status,
@@ -85,13 +111,13 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
-    for of_point in _grouped(records, lambda record: point_text(record.point)):
+    for of_point in _grouped(records, lambda record: record.point_text):
         at_point = []
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
             setting = setting_of[first.case]
             used = {"measurements": _shared(record.measurements for record in group)}
-            row = {"condition": first.condition, **point_cells(first.point), **ours, **used}
+            row = {"condition": first.condition, **first.point_cells, **ours, **used}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
         base = (of_paper or at_point)[0]
@@ -175,7 +201,7 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
     """
     sensed = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
-    for of_point in _grouped(records, lambda record: point_text(record.point)):
+    for of_point in _grouped(records, lambda record: record.point_text):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
             names = {"condition": second[0].condition, "against": first[0].condition}
@@ -183,7 +209,7 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
             senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}
             is_equal = len(used) == len(senses) == 1 and "" not in used
             rows += differences(
-                {**names, **point_cells(first[0].point)},
+                {**names, **first[0].point_cells},
                 accuracy_by_key({record.seed: record for record in first}),
                 accuracy_by_key({record.seed: record for record in second}),
                 equal_measurements=is_equal,
@@ -229,7 +255,7 @@ def profiles(records: Sequence[CaseRecord], cases: Path) -> pd.DataFrame:
         ]
         errors = [error_profile(pd.concat(robots)), relative_profile(pd.concat(relative))]
         parts.append(pd.concat(errors))
-        first = {"condition": of_row[0].condition, **point_cells(of_row[0].point)}
+        first = {"condition": of_row[0].condition, **of_row[0].point_cells}
         names_of += [first] * len(parts[-1])
     if not parts:
         return pd.DataFrame(columns=["condition", "by"])
@@ -255,7 +281,7 @@ def suites(
         ]
         row = {
             "condition": first.condition,
-            **point_cells(first.point),
+            **first.point_cells,
             "suite": suite.name,
             "way": setting.localization.method + ", touch" * touch,
             "needs": suite.needs,

@@ -1,0 +1,96 @@
+"""Forecast of what a run costs, from the sizes in its scenario.
+
+Times are processor time on one core of a server of 2023, measured on structures of 100 to 90,000
+robots.
+"""
+
+from typing import NamedTuple
+
+from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.records.messages import counted
+from tiswarm.scenario.expansion import variants
+from tiswarm.scenario.model import Scenario
+from tiswarm.study.cases import structure_kind
+from tiswarm.study.jobs import ROBOTS_AT_ONCE
+
+_START_S = 4.0  # start of the program and its kernels
+_CLIMB_S = 1e-3  # growth of a robot without mechanics
+_SOLVE_S = {  # solve of the mechanics: at all, for each robot, for each pair of robots
+    "flexible": (5e-5, 5e-6, 1.2e-8),
+    "rigid": (5e-5, 3e-6, 1.6e-9),  # a third of that in towers, three times in heaps
+}
+_VIRTUAL_FORCE_S = 1.3e-6  # iteration of a robot
+_TOGETHER_S = 4e-7  # step of a robot
+_JOINT_S = 8e-7  # step of a robot in one chain
+_LEAST_SQUARES_S = 0.01  # localization of a robot
+_REST_S = 5e-4  # sensing, evaluation and storage of a robot
+_BASE_MB = 270.0  # memory of the program
+_ROBOT_MB = 0.05  # memory of each robot of a batch, most of all in `joint`
+
+
+class Forecast(NamedTuple):
+    """Size of a run, its estimated times on one core [s], and peak memory of a process [MB]."""
+
+    cases: int
+    robots: int
+    grow_s: float
+    localize_s: float
+    rest_s: float
+    memory_mb: float
+
+    def __str__(self) -> str:
+        """Write the estimate in one line."""
+        total = self.grow_s + self.localize_s + self.rest_s
+        return (
+            f"{counted(self.cases, 'case')}, {counted(self.robots, 'robot')} in all; estimate: "
+            f"{_time(total)} of processor time (growth {_time(self.grow_s)}, localization "
+            f"{_time(self.localize_s)}), {self.memory_mb:.0f} MB"
+        )
+
+
+def forecast(scenario: Scenario) -> Forecast:
+    """Estimate the cost of a run, to a factor of about three; machines differ."""
+    seeds, points = len(scenario.seed_list), [point.settings for point in variants(scenario)]
+    robots = seeds * sum(settings.robots for settings in points)
+    largest = max(settings.robots for settings in points)
+    at_once = max(min(robots, ROBOTS_AT_ONCE), largest)
+    grown = {structure_kind(settings): settings for settings in points}
+    return Forecast(
+        cases=seeds * len(points),
+        robots=robots,
+        grow_s=seeds * sum(map(_grow_s, grown.values())),
+        localize_s=seeds * sum(map(_localize_s, points)),
+        rest_s=_START_S + _REST_S * robots,
+        memory_mb=_BASE_MB + _ROBOT_MB * at_once,
+    )
+
+
+def _grow_s(settings: Scenario) -> float:
+    """Estimate the growth of a structure, whose mechanics are solved at every size [s]."""
+    n, structure = settings.robots, settings.structure
+    once, each, squared = _SOLVE_S[structure.mechanics.model]
+    solve = once + each * n / 2.0 + squared * n**2 / 3.0
+    return _CLIMB_S * n + solve * n / structure.solve_every
+
+
+def _localize_s(settings: Scenario) -> float:
+    n, params = settings.robots, settings.localization
+    if isinstance(params, VirtualForceParams):
+        if params.schedule == "together":
+            return _TOGETHER_S * n * params.together.steps
+        steps = float(params.iterations)
+        if rounds := params.back_propagation:
+            after = [*range(rounds.every, n, rounds.every), n]  # so many joins
+            steps += rounds.sweeps * sum(min(joins, rounds.recent or n) for joins in after) / n
+        return _VIRTUAL_FORCE_S * n * steps
+    if isinstance(params, JointParams):
+        return _JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
+    return _LEAST_SQUARES_S * n
+
+
+def _time(seconds: float) -> str:
+    # To two digits, in the largest unit that fits twice.
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{float(f'{seconds / length:.2g}'):g} {unit}"
+    return f"{float(f'{seconds:.2g}'):g} s"
