@@ -17,8 +17,9 @@ from tiswarm.report.curve_figures import (
     draw_scaling,
     profile_painters,
 )
+from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_convergence, draw_errors, draw_figures
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import draw_accuracy
 

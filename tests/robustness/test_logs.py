@@ -32,7 +32,7 @@ from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites import STATIONS
+from tiswarm.sensing.suites.systems import STATIONS
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from tiswarm.base.errors import InputError
-from tiswarm.measurements.advice import IMAGES_APART, advise
+from tiswarm.base.parts import load
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.units import COLUMNS, Slip, slips
 from tiswarm.measurements.verdicts import (
+    IMAGES_APART,
     MOST_SHOWN,
     cautions,
     describe_outliers,
@@ -205,7 +206,7 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> A
     name, unit = log.robot_id.tolist(), log.length_unit
     is_mirrored = estimate.mirrored is not None and estimate.mirrored.any()
     images = estimate.solutions if is_mirrored else ()
-    rows = []
+    advise, rows = load("tiswarm.measurements.advice:advise", "advice"), []
     for rank, found in enumerate(advise(log, cues, estimate.position, images) or [], start=1):
         what = f"{found.kind} of robot {name[found.robot]}"
         if found.kind == "range":

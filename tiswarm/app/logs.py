@@ -18,6 +18,7 @@ from tiswarm.app.results import Figures, File, Overrides, as_path, as_texts, pla
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.base.parts import load
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log
@@ -238,8 +239,7 @@ class Localized(Estimate):
         Returns:
             The folder with the files.
         """
-        from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
-
+        export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
         folder = as_path(out, "out")
         export_view(self._shown(truth), form, folder, ConsoleProgress(quiet=quiet))
         return folder

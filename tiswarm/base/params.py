@@ -30,5 +30,8 @@ AnyPrecision = Literal["auto", Precision]
 ARCHS: tuple[Arch, ...] = get_args(Arch)
 """All compute devices."""
 
+Movie = Literal["gif", "mp4"]
+"""File format of an animation."""
+
 AnyFormat = Literal["csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"]
 """File format of an export."""

@@ -19,6 +19,7 @@ from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import AnyArch
+from tiswarm.base.parts import lacking
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -146,6 +147,11 @@ def _status(arguments: list[str]) -> int:
     except TiswarmError as error:
         fail(error)
         return error.exit_status
+    except ModuleNotFoundError as error:
+        if not (lack := lacking(error, "this command")):
+            raise
+        fail(lack)
+        return lack.exit_status
     except TyperException as error:
         fail(" ".join(error.format_message().split()))
         return InputError.exit_status

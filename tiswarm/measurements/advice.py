@@ -58,9 +58,6 @@ _AT_ONCE = 256
 _DECISIVE = 5.0
 """Difference between two solutions from which on a measurement excludes one of them [sd]."""
 
-IMAGES_APART = "images apart [sd]"
-"""Heading of `Advice.images_apart_sd` in tables."""
-
 Kind = Literal["contact", "height", "position", "range"]
 
 

@@ -1,4 +1,4 @@
-"""Noise of the robots' own senses."""
+"""The robots' own senses, and their noise."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,12 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal, uniform
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
+
+NO_SOURCE = -1
+"""Source of fixes and ranges whose errors have no part in common."""
+
+_PLANE_SD = 0.01
+"""Standard deviation of the plane that a planar robot is in [R]."""
 
 
 def sensed_orientation(history: History, length: Ints, params: SensingParams) -> Reals:
@@ -64,3 +70,11 @@ def spawn_position(history: History, params: SensingParams) -> Reals:
         return np.full_like(true, np.nan)
     robot = np.arange(history.robot_count)[:, None]
     return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
+
+
+def planes(history: History) -> Reals:
+    """Return y = 0 at the final stance of each planar robot, as a fix, shape (F, 8)."""
+    robot = np.arange(history.robot_count if history.is_planar else 0)
+    last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
+    fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, NO_SOURCE], (len(robot), 1))
+    return np.column_stack([robot, last, fix])

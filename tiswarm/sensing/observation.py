@@ -7,16 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.parts import load
 from tiswarm.compute.math import dock_offsets
 from tiswarm.records.sensing_log import SensingLog, Stances
-from tiswarm.sensing.beacons import sense_fixes
-from tiswarm.sensing.connections import sense_connections, sense_directions
-from tiswarm.sensing.noise import sensed_contacts, sensed_orientation, spawn_position
+from tiswarm.sensing.noise import planes, sensed_contacts, sensed_orientation, spawn_position
 from tiswarm.sensing.params import SensingParams
-from tiswarm.sensing.ranging import sense_ranges
-from tiswarm.sensing.sight import find_lookouts
 from tiswarm.world.history import History
 
+SENSES = {
+    "fixes": "tiswarm.sensing.suites.beacons:sense_fixes",
+    "ranges": "tiswarm.sensing.suites.ranging:sense_ranges",
+    "directions": "tiswarm.sensing.suites.connections:sense_directions",
+    "connections": "tiswarm.sensing.suites.connections:sense_connections",
+}
+"""By list of the log, a function of history and settings that returns rows of it."""
+
+_COLUMNS = {"fixes": 8, "ranges": 6, "directions": 8, "connections": 9}
 _Lists = dict[str, NDArray[Any]]
 """Rows of (robot, stance, ...) by the name of their list in the log."""
 
@@ -40,15 +46,12 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = sensed_orientation(history, length, params)
-    lookouts = find_lookouts(history, params)
-    lists: _Lists = {
-        "contacts": sensed_contacts(history, params),
-        "ground_docks": history.table("ground_docks"),
-        "fixes": np.unique(sense_fixes(history, lookouts, params), axis=0),
-        "ranges": np.unique(sense_ranges(history, lookouts, params), axis=0),
-        "directions": sense_directions(history, params),
-        "connections": sense_connections(history, params),
-    }
+    lists: _Lists = {name: np.empty((0, columns)) for name, columns in _COLUMNS.items()}
+    lists["contacts"] = sensed_contacts(history, params)
+    lists["ground_docks"], lists["fixes"] = history.table("ground_docks"), planes(history)
+    for filled in params.added:
+        rows = load(SENSES[filled], f"sensing {filled}")(history, params)
+        lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
     lists |= _touches(lists["contacts"], params)

@@ -1,21 +1,30 @@
 """Settings of what robots sense, and with which noise."""
 
 from dataclasses import fields, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT
+from tiswarm.base.parts import load
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
-from tiswarm.sensing.suites import SUITES, SuiteName
+
+SuiteName = Literal[
+    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
+    "swarmbang",
+]  # fmt: skip
+"""Names of all suites; `fireant-v3` has the defaults."""
+
+SUITES = "tiswarm.sensing.suites.systems:SUITES"
+"""Where the others have their settings."""
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
 _Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # noqa: FBT003
-_Sense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
+_OwnSense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
 _Length = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
@@ -149,12 +158,24 @@ class SensingParams:
         """Put a suite's settings beneath those that are given."""
         given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
         name = given.get("suite") if isinstance(given, dict) else None
-        suite = SUITES.get(name) if isinstance(name, str) else None
-        return {**suite.settings, **given} if suite else data
+        if name not in get_args(SuiteName)[1:]:
+            return data
+        return {**load(SUITES, f"suite {name}")[name].settings, **given}
 
-    def senses(self, name: _Sense) -> bool:
+    def senses(self, name: _OwnSense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
         return self.touch or bool(getattr(self, name))
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Lists of the log that other senses fill."""
+        has = {
+            "fixes": bool(self.beacons) or self.seed_robots > 0,
+            "ranges": self.range_reach is not None,
+            "directions": self.direction_noise_deg is not None,
+            "connections": self.connection_noise_deg is not None,
+        }
+        return tuple(name for name, is_filled in has.items() if is_filled)
 
     @property
     def sources(self) -> dict[str, float]:

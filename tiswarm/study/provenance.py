@@ -25,7 +25,7 @@ from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
-_METHODS = {name: module.__name__ for name, module in registry.METHODS.items()}
+_METHODS = registry.METHODS
 _COMPOSES = "tiswarm.study.runner"
 """Module that composes a case of all that computes it."""
 

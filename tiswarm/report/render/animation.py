@@ -5,12 +5,12 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from PIL import Image
 
 from tiswarm.base.errors import EnvironmentTroubleError
+from tiswarm.base.params import Movie
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
@@ -19,8 +19,6 @@ from tiswarm.report.render.raycast import draw_scenes
 from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData
 from tiswarm.report.swarm_view import read_case_view
-
-Movie = Literal["gif", "mp4"]
 
 LAST_MS = 2_500
 """Duration of the last frame, which shows the whole structure [ms]."""

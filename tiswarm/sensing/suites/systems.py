@@ -7,13 +7,9 @@ gives millimeters, 33 mm are 1 R. `docs/suites.md` has the source of each number
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-SuiteName = Literal[
-    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
-    "swarmbang",
-]  # fmt: skip
-"""Names of all suites."""
+from tiswarm.sensing.params import SuiteName
 
 Point = tuple[float, float, float]
 
