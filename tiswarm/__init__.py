@@ -11,6 +11,7 @@
     view(log, estimate)              show an estimate on a page
     score(truth, estimate)           errors of an estimate
     check(path)                      mistakes in a scenario or log
+    method(name)                     make a function of yours a localization method
     Localizer(header)                Algorithm 1 of the paper, one robot at a time
     relax(...)                       the step that moves a whole swarm
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from tiswarm.base.errors import EnvironmentTroubleError, InputError
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
+    from tiswarm.localization.plugins import method
     from tiswarm.localization.virtual_force import Localizer
 
 __all__ = [
@@ -58,6 +60,7 @@ __all__ = [
     "export",
     "import_poses",
     "localize",
+    "method",
     "open_run",
     "read_log",
     "relax",
@@ -74,6 +77,7 @@ _HOME = {
     "RelaxResult": "tiswarm.engine.relax",
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",
+    "method": "tiswarm.localization.plugins",
     "open_run": "tiswarm.app.results",
     "relax": "tiswarm.engine.relax",
 }

@@ -25,7 +25,9 @@ METHODS = {
     "least-squares": "tiswarm.localization.least_squares",
     "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
 }
-"""Modules with the functions `batch_key` and `localize_batch`, imported when they are used.
+OWN = "tiswarm.localization.plugins"
+"""Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`
+has those of the methods of plug-ins.
 
 `localize_batch` takes one log a structure, settings for each, and a function that it calls with the
 share of its work that is done [1]; it returns an estimate for each.
@@ -39,7 +41,7 @@ f64."""
 
 def module_of(method: str) -> Any:  # noqa: ANN401 - a module
     """Import the module of a method."""
-    return load(METHODS[method], f"method {method}")
+    return load(METHODS.get(method, OWN), f"method {method}")
 
 
 def title(params: LocalizationParams) -> str:
