@@ -13,7 +13,6 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyFormat
 from tiswarm.base.parts import load
 from tiswarm.records.messages import counted, did_you_mean
 
@@ -148,7 +147,7 @@ class Run:
 
     def export(
         self,
-        form: AnyFormat = "gltf",
+        form: str = "gltf",
         *,
         out: File | None = None,
         case: str | None = None,

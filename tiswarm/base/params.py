@@ -32,6 +32,3 @@ ARCHS: tuple[Arch, ...] = get_args(Arch)
 
 Movie = Literal["gif", "mp4"]
 """File format of an animation."""
-
-AnyFormat = Literal["csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"]
-"""File format of an export."""

@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from importlib import import_module, metadata
+from importlib import metadata
+from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
@@ -129,6 +130,13 @@ def load_plugins(files: Sequence[str | PathLike[str]] = ()) -> None:
         _load_file(Path(file))
 
 
+def forget() -> None:
+    """Forget all that is registered, and what was loaded from files."""
+    _known.clear()
+    _loaded.clear()
+    _refresh()
+
+
 def guarded(plugin: Plugin, name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - theirs
     """Call code of a plug-in; an exception in it becomes a line that says where it was raised.
 
@@ -169,8 +177,7 @@ def _load_file(given: Path) -> None:
 def _load_installed() -> None:
     for entry in metadata.entry_points(group=GROUP):
         try:
-            spec_of = import_module(entry.module.partition(".")[0])
-            plugin = _installed(spec_of, entry.name)
+            plugin = _installed(entry)
             with _placed(plugin, plugin.file):
                 entry.load()
         except (ImportError, AttributeError, InputError) as error:
@@ -178,12 +185,15 @@ def _load_installed() -> None:
             raise EnvironmentTroubleError(problem) from error
 
 
-def _installed(module: ModuleType, entry: str) -> Plugin:
-    """Describe an installed plug-in by the source of its package."""
-    first = Path(module.__file__ or module.__name__)
-    files = sorted(first.parent.rglob("*.py")) if hasattr(module, "__path__") else [first]
-    source = b"".join(path.read_bytes() for path in files if path.is_file())
-    return Plugin(file=first, digest=_digest(source), entry=entry)
+def _installed(entry: metadata.EntryPoint) -> Plugin:
+    """Describe an installed plug-in by the source of its package, before it is imported."""
+    spec = find_spec(entry.module.partition(".")[0])
+    if spec is None or spec.origin is None:
+        raise ImportError(f"there is no module {entry.module}")
+    file = Path(spec.origin)
+    files = sorted(file.parent.rglob("*.py")) if spec.submodule_search_locations else [file]
+    source = b"".join(path.read_bytes() for path in files)
+    return Plugin(file=file, digest=_digest(source), entry=entry.name)
 
 
 @contextmanager
@@ -195,9 +205,7 @@ def _placed(plugin: Plugin, shown: Path) -> Iterator[None]:
     _loading.append(plugin)
     try:
         yield
-        if not any(found.plugin == plugin for found in _known.values()):
-            problem = 'registers nothing; decorate a function with @tiswarm.method("name")'
-            raise InputError(problem, path=shown)
+        _require_some(plugin)
     except BaseException as error:
         _known.clear()
         _known.update(before)
@@ -207,6 +215,11 @@ def _placed(plugin: Plugin, shown: Path) -> Iterator[None]:
     finally:
         _loading.pop()
     _refresh()
+
+
+def _require_some(plugin: Plugin) -> None:
+    if not any(found.plugin == plugin for found in _known.values()):
+        raise InputError('registers nothing; decorate a function with @tiswarm.method("name")')
 
 
 def _mistake(error: Exception, plugin: Plugin, shown: Path) -> InputError:
@@ -231,8 +244,8 @@ def _line_in(file: Path, error: BaseException) -> int | None:
 def _defined_by(function: Callable[..., object]) -> Plugin:
     """Describe the source of a function that was defined in this session."""
     file = Path(inspect.getfile(function))
-    with_file = file.read_bytes() if file.is_file() else repr(function.__code__.co_code).encode()  # type: ignore[attr-defined]
-    return Plugin(file=file, digest=_digest(with_file), can_load=False)
+    source = file.read_bytes() if file.is_file() else inspect.getsource(function).encode()
+    return Plugin(file=file, digest=_digest(source), can_load=False)
 
 
 def _digest(source: bytes) -> str:

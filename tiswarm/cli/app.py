@@ -6,7 +6,7 @@ import signal
 import sys
 import warnings
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +20,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarni
 from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import AnyArch
 from tiswarm.base.parts import lacking
+from tiswarm.base.plugins import PluginError
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -50,6 +51,11 @@ Threads = Annotated[
     int | None, Option(help="CPU threads (default: all cores).", show_default=False)
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
+Plugins = Annotated[
+    list[Path],
+    Option("--plugin", metavar="FILE", help="Load your own methods from a file (repeatable)."),
+]
+Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
@@ -110,6 +116,23 @@ def chosen_movie(movie: Literal["gif", "mp4"] | None, *, animate: bool) -> Any: 
     if movie and not animate:
         raise InputError(f"there is no animation to write as {movie}; add --animate", key="--movie")
     return movie or "gif" if animate else None
+
+
+@contextlib.contextmanager
+def showing_traceback(*, debug: bool) -> Iterator[None]:
+    """Print the traceback of a plug-in that fails within the block, if a user debugs it."""
+    try:
+        yield
+    except PluginError as error:
+        if debug:
+            typer.echo(error.details, nl=False, err=True)
+        raise
+
+
+def show_tracebacks(run: Path, *, debug: bool) -> None:
+    """Print the tracebacks of cases that failed in a plug-in, if a user debugs it."""
+    for file in sorted(run.glob("cases/*/traceback.txt")) if debug else ():
+        typer.echo(file.read_text(), nl=False, err=True)
 
 
 def refuse(given: Mapping[str, object], reason: str) -> None:

@@ -4,13 +4,27 @@ Solids and particles have float32 numbers, relative to the place of the anchor: 
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-from tiswarm.base.params import AnyFormat
+from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
+from tiswarm.base.plugins import guarded, register, registered
 from tiswarm.base.progress import Progress
 from tiswarm.records.io import make_folder, write_bytes
+from tiswarm.records.messages import did_you_mean
 from tiswarm.report.swarm_view import SwarmView
+
+_KIND = "format"
+
+
+class OwnFormat(NamedTuple):
+    """A format that a plug-in registered."""
+
+    file: str
+    encode: Callable[[SwarmView], bytes]
+
 
 FORMATS: dict[str, str] = {
     "csv": "tiswarm.interop.pose_tables:encode_csv",
@@ -24,15 +38,51 @@ FORMATS: dict[str, str] = {
 }
 """By name of a format, a function of a view that returns bytes by name of file."""
 
+_Encode = TypeVar("_Encode", bound=Callable[[SwarmView], bytes])
 
-def export_view(view: SwarmView, form: AnyFormat, out: Path, progress: Progress) -> None:
+
+def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
+    """Register a function as a format to export to.
+
+    The function takes a `tiswarm.report.swarm_view.SwarmView`, which has poses, errors and the log,
+    and returns the bytes of the file `case` with a suffix.
+
+    Args:
+        name: Name of the format.
+        suffix: End of the file's name, such as ".xyz".
+
+    Raises:
+        InputError: the name is taken.
+    """
+    if name in FORMATS:
+        raise InputError(f"format {name} is taken by tiswarm itself; choose another name")
+
+    def add(encode: _Encode) -> _Encode:
+        register(_KIND, name, OwnFormat(f"case{suffix}", encode), encode)
+        return encode
+
+    return add
+
+
+def export_view(view: SwarmView, form: str, out: Path, progress: Progress) -> None:
     """Write the structure, if the truth is known, the estimate and the contacts.
 
     Raises:
-        InputError: the log of the view is damaged.
+        InputError: there is no such format, or the log of the view is damaged.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
+        PluginError: a format of a plug-in failed.
     """
-    files = load(FORMATS[form], f"format {form}")(view)
+    own = registered(_KIND)
+    if form in FORMATS:
+        files = load(FORMATS[form], f"format {form}")(view)
+    elif form in own:
+        file, encode = own[form].value
+        files = {file: guarded(own[form].plugin, form, lambda: bytes(encode(view)))}
+    else:
+        names = (*FORMATS, *own)
+        problem = did_you_mean(form, names) or f"; use {', '.join(names)}"
+        problem = f"there is no format {form}{problem}"
+        raise InputError(problem, argument="form")
     make_folder(out)
     for file, data in files.items():
         write_bytes(out / file, data)

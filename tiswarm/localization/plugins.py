@@ -13,6 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, make_dataclass
+from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeVar, Union, get_type_hints
 
 import numpy as np
@@ -215,32 +216,33 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
         if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
             problem = f"settings of {name}: {settings!r} is no frozen dataclass"
             raise InputError(f"{problem}; decorate it with @dataclass(frozen=True)")
-        types, texts = get_type_hints(settings, include_extras=True), _texts(settings)
+        kinds, texts = get_type_hints(settings, include_extras=True), _texts(settings)
         for each in fields(settings):
             if each.name in _TAKEN:
                 problem = f"settings of {name}: {each.name} has a meaning already; rename it"
                 raise InputError(problem)
-            kind = Annotated[types[each.name], pydantic.Field(description=texts.get(each.name))]
+            kind: Any = Annotated[
+                kinds[each.name], pydantic.Field(description=texts.get(each.name))
+            ]
             described.append((each.name, kind, _default(each)))
 
     def check(self: OwnParams) -> None:
         self.settings  # noqa: B018 - raises what the plug-in's own check finds
 
-    title = "".join(word.capitalize() for word in name.split("-")) + "Params"
+    title = f"Own{''.join(word.capitalize() for word in name.split('-'))}Params"  # in the schema
     text = (settings and settings.__doc__) or f"Settings of {name}."
     made = make_dataclass(
         title, described, bases=(OwnParams,), frozen=True, kw_only=True,
         namespace={"__doc__": text, "__post_init__": check, "__module__": __name__},
     )  # fmt: skip
-    config = ConfigDict(**{**STRICT, "use_attribute_docstrings": False})  # type: ignore[typeddict-item]
+    config = ConfigDict(**{**STRICT, "use_attribute_docstrings": False})
     try:
-        checked: type[OwnParams] = checked_dataclass(
-            made, frozen=True, kw_only=True, config=config
-        )
+        checked: Any = checked_dataclass(made, frozen=True, kw_only=True, config=config)
     except pydantic.errors.PydanticSchemaGenerationError as error:
         problem = f"settings of {name}: {str(error).splitlines()[0]}; use types like float or str"
         raise InputError(problem) from error
-    return checked
+    section: type[OwnParams] = checked
+    return section
 
 
 def _default(each: "Field[Any]") -> Any:  # noqa: ANN401 - a default
@@ -259,7 +261,7 @@ def _texts(settings: type[Any]) -> dict[str, str]:
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
     return {
         named.target.id: inspect.cleandoc(str(text.value.value))
-        for named, text in zip(body, body[1:], strict=False)
+        for named, text in pairwise(body)
         if isinstance(named, ast.AnnAssign) and isinstance(named.target, ast.Name)
         and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
     }  # fmt: skip

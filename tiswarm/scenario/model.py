@@ -26,13 +26,7 @@ from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
-from tiswarm.scenario.validation import (
-    CONDITION_SECTIONS,
-    Mistake,
-    Plain,
-    take_methods,
-    validate,
-)
+from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, take_methods, validate
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams

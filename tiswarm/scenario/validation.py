@@ -224,6 +224,8 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
         return Mistake(path, problem)
     problem = explain(error, _allowed(error["loc"], adapter))
+    if path == _METHOD:
+        problem += ", or one of a plug-in that you load (--plugin FILE)"
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
 

@@ -1,11 +1,13 @@
 """The robots' own senses, and their noise."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.compute.math import normal, uniform
+from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
 
@@ -78,3 +80,34 @@ def planes(history: History) -> Reals:
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, NO_SOURCE], (len(robot), 1))
     return np.column_stack([robot, last, fix])
+
+
+def flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
+    """Return the height of each robot's center that its own flips imply, shape (N,).
+
+    A robot starts on the ground, with its center above the docks that stand there. A flip about the
+    dock at b moves its center by (R - R') b, where R and R' are the orientations sensed before and
+    after. NaN for a robot that starts without a dock on the ground.
+    """
+    dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]
+    height = np.full(len(end), history.ground_z + history.robot.dock_radius)
+    for j, walk in enumerate(history.walks):
+        rows = dock_height[end[j] - walk.stance_count : end[j]]
+        standing = walk.ground_docks[walk.ground_docks[:, 0] == 0, 1]
+        height[j] -= rows[0, standing].mean() if len(standing) else np.nan
+        step = np.arange(walk.stance_count - 1)
+        height[j] += np.sum(rows[step, walk.pivot_dock] - rows[step + 1, walk.pivot_dock])
+    return height
+
+
+def split_touches(contacts: NDArray[np.int32], params: SensingParams) -> dict[str, NDArray[Any]]:
+    """Split contacts into those with docks and touches, whose docks robots do not all know."""
+    touches = contacts.copy()
+    touches[:, 4] = -1
+    if params.contact_docks == "none":
+        touches[:, 2] = -1
+    has_docks = params.contact_docks == "both"
+    return {
+        "contacts": contacts if has_docks else contacts[:0],
+        "touches": touches[:0] if has_docks else np.unique(touches, axis=0),
+    }

@@ -4,21 +4,17 @@ from dataclasses import fields, replace
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, Strict, model_validator
-from pydantic.dataclasses import dataclass
+from pydantic.dataclasses import dataclass, rebuild_dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT
 from tiswarm.base.parts import load
+from tiswarm.base.plugins import Plugin, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
+from tiswarm.sensing.plugins import SuiteName
 
-SuiteName = Literal[
-    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
-    "swarmbang",
-]  # fmt: skip
-"""Names of all suites; `fireant-v3` has the defaults."""
-
-SUITES = "tiswarm.sensing.suites.systems:SUITES"
-"""Where the others have their settings."""
+SUITE_OF = "tiswarm.sensing.suites.systems:suite_of"
+"""Function that returns a suite by its name."""
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
@@ -158,9 +154,19 @@ class SensingParams:
         """Put a suite's settings beneath those that are given."""
         given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
         name = given.get("suite") if isinstance(given, dict) else None
+        if own := registered("sensor").get(str(name)):
+            return {**own.value.settings, **given}
         if name not in get_args(SuiteName)[1:]:
             return data
-        return {**load(SUITES, f"suite {name}")[name].settings, **given}
+        return {**load(SUITE_OF, f"suite {name}")(name).settings, **given}
+
+    def __reduce_ex__(self, protocol: Any) -> Any:  # noqa: ANN401 - of any version
+        """Send the plug-in of a suite ahead, so that a worker loads it first."""
+        own = registered("sensor").get(self.suite)
+        if own is None:
+            return super().__reduce_ex__(protocol)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return _received, (own.plugin, values)
 
     def senses(self, name: _OwnSense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
@@ -197,3 +203,17 @@ class SensingParams:
         if self.senses("compass"):
             return noise
         return replace(noise, tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=None)
+
+
+def _received(plugin: Plugin, values: dict[str, Any]) -> SensingParams:  # noqa: ARG001
+    """Make settings on a worker, where the plug-in has been loaded."""
+    return SensingParams(**values)
+
+
+@watch
+def _take_suites() -> None:
+    """Let settings name the suites of plug-ins, too."""
+    names = (*get_args(SuiteName), *registered("sensor"))
+    section: Any = SensingParams
+    section.__dataclass_fields__["suite"].type = Literal[names]
+    rebuild_dataclass(section, force=True)

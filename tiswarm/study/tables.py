@@ -29,7 +29,7 @@ from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.params import SUITES
+from tiswarm.sensing.params import SUITE_OF
 from tiswarm.study.cases import Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
@@ -252,10 +252,10 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    prices, rows = load(SUITES, "suites.csv"), []
+    suite_of, rows = load(SUITE_OF, "suites.csv"), []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
-        suite, touch = prices[setting.sensing.suite], setting.sensing.touch
+        suite, touch = suite_of(setting.sensing.suite), setting.sensing.touch
         done = [
             {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
         ]

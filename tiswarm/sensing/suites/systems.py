@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from tiswarm.sensing.params import SuiteName
+from tiswarm.base.plugins import registered
+from tiswarm.sensing.plugins import KIND
 
 Point = tuple[float, float, float]
 
@@ -34,7 +35,7 @@ _NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stance
 class Suite:
     """Sensors of one system and their price."""
 
-    name: SuiteName
+    name: str
     senses: str
     """What robots sense."""
 
@@ -141,3 +142,13 @@ _SUITES = (
 
 SUITES: dict[str, Suite] = {suite.name: suite for suite in _SUITES}
 """Every suite by its name."""
+
+
+def suite_of(name: str) -> Suite:
+    """Return a suite by its name; that of a plug-in has no source of its price."""
+    if found := SUITES.get(name):
+        return found
+    own = registered(KIND)[name].value
+    return Suite(
+        name=name, senses=own.fills, settings=own.settings, robot_usd=own.robot_usd, needs="unknown"
+    )
