@@ -24,7 +24,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse, robot_errors
 from tiswarm.localization.params import JointParams
-from tiswarm.localization.registry import METHODS
+from tiswarm.localization.registry import module_of
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.study.provenance import machine, peak_memory_mb
@@ -124,7 +124,7 @@ def sensed(name: str, robots: int) -> tuple[SensingLog, Reals]:
 def localized(log: SensingLog) -> Reals:
     """Localize a log by one chain of `joint`, shape (N, 3) [R]."""
     params = JointParams(chains=1, walk_contacts=False, odometry=False)
-    [estimate] = METHODS["joint"].localize_batch([log], [params])
+    [estimate] = module_of("joint").localize_batch([log], [params])
     return estimate.position
 
 

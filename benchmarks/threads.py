@@ -30,7 +30,7 @@ from tiswarm.localization.params import (
     Together,
     VirtualForceParams,
 )
-from tiswarm.localization.registry import METHODS
+from tiswarm.localization.registry import module_of
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figure_style import PAGE_WIDTH, STYLE, marker_style, new_figure, png
 from tiswarm.sensing import SensingParams, observe
@@ -92,7 +92,7 @@ def _logs(robots: int, count: int) -> list[SensingLog]:
 def _localize_many(params: LocalizationParams) -> Callable[[int], Task]:
     def prepared(structures: int) -> Task:
         logs = [_logs(SMALL, KEPT_LOGS)[n % KEPT_LOGS] for n in range(structures)]
-        return lambda: METHODS[params.method].localize_batch(logs, [params] * structures)
+        return lambda: module_of(params.method).localize_batch(logs, [params] * structures)
 
     return prepared
 
@@ -100,7 +100,7 @@ def _localize_many(params: LocalizationParams) -> Callable[[int], Task]:
 def _localize_one(params: LocalizationParams) -> Callable[[int], Task]:
     def prepared(robots: int) -> Task:
         log = _logs(robots, 1)
-        return lambda: METHODS[params.method].localize_batch(log, [params])
+        return lambda: module_of(params.method).localize_batch(log, [params])
 
     return prepared
 

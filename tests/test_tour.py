@@ -8,19 +8,19 @@ from tests.runs import REPOSITORY
 TOUR = (REPOSITORY / "docs" / "tour.md").read_text()
 
 
-def _stops():
+def stops() -> list[str]:
     """Files of the numbered list, in reading order."""
     return re.findall(r"^\d+\. `([^`]+)`", TOUR, flags=re.MULTILINE)
 
 
 def test_a_stranger_reads_the_tour_in_an_hour():
     """At most 14 files and 3,000 lines, each file once."""
-    stops = _stops()
+    files = stops()
 
-    lines = sum(len((REPOSITORY / stop).read_text().splitlines()) for stop in stops)
+    lines = sum(len((REPOSITORY / file).read_text().splitlines()) for file in files)
 
-    assert 10 <= len(stops) <= 14
-    assert len(set(stops)) == len(stops)
+    assert 10 <= len(files) <= 14
+    assert len(set(files)) == len(files)
     assert lines <= 3000
 
 
@@ -37,7 +37,7 @@ def test_files_and_names_of_the_tour_exist():
 
 def test_functions_that_the_tour_names_are_in_its_files():
     """A stop that lost them would mislead its reader."""
-    source = "".join((REPOSITORY / stop).read_text() for stop in _stops())
+    source = "".join((REPOSITORY / stop).read_text() for stop in stops())
     for name in ("_CaseRunner", "observe", "localize_many", "observability"):
         assert f"`{name}" in TOUR
         assert re.search(rf"\b{name}\b", source), name

@@ -11,6 +11,9 @@
     view(log, estimate)              show an estimate on a page
     score(truth, estimate)           errors of an estimate
     check(path)                      mistakes in a scenario or log
+    method(name)                     make a function of yours a localization method
+    sensor(name, fills=...)          make a function of yours a sensor suite
+    export_format(name, suffix)      make a function of yours a format to export to
     Localizer(header)                Algorithm 1 of the paper, one robot at a time
     relax(...)                       the step that moves a whole swarm
 
@@ -42,7 +45,10 @@ if TYPE_CHECKING:
     from tiswarm.base.errors import EnvironmentTroubleError, InputError
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
+    from tiswarm.interop.exports import export_format
+    from tiswarm.localization.plugins import method
     from tiswarm.localization.virtual_force import Localizer
+    from tiswarm.sensing.plugins import sensor
 
 __all__ = [
     "EnvironmentTroubleError",
@@ -56,14 +62,17 @@ __all__ = [
     "check",
     "compare",
     "export",
+    "export_format",
     "import_poses",
     "localize",
+    "method",
     "open_run",
     "read_log",
     "relax",
     "render",
     "run",
     "score",
+    "sensor",
     "view",
 ]
 
@@ -74,8 +83,11 @@ _HOME = {
     "RelaxResult": "tiswarm.engine.relax",
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",
+    "export_format": "tiswarm.interop.exports",
+    "method": "tiswarm.localization.plugins",
     "open_run": "tiswarm.app.results",
     "relax": "tiswarm.engine.relax",
+    "sensor": "tiswarm.sensing.plugins",
 }
 """Module of each name that is not in `tiswarm.api`."""
 

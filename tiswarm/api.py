@@ -35,14 +35,15 @@ from tiswarm.app.results import (
     open_run,
 )
 from tiswarm.base.errors import InputError, warn
-from tiswarm.base.params import AnyArch, AnyFormat, AnyMovie, AnyPrecision
-from tiswarm.measurements.advice import Kind
+from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
+from tiswarm.base.plugins import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     from tiswarm.evaluation.tables import Scores
     from tiswarm.interop.imports import Imported
+    from tiswarm.measurements.advice import Kind
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
 
@@ -96,6 +97,7 @@ def localize(
     arch: AnyArch = "cpu",
     threads: int | None = None,
     precision: AnyPrecision = "auto",
+    plugins: Sequence[File] = (),
     quiet: bool = True,
     **settings: object,
 ) -> Localized:
@@ -112,6 +114,7 @@ def localize(
         threads: CPU threads; all that this process may use if None.
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
+        plugins: Python files that register methods, see `tiswarm.method`.
         quiet: Whether to hide progress.
         settings: Settings of the method by name, nested ones as dictionaries.
 
@@ -123,6 +126,7 @@ def localize(
         InputError: the log, method, a cue or a setting is invalid, or there is no such solution.
         EnvironmentTroubleError: the machine lacks the device.
     """
+    load_plugins(plugins)
     method_params(method, cues, overrides, settings)  # before a log is read, which may take long
     return open_log(log).localize(
         method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
@@ -138,6 +142,7 @@ def run(
     arch: AnyArch = "cpu",
     threads: int | None = None,
     workers: int | None = None,
+    plugins: Sequence[File] = (),
     pictures: bool = True,
     pdf: bool = False,
     movie: AnyMovie | None = None,
@@ -155,6 +160,7 @@ def run(
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
+        plugins: Python files that register methods and sensors, see `tiswarm.method`.
         pictures: Whether to draw figures, renders and report.html.
         pdf: Whether to draw figures as vector PDF, too.
         movie: File format of an animation of the growth; none if None.
@@ -169,6 +175,7 @@ def run(
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.app.drawing import draw_all  # noqa: PLC0415 - slow to import
 
+    load_plugins(plugins)
     for name in execution:
         choose(name, [field.name for field in fields(study.Execution)], "execution")
     where, progress = study.Execution(workers=workers, **execution), ConsoleProgress(quiet=quiet)
@@ -183,35 +190,47 @@ def run(
     return Run(result.folder, failed=result.what_failed, missing=result.missing)
 
 
-def forecast(scenario: File, overrides: Overrides | None = None) -> "Forecast":
+def forecast(
+    scenario: File, overrides: Overrides | None = None, *, plugins: Sequence[File] = ()
+) -> "Forecast":
     """Estimate time and memory of the run of a scenario, and compute nothing."""
     from tiswarm import study  # noqa: PLC0415 - slow to import
 
+    load_plugins(plugins)
     return study.forecast(_load(scenario, overrides))
 
 
-def report(run: Run | File, *, pdf: bool = False, quiet: bool = False) -> Run:
+def report(
+    run: Run | File, *, plugins: Sequence[File] = (), pdf: bool = False, quiet: bool = False
+) -> Run:
     """Write tables, figures and page of a run again, from its stored cases.
 
     Args:
         run: Run, or its folder.
+        plugins: Python files that register the methods of the run.
         pdf: Whether to draw figures as vector PDF, too.
         quiet: Whether to hide progress.
 
     Raises:
         InputError: it is not the folder of a run, or no case is intact.
     """
+    load_plugins(plugins)
     found = run if isinstance(run, Run) else Run(as_path(run, "run"))
     found.redraw(pdf=pdf, quiet=quiet)
     return found
 
 
-def check(path: File) -> Inspection:
+def check(path: File, *, plugins: Sequence[File] = ()) -> Inspection:
     """Check a scenario (.yaml) or a sensing log (.jsonl).
+
+    Args:
+        path: File.
+        plugins: Python files that register methods and sensors, see `tiswarm.method`.
 
     Returns:
         Its mistakes, as errors, and if there are none a summary.
     """
+    load_plugins(plugins)
     return inspect(as_path(path, "path"))
 
 
@@ -309,7 +328,7 @@ def advise(
     estimate: Estimate | File | None = None,
     *,
     budget: int | None = None,
-    kinds: Sequence[Kind] = (),
+    kinds: "Sequence[Kind]" = (),
     quiet: bool = True,
 ) -> AdviceTable:
     """List which further contact, height or known position would constrain most robots.
@@ -398,12 +417,13 @@ def render(
 
 def export(
     source: Source,
-    form: AnyFormat = "gltf",
+    form: str = "gltf",
     estimate: Estimate | File | None = None,
     truth: Truth = None,
     *,
     out: File | None = None,
     case: str | None = None,
+    plugins: Sequence[File] = (),
     quiet: bool = False,
 ) -> Path:
     """Export structure, contacts and estimate of a case, or of a log, for other programs.
@@ -415,11 +435,13 @@ def export(
         truth: True positions of a log, or their table, if there are any.
         out: Folder to write to; `export`, in the run's folder if there is one, if None.
         case: Case of a run; the largest if None.
+        plugins: Python files that register formats, see `tiswarm.export_format`.
         quiet: Whether to hide progress.
 
     Returns:
         The folder with the files.
     """
+    load_plugins(plugins)
     of_log = {"estimate": estimate, "truth": truth}
     shown = open_source(source, of_log=of_log, of_run={"case": case})
     if isinstance(shown, Run):

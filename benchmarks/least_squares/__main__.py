@@ -24,7 +24,7 @@ import tiswarm
 from benchmarks.least_squares.factor_graph import Array, Minimum, levenberg_marquardt
 from tiswarm.compute import backend
 from tiswarm.evaluation.metrics import rmse
-from tiswarm.localization.hop_by_hop import place
+from tiswarm.localization.hop_by_hop.method import place
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.localization.refinement import Cost

@@ -12,6 +12,7 @@ from tiswarm.app import drawing
 from tiswarm.app.drawing import draw_all
 from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import read_manifest
+from tiswarm.report.render import pictures
 from tiswarm.report.render.pictures import Rendered
 from tiswarm.report.run_data import load_run
 from tiswarm.study.run import RunResult
@@ -80,7 +81,7 @@ def test_the_same_command_restores_all_drawings(small_run, result, monkeypatch):
             shutil.copy(small_run / "renders" / path.name, path)
         return [Rendered(path=path, renderer="open3d", reason="") for path in paths]
 
-    monkeypatch.setattr(drawing, "render_run", render)
+    monkeypatch.setattr(pictures, "render_run", render)
     (result.folder / "figures" / "accuracy.png").unlink()
     (result.folder / "renders" / "error.png").write_bytes(b"\x89PNG")
     (result.folder / "report.html").write_text("<html>")
@@ -98,7 +99,7 @@ def test_figures_never_meet_a_half_imported_library(result, monkeypatch):
     """Open3d imports IPython, where there is one; matplotlib fails on it while that goes on."""
     order = []
     monkeypatch.setattr(drawing, "importlib", SimpleNamespace(import_module=order.append))
-    monkeypatch.setattr(drawing, "render_run", lambda *_, **__: order.append("renders") or [])
+    monkeypatch.setattr(pictures, "render_run", lambda *_, **__: order.append("renders") or [])
     monkeypatch.setattr(drawing, "draw_figures", lambda *_, **__: [])
 
     drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True)

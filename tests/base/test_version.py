@@ -8,7 +8,7 @@ import pytest
 from tiswarm.base import version
 from tiswarm.localization import registry
 from tiswarm.study import provenance
-from tiswarm.study.provenance import all_code, case_code, structure_code
+from tiswarm.study.provenance import all_code, case_code, module_code, structure_code
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(registry.METHODS)
@@ -28,7 +28,8 @@ def copy(tmp_path, monkeypatch) -> Path:
 
 def digests():
     """Digest of the cases of each method, of structures and of all code, by name."""
-    found = {name: case_code.__wrapped__(name) for name in METHODS}
+    module_code.cache_clear()
+    found = {name: case_code(name) for name in METHODS}
     return found | {"structures": structure_code.__wrapped__(), "all": all_code.__wrapped__()}
 
 
@@ -47,7 +48,9 @@ def _edit(path):
         ("scenario/validation.py", {*METHODS, "all"}),
         ("localization/registry.py", {*METHODS, "all"}),
         ("localization/joint/chains.py", {"joint", "least-squares", "all"}),
-        ("localization/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
+        ("localization/hop_by_hop/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
+        ("localization/together.py", {"virtual-force", "all"}),
+        ("sensing/suites/beacons.py", {*METHODS, "all"}),
         ("localization/least_squares.py", {"least-squares", "all"}),
         ("report/page.py", set()),
         ("study/executors.py", set()),
@@ -66,12 +69,12 @@ def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, name, change
 
 def test_any_byte_of_computing_code_moves_the_digest(copy):
     """A changed letter, a renamed file and a removed file change the digest."""
-    found = {case_code.__wrapped__("joint")}
+    found = {digests()["joint"]}
     path = copy / "evaluation" / "metrics.py"
     _edit(path)
-    found.add(case_code.__wrapped__("joint"))
+    found.add(digests()["joint"])
     path.rename(path.with_stem("renamed"))
-    found.add(case_code.__wrapped__("joint"))
+    found.add(digests()["joint"])
 
     assert len(found) == 3
 

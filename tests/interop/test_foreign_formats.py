@@ -4,7 +4,6 @@ import json
 import re
 import sys
 from dataclasses import fields, replace
-from typing import get_args
 
 import gsd.hoomd
 import numpy as np
@@ -15,10 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.base.params import AnyFormat
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.exports import export_view
+from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.mcap_file import encode_messages
 from tiswarm.records.sensing_file import read_sensing_log
@@ -127,7 +125,7 @@ def test_a_robot_without_a_pose_is_left_out(view, tmp_path):
     ]
 
 
-@pytest.mark.parametrize("form", get_args(AnyFormat))
+@pytest.mark.parametrize("form", FORMATS)
 def test_a_structure_without_contacts_is_exported(view, tmp_path, form):
     """Robots that only heights, fixes or ranges locate are a structure, too."""
     log = replace(view.log, contacts=view.log.contacts[:0])

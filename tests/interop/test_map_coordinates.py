@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from typing import get_args
 
 import gsd.hoomd
 import numpy as np
@@ -13,9 +12,8 @@ import trimesh
 from mcap.reader import make_reader
 
 from tests.structures import Rule, structure
-from tiswarm.base.params import AnyFormat
 from tiswarm.base.progress import Progress
-from tiswarm.interop.exports import export_view
+from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.records.estimate import Estimate
 from tiswarm.report.swarm_view import view_log
 
@@ -100,7 +98,7 @@ READERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", get_args(AnyFormat))
+@pytest.mark.parametrize("form", FORMATS)
 def test_every_format_resolves_robots_at_map_coordinates(form, tmp_path):
     """All points of each file move with the anchor, exact to 1e-6 R: float32 steps 0.5 m there."""
     read = READERS[form]

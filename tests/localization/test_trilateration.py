@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tiswarm.localization.trilateration import INDEPENDENT, POINTS, Ties, Trilateration, unit
+from tiswarm.localization.hop_by_hop.trilateration import (
+    INDEPENDENT,
+    POINTS,
+    Ties,
+    Trilateration,
+    unit,
+)
 
 WORLD = 8
 """Number of the world, after eight robots."""

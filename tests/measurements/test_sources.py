@@ -10,7 +10,7 @@ from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites import STATIONS
+from tiswarm.sensing.suites.systems import STATIONS
 
 CUES = ("contacts", "ground", "fixes", "ranges", "directions", "touches")
 LIGHTHOUSES = {"beacons": STATIONS, "beacon_kind": "sweep", "fix_noise": 0.03, "fix_bias": 0.5}

@@ -10,7 +10,7 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
-from tiswarm.report import figure_style, figures, table_figures
+from tiswarm.report import error_figures, figure_style, figures, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
     SCALING_PANELS,
@@ -19,8 +19,9 @@ from tiswarm.report.curve_figures import (
     draw_scaling,
     profile_painters,
 )
+from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import png
-from tiswarm.report.figures import draw_convergence, draw_errors, draw_figures
+from tiswarm.report.figures import draw_figures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import draw_accuracy
 
@@ -148,7 +149,7 @@ def test_errors_of_an_accurate_method_are_seen_beside_others(run_folder, monkeyp
     tables = {"coarse": np.array([[1.0, 5.0, 0], [2.0, 8.0, 1]]), "fine": np.zeros((2, 3))}
     tables["fine"][:, 1] = 0.0, 0.01
     found = iter(tables.values())
-    monkeypatch.setattr(figures, "_errors_at", lambda _cases, _column: next(found))
+    monkeypatch.setattr(error_figures, "_errors_at", lambda _cases, _column: next(found))
 
     axes = draw_errors(load_run(run_folder)).axes
 

@@ -3,7 +3,6 @@
 import json
 import re
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -21,10 +20,9 @@ from tests.structures import (
 from tiswarm.app.inspection import inspect
 from tiswarm.app.logs import Log
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyFormat
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.interop.exports import export_view
+from tiswarm.interop.exports import FORMATS, export_view
 from tiswarm.localization.registry import localize
 from tiswarm.records.mcap_file import SENSING, encode_messages
 from tiswarm.records.positions import read_estimate, write_estimate
@@ -32,7 +30,7 @@ from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.scenario.validation import localization_params
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.suites import STATIONS
+from tiswarm.sensing.suites.systems import STATIONS
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
@@ -112,7 +110,7 @@ def _assert_exported(folder, log, estimate):
     """Every format takes what a method made of the log."""
     true = np.where(np.isfinite(estimate.position), estimate.position + 0.5, 0.0)
     for shown in (view_log(log, estimate), view_log(log, estimate, true)):
-        for form in get_args(AnyFormat):
+        for form in FORMATS:
             export_view(shown, form, folder, Progress())
     assert all(file.stat().st_size for file in folder.iterdir())
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.sensing.sight import find_lookouts, in_sight
-from tiswarm.sensing.suites import CEILING, STATIONS, WALL_TAGS
+from tiswarm.sensing.suites.sight import find_lookouts, in_sight
+from tiswarm.sensing.suites.systems import CEILING, STATIONS, WALL_TAGS
 
 NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stances": False}
 

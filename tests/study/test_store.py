@@ -42,7 +42,7 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])
     progress = Recorder()
     for module in (runner, store):
-        monkeypatch.setattr(module, "case_code", lambda _: "0123456789ab")
+        monkeypatch.setattr(module, "case_code", lambda *_: "0123456789ab")
     old = study.run(small, tmp_path, progress=progress)
     record = json.loads((old.folder / "cases" / "1-no-z" / "case.json").read_text())
     monkeypatch.undo()

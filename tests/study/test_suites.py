@@ -14,7 +14,7 @@ from tiswarm.report.figures import draw_figures
 from tiswarm.report.page import write_page
 from tiswarm.report.run_data import load_run
 from tiswarm.scenario.expansion import load_scenario
-from tiswarm.sensing.suites import SUITES
+from tiswarm.sensing.suites.systems import SUITES
 
 TABLE_1 = load_scenario(REPOSITORY / "scenarios" / "table-1.yaml", ["robots=8", "seeds=2"])
 CHOSEN = ["fireant-v3", "fireant-v3-joint", "zooids", "zooids-joint", "zooids-touch", "kilobot"]

@@ -48,7 +48,7 @@ def calls(tmp_path_factory) -> Counter:
             if caller is not None and (here := _file(caller)) != to:
                 found[here, to, frame.f_code.co_name] += 1
 
-    provenance.case_code.cache_clear()
+    provenance.module_code.cache_clear()
     before = sys.getprofile()
     sys.setprofile(note)
     try:

@@ -24,7 +24,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.machine import machine
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
-from tiswarm.report.render.scene import DrawnRobots, Look, build_scene
+from tiswarm.report.render.scene import build_scene
+from tiswarm.report.swarm_view import DrawnRobots, Look
 
 _PROBE_SECONDS = 60
 _ROBOTS, _STEPS = 10_000, 20

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
+from tiswarm.base.parts import load
 from tiswarm.base.progress import Progress
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.io import digest, make_folder, write_bytes, write_text
@@ -18,8 +19,6 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.log_page import gather_log_page
 from tiswarm.report.page import write_page
-from tiswarm.report.render.animation import animate_run
-from tiswarm.report.render.pictures import render_run, render_view
 from tiswarm.report.run_data import RunData, load_run
 from tiswarm.report.swarm_view import SwarmView, view_log
 
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
     from tiswarm.study.run import RunResult
 
 PAGE = "report.html"
+_PICTURES = "tiswarm.report.render.pictures"
+_ANIMATION = "tiswarm.report.render.animation:animate_run"
 
 
 def draw_all(
@@ -81,13 +82,15 @@ def draw(
         EnvironmentTroubleError: the folder is not writable, or the renderer does not work.
     """
     manifest = read_manifest(run.folder)
+    render_run = load(f"{_PICTURES}:render_run", "a picture") if renders else None
+    animate_run = load(_ANIMATION, "an animation") if movie else None
     if renders:  # matplotlib looks at IPython, and fails while open3d imports it
         with contextlib.suppress(ImportError):
             importlib.import_module("IPython")
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
         rendering = (
             pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)
-            if renders
+            if render_run
             else None
         )
         written = draw_figures(run, progress, vector=pdf) if figures else []
@@ -97,7 +100,7 @@ def draw(
         origins = {p.path.name: Origin(renderer=p.renderer, reason=p.reason) for p in pictures}
         manifest = replace(manifest, renders=origins)
         write_manifest(run.folder, manifest)  # for the page
-    if movie:
+    if animate_run:
         animated = animate_run(run, movie, progress=progress, renderer=renderer, case=case)
         written.append(animated.path)
     written += [write_page(run, progress), *run.folder.glob("*.csv"), run.folder / "scenario.yaml"]
@@ -155,6 +158,7 @@ def render_log(
         InputError: the renderer is unknown.
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
+    render_view = load(f"{_PICTURES}:render_view", "a picture")
     near = replace(
         view, pose=view.from_origin(view.pose), estimated_pose=view.from_origin(view.estimated_pose)
     )

@@ -6,25 +6,19 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
 from tiswarm.base.errors import InputError
-from tiswarm.measurements.advice import (
-    IMAGES_APART,
-    MOST_ROBOTS,
-    Advice,
-    Kind,
-    advise,
-    advise_together,
-)
+from tiswarm.base.parts import load
 from tiswarm.measurements.consistency import HEADER_LINES, contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
 from tiswarm.measurements.units import COLUMNS, Slip, slips
 from tiswarm.measurements.verdicts import (
+    IMAGES_APART,
     MOST_SHOWN,
     cautions,
     describe_outliers,
@@ -42,6 +36,8 @@ from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from tiswarm.measurements.advice import Advice, Kind
 
 _MARGIN = 20
 """Robots in a row that a spawn position may be beyond all others."""
@@ -152,7 +148,7 @@ class Findings:
         """Further measurements that would constrain robots most."""
         return advice_rows(self.log, self._cues or cue_names(), self.estimate)
 
-    def advise(self, budget: int | None = None, kinds: Sequence[Kind] = ()) -> AdviceTable:
+    def advise(self, budget: int | None = None, kinds: "Sequence[Kind]" = ()) -> AdviceTable:
         """Return the advice, with the set of `budget` measurements that helps most together.
 
         Args:
@@ -236,12 +232,12 @@ def advice_rows(log: SensingLog, cues: Collection[str], estimate: Estimate) -> A
     Where robots are mirrored, the two likeliest solutions of the estimate count; a table that was
     read from a file has none. No row if nothing helps, or if there are too many robots or loops.
     """
-    found = advise(log, cues, estimate.position, _images(estimate))
+    found = _advice("advise")(log, cues, estimate.position, _images(estimate))
     return AdviceTable(_advice_rows(log, found or [], "with it"))
 
 
 def rows_together(
-    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: Sequence[Kind]
+    log: SensingLog, cues: Collection[str], estimate: Estimate, budget: int, kinds: "Sequence[Kind]"
 ) -> AdviceTable:
     """Tabulate the further measurements that would help most together.
 
@@ -250,13 +246,16 @@ def rows_together(
     """
     if budget < 1:
         raise InputError(f"{budget} should be at least 1; correct it", argument="budget")
-    if unknown := [kind for kind in kinds if kind not in get_args(Kind)]:
-        known = ", ".join(get_args(Kind))
-        raise InputError(f"{unknown[0]!r} should be one of {known}", argument="kinds")
+    known = get_args(_advice("Kind"))
+    if unknown := [kind for kind in kinds if kind not in known]:
+        raise InputError(f"{unknown[0]!r} should be one of {', '.join(known)}", argument="kinds")
     images = _images(estimate)
-    found = advise_together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
+    together = _advice("advise_together")
+    found = together(log, cues, estimate.position, images, budget=budget, kinds=kinds)
     if found is None:
-        problem = f"is for up to {MOST_ROBOTS:,} robots without too many loops; leave it out"
+        problem = (
+            f"is for up to {_advice('MOST_ROBOTS'):,} robots without too many loops; leave it out"
+        )
         raise InputError(problem, argument="budget")
     table = AdviceTable(_advice_rows(log, found, "with it and those above"))
     if found:
@@ -273,7 +272,12 @@ def _images(estimate: Estimate) -> Sequence[Solution]:
     return estimate.solutions if is_mirrored else ()
 
 
-def _advice_rows(log: SensingLog, advice: Sequence[Advice], after: str) -> list[dict[str, str]]:
+def _advice(name: str) -> Any:  # noqa: ANN401 - of many types
+    """Load a name of the optional part that ranks further measurements."""
+    return load(f"tiswarm.measurements.advice:{name}", "advice")
+
+
+def _advice_rows(log: SensingLog, advice: "Sequence[Advice]", after: str) -> list[dict[str, str]]:
     """Write advice as cells by heading; `after` is the heading of the error that it leaves."""
     name, unit = log.robot_id.tolist(), log.length_unit
     rows = []

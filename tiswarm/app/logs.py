@@ -17,7 +17,8 @@ from tiswarm.app.inspection import AdviceTable, Findings
 from tiswarm.app.results import Figures, File, Overrides, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
-from tiswarm.base.params import AnyArch, AnyFormat, AnyPrecision
+from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.parts import load
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log
@@ -115,7 +116,7 @@ class Log(SensingLog):
 
     def export(
         self,
-        form: AnyFormat = "gltf",
+        form: str = "gltf",
         estimate: Estimate | File | None = None,
         truth: Truth = None,
         *,
@@ -221,7 +222,7 @@ class Localized(Estimate):
 
     def export(
         self,
-        form: AnyFormat = "gltf",
+        form: str = "gltf",
         truth: Truth = None,
         *,
         out: File = "export",
@@ -238,8 +239,7 @@ class Localized(Estimate):
         Returns:
             The folder with the files.
         """
-        from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
-
+        export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
         folder = as_path(out, "out")
         export_view(self._shown(truth), form, folder, ConsoleProgress(quiet=quiet))
         return folder

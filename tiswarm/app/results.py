@@ -13,7 +13,8 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.base.errors import InputError
-from tiswarm.base.params import AnyFormat, AnyMovie
+from tiswarm.base.params import AnyMovie
+from tiswarm.base.parts import load
 from tiswarm.records.messages import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ class Run:
 
     def export(
         self,
-        form: AnyFormat = "gltf",
+        form: str = "gltf",
         *,
         out: File | None = None,
         case: str | None = None,
@@ -176,7 +177,7 @@ class Run:
         Returns:
             The folder with the files.
         """
-        from tiswarm.interop.exports import export_view  # noqa: PLC0415 - slow to import
+        export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
         from tiswarm.report.swarm_view import read_case_view  # noqa: PLC0415 - slow to import
 

@@ -64,7 +64,10 @@ class InputError(TiswarmError):
         """Return the error with a command's option in place of a function's argument."""
         if not self.argument:
             return self
-        differs = {"overrides": f"--set {self.key}", "estimate": "ESTIMATE", "movie": "--animate"}
+        differs = {
+            "overrides": f"--set {self.key}", "estimate": "ESTIMATE", "movie": "--animate",
+            "form": "--format",
+        }  # fmt: skip
         option = differs.get(self.argument, f"--{self.argument}")
         return InputError(
             self.problem, path=self.path, line=self.line, column=self.column, key=option

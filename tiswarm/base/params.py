@@ -30,8 +30,5 @@ AnyPrecision = Literal["auto", Precision]
 ARCHS: tuple[Arch, ...] = get_args(Arch)
 """All compute devices."""
 
-AnyFormat = Literal["csv", "gltf", "gsd", "mcap", "parquet", "ply", "pyfg", "tum"]
-"""File format of an export."""
-
 AnyMovie = Literal["mp4", "webp", "gif"]
 """File formats of an animation."""

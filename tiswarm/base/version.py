@@ -11,6 +11,8 @@ _NAME = __name__.partition(".")[0]
 _IMPORT = re.compile(
     rf"^[ \t]*(?:from ({_NAME}[\w.]*) import (\([^)]*\)|.*)|import ({_NAME}[\w.]*))", re.MULTILINE
 )
+_NAMED = re.compile(rf'"({_NAME}(?:\.\w+)+)(?::\w+)?"')
+"""A module as a registry names it, see `base.parts`."""
 
 
 def code_digest(
@@ -45,9 +47,10 @@ def code_digest(
 
 
 def _imports(file: Path, package: Path) -> frozenset[str]:
-    """List the modules of the package that a file imports, within functions too."""
-    names = set[str]()
-    for origin, parts, module in _IMPORT.findall(file.read_text(encoding="utf-8")):
+    """List the modules of the package that a file imports, within functions too, or registers."""
+    text = file.read_text(encoding="utf-8")
+    names = set[str](_NAMED.findall(text))
+    for origin, parts, module in _IMPORT.findall(text):
         names |= {module or origin, *(f"{origin}.{part}" for part in re.findall(r"\w+", parts))}
     return frozenset(name for name in names - {_NAME} if _file(name, package) is not None)
 

@@ -12,7 +12,7 @@ from typer import Argument, Option
 
 from tiswarm.app.console import fail
 from tiswarm.base.errors import InputError
-from tiswarm.cli.app import app, main
+from tiswarm.cli.app import Plugins, app, main
 
 # Each module adds its commands, in the order of the help.
 # isort: off
@@ -27,13 +27,14 @@ def check(
     files: Annotated[
         list[Path], Argument(help="Scenarios (.yaml) and logs (.jsonl, .jsonl.zst, .mcap).")
     ],
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
 ) -> None:
     """Check scenarios and sensing logs for mistakes."""
     from tiswarm import api
 
     mistakes: list[InputError] = []
     for path in files:
-        finding = api.check(path)
+        finding = api.check(path, plugins=plugins)
         mistakes += finding.mistakes
         if not finding.mistakes:
             typer.echo(f"{path}: {finding}")
@@ -62,15 +63,19 @@ def scenarios(
 
 @app.command(epilog="Example: tiswarm schema > scenario.schema.json")
 def schema(
-    *, of_log: Annotated[bool, Option("--log", help="Of a line of a sensing log instead.")] = False
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    *,
+    of_log: Annotated[bool, Option("--log", help="Of a line of a sensing log instead.")] = False,
 ) -> None:
     """Print the JSON Schema of a scenario or of a log.
 
     Editors complete and check files with it.
     """
+    from tiswarm.base.plugins import load_plugins
     from tiswarm.records.sensing_format import line_schema
     from tiswarm.scenario.model import scenario_schema
 
+    load_plugins(plugins)
     typer.echo(json.dumps(line_schema() if of_log else scenario_schema(), indent=2))
 
 

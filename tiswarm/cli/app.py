@@ -6,7 +6,7 @@ import signal
 import sys
 import warnings
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +19,8 @@ from tiswarm.app.console import fail
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, ResultWarning, TiswarmError
 from tiswarm.base.memory import naming_shortage, require_address_space
 from tiswarm.base.params import AnyArch, AnyMovie
+from tiswarm.base.parts import lacking, load
+from tiswarm.base.plugins import PluginError
 
 _INTERRUPTED = {128 + signal.SIGINT, 128 + signal.SIGTERM}
 _LIBRARIES_MB = 700
@@ -49,6 +51,11 @@ Threads = Annotated[
     int | None, Option(help="CPU threads (default: all cores).", show_default=False)
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only warnings and errors.")]
+Plugins = Annotated[
+    list[Path],
+    Option("--plugin", metavar="FILE", help="Load your own methods from a file (repeatable)."),
+]
+Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
@@ -104,9 +111,26 @@ def chosen_movie(movie: AnyMovie | None, *, animate: bool) -> AnyMovie | None:
     """Return the file format of an animation, the best one if none was chosen; None without one."""
     if movie or not animate:
         return movie
-    from tiswarm.report.render.animation import best_movie
+    best_movie = load("tiswarm.report.render.animation:best_movie", "an animation")
+    found: AnyMovie = best_movie()
+    return found
 
-    return best_movie()
+
+@contextlib.contextmanager
+def showing_traceback(*, debug: bool) -> Iterator[None]:
+    """Print the traceback of a plug-in that fails within the block, if a user debugs it."""
+    try:
+        yield
+    except PluginError as error:
+        if debug:
+            typer.echo(error.details, nl=False, err=True)
+        raise
+
+
+def show_tracebacks(run: Path, *, debug: bool) -> None:
+    """Print the tracebacks of cases that failed in a plug-in, if a user debugs it."""
+    for file in sorted(run.glob("cases/*/traceback.txt")) if debug else ():
+        typer.echo(file.read_text(), nl=False, err=True)
 
 
 def refuse(given: Mapping[str, object], reason: str) -> None:
@@ -144,6 +168,11 @@ def _status(arguments: list[str]) -> int:
     except TiswarmError as error:
         fail(error)
         return error.exit_status
+    except ModuleNotFoundError as error:
+        if not (lack := lacking(error, "this command")):
+            raise
+        fail(lack)
+        return lack.exit_status
     except TyperException as error:
         fail(" ".join(error.format_message().split()))
         return InputError.exit_status

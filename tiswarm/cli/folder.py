@@ -6,17 +6,19 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from tiswarm.base.params import AnyFormat
 from tiswarm.cli.app import (
     Animate,
+    Debug,
     Movie,
     Open,
     Pdf,
+    Plugins,
     Quiet,
     RunFolderPath,
     app,
     chosen_movie,
     show_page,
+    showing_traceback,
 )
 from tiswarm.cli.log import EstimateTable, Truth
 
@@ -25,12 +27,17 @@ _RunOrLog = Annotated[Path, Argument(metavar="RUN|LOG", help="Run folder or sens
 
 @app.command(epilog="Example: tiswarm report reports/tower-1a2b3c4d")
 def report(
-    run: RunFolderPath, *, pdf: Pdf = False, opened: Open = False, quiet: Quiet = False
+    run: RunFolderPath,
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
+    *,
+    pdf: Pdf = False,
+    opened: Open = False,
+    quiet: Quiet = False,
 ) -> None:
     """Redraw tables, figures and report.html of a run."""
     from tiswarm import api
 
-    found = api.report(run, pdf=pdf, quiet=quiet)
+    found = api.report(run, plugins=plugins, pdf=pdf, quiet=quiet)
     if not quiet:
         typer.echo(found)
     if opened or not quiet:
@@ -85,14 +92,22 @@ def compare(
 @app.command(epilog="Example: tiswarm export reports/tower-1a2b3c4d --format gltf")
 def export(
     source: _RunOrLog,
-    form: Annotated[AnyFormat, Option("--format", help="File format.")] = "gltf",
+    form: Annotated[
+        str,
+        Option(
+            "--format",
+            help="csv, gltf, gsd, mcap, parquet, ply, pyfg, tum, or that of a plug-in.",
+        ),
+    ] = "gltf",
     estimate: EstimateTable = None,
     truth: Truth = None,
     out: Annotated[
         Path | None, Option(help="Folder to write to (default: export, in RUN if there is one).")
     ] = None,
     case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
+    debug: Debug = False,
     quiet: Quiet = False,
 ) -> None:
     """Export a case, or a log and its estimate, for other programs.
@@ -101,4 +116,5 @@ def export(
     """
     from tiswarm import api
 
-    api.export(source, form, estimate, truth, out=out, case=case, quiet=quiet)
+    with showing_traceback(debug=debug):
+        api.export(source, form, estimate, truth, out=out, case=case, plugins=plugins, quiet=quiet)

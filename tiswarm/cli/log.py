@@ -7,7 +7,19 @@ import typer
 from typer import Argument, Option
 
 from tiswarm.base.params import AnyPrecision
-from tiswarm.cli.app import OneArch, Open, Overrides, Quiet, Threads, app, refuse, show_page
+from tiswarm.cli.app import (
+    Debug,
+    OneArch,
+    Open,
+    Overrides,
+    Plugins,
+    Quiet,
+    Threads,
+    app,
+    refuse,
+    show_page,
+    showing_traceback,
+)
 
 EstimateTable = Annotated[
     Path | None,
@@ -22,7 +34,8 @@ def localize(
     method: Annotated[
         str,
         Option(
-            help="joint (most accurate), virtual-force (the paper's), least-squares or hop-by-hop."
+            help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
+            "or that of a plug-in."
         ),
     ] = "joint",
     cues: Annotated[
@@ -41,9 +54,11 @@ def localize(
     arch: OneArch = "cpu",
     threads: Threads = None,
     precision: Annotated[AnyPrecision, Option(help="Floating-point type of joint.")] = "auto",
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
     opened: Open = False,
+    debug: Debug = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the robots' positions from a sensing log.
@@ -59,10 +74,11 @@ def localize(
         raise InputError("needs a page; add --report PAGE", key="--open")
     names = None if cues is None else [cue.strip() for cue in cues.split(",")]
     seeded = {} if seed is None else {"seed": seed}
-    found = api.localize(
-        log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
-        threads=threads, precision=precision, quiet=quiet, **seeded,
-    )  # fmt: skip
+    with showing_traceback(debug=debug):
+        found = api.localize(
+            log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
+            threads=threads, precision=precision, plugins=plugins, quiet=quiet, **seeded,
+        )  # fmt: skip
     found.write(out)
     if not quiet:
         typer.echo(f"{found} -> {out}")
@@ -91,6 +107,7 @@ def view(
     port: Annotated[
         int | None, Option(min=1, max=65535, help="Port of --live (default: a free one).")
     ] = None,
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     live: Annotated[
         bool, Option("--live", help="Serve a run to this machine's browser as cases finish.")
@@ -105,13 +122,15 @@ def view(
     """
     if live:
         from tiswarm.app.live import serve
+        from tiswarm.base.plugins import load_plugins
 
         refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
+        load_plugins(plugins)
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return
     from tiswarm import api
 
-    refuse({"--port": port}, "only --live serves a page")
+    refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
     page = api.view(log, estimate, truth, out=out, quiet=quiet)
     if opened or not quiet:
         show_page(page, opened=opened)

@@ -10,16 +10,19 @@ from typer import Argument, Option
 from tiswarm.base.errors import CasesFailedError, InputError
 from tiswarm.cli.app import (
     Animate,
+    Debug,
     Movie,
     OneArch,
     Open,
     Overrides,
     Pdf,
+    Plugins,
     Quiet,
     Threads,
     app,
     chosen_movie,
     show_page,
+    show_tracebacks,
 )
 
 ScenarioFile = Annotated[
@@ -42,6 +45,7 @@ def run(
     case_limit: Annotated[
         float | None, Option(min=0.001, metavar="SECONDS", help="Abort a case after this time.")
     ] = None,
+    plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     only_plan: Annotated[
         bool, Option("--plan", help="Print an estimate of time and memory, and run nothing.")
@@ -54,6 +58,7 @@ def run(
     animate: Animate = False,
     movie: Movie = None,
     opened: Open = False,
+    debug: Debug = False,
     quiet: Quiet = False,
 ) -> None:
     """Run a scenario: grow, sense, localize, evaluate and draw.
@@ -64,19 +69,20 @@ def run(
 
     animated, part = chosen_movie(movie, animate=animate), _shard(shard)
     if only_plan:
-        typer.echo(api.forecast(scenario, overrides))
+        typer.echo(api.forecast(scenario, overrides, plugins=plugins))
         return
     found = api.run(
         scenario, overrides,
         out=out, arch=arch, threads=threads, workers=workers, scheduler=scheduler, shard=part,
         case_limit_s=case_limit, fail_fast=fail_fast, pictures=pictures, pdf=pdf, movie=animated,
-        quiet=quiet,
+        plugins=plugins, quiet=quiet,
     )  # fmt: skip
     if not quiet:
         typer.echo(found)
     if not found.missing and (opened or not quiet):
         show_page(found.page, opened=opened)
     if found.failed:
+        show_tracebacks(found.folder, debug=debug)
         raise typer.Exit(CasesFailedError.exit_status)
 
 

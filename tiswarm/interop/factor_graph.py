@@ -34,7 +34,7 @@ _UNKNOWN_SD = 1e6
 """Standard deviation of the unknown position in a prior of orientation [dock radii]."""
 
 
-def encode_factor_graph(view: SwarmView) -> bytes:
+def encode_pyfg(view: SwarmView) -> dict[str, bytes]:
     """Encode the robots whose pose is known, and what the log says of them, in its unit.
 
     Contacts are ranges of two dock radii between docks; `ranges` of the log are ranges between
@@ -42,7 +42,7 @@ def encode_factor_graph(view: SwarmView) -> bytes:
     no measurements of heights, fixes and flips: these are left out. Nor has it shared errors: the
     variance of a range includes that of its source.
     """
-    return "".join(f"{line}\n" for line in _lines(view)).encode()
+    return {"case.pyfg": "".join(f"{line}\n" for line in _lines(view)).encode()}
 
 
 def _lines(view: SwarmView) -> Iterator[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import ignore
 from tiswarm.compute.math import normal
-from tiswarm.localization.hop_by_hop import place
+from tiswarm.localization.hop_by_hop.method import place
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.ends import further_starts, settled
 from tiswarm.localization.joint.method import mixed

@@ -2,31 +2,32 @@
 
 from collections.abc import Collection, Hashable, Sequence
 from dataclasses import replace
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyArch, AnyPrecision
+from tiswarm.base.parts import load
 from tiswarm.base.progress import Advance, by_share, ignore
 from tiswarm.compute import backend, program
 from tiswarm.compute.backend import Backend
-from tiswarm.localization import hop_by_hop, least_squares, virtual_force
-from tiswarm.localization.joint import method as joint
 from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.measurements.observability import observability
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
-METHODS: dict[str, ModuleType] = {
-    "joint": joint,
-    "virtual-force": virtual_force,
-    "least-squares": least_squares,
-    "hop-by-hop": hop_by_hop,
+METHODS = {
+    "joint": "tiswarm.localization.joint.method",
+    "virtual-force": "tiswarm.localization.virtual_force",
+    "least-squares": "tiswarm.localization.least_squares",
+    "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
 }
-"""Modules with the functions `batch_key` and `localize_batch`.
+OWN = "tiswarm.localization.plugins"
+"""Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`
+has those of the methods of plug-ins.
 
 `localize_batch` takes one log a structure, settings for each, and a function that it calls with the
 share of its work that is done [1]; it returns an estimate for each.
@@ -36,6 +37,11 @@ All logs of a batch have, with their settings, the same `batch_key`.
 PARALLEL = frozenset({"joint", "virtual-force together"})
 """Titles of methods that run on the device that a user chooses; others run on the processor in
 f64."""
+
+
+def module_of(method: str) -> Any:  # noqa: ANN401 - a module
+    """Import the module of a method."""
+    return load(METHODS.get(method, OWN), f"method {method}")
 
 
 def title(params: LocalizationParams) -> str:
@@ -100,11 +106,11 @@ def localize(
     log: SensingLog, params: LocalizationParams, *, on_progress: Advance = ignore
 ) -> Estimate:
     """Work out from what a swarm sensed where every robot is; the steps reported are robots."""
-
-    def in_robots(structures: float) -> None:
-        on_progress(structures * log.robot_count)
-
-    return localize_many([log], [params], with_observability=True, on_progress=in_robots)[0]
+    [estimate] = localize_many(
+        [log], [params], with_observability=True,
+        on_progress=lambda structures: on_progress(structures * log.robot_count),
+    )  # fmt: skip
+    return estimate
 
 
 @program.exclusive()
@@ -130,10 +136,10 @@ def localize_many(
     logs = [with_orientations(log) for log in logs]
     batches: dict[Hashable, list[int]] = {}
     for n, (log, p) in enumerate(zip(logs, params, strict=True)):
-        batches.setdefault((p.method, METHODS[p.method].batch_key(log, p)), []).append(n)
+        batches.setdefault((p.method, module_of(p.method).batch_key(log, p)), []).append(n)
     estimates: dict[int, Estimate] = {}
     for members in batches.values():
-        method = METHODS[params[members[0]].method]
+        method = module_of(params[members[0]].method)
         start_for(params[members[0]])
         centered = [_centered(logs[n]) for n in members]
         report = by_share(on_progress, len(members))

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.errors import InputError
+from tiswarm.base.parts import load
 from tiswarm.base.progress import ignore
 from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization import together
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import BackPropagation, LocalizationParams, VirtualForceParams
 from tiswarm.localization.virtual_force_arrays import (
@@ -46,6 +46,7 @@ from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
+_TOGETHER = "tiswarm.localization.together"
 _NO_SWEEPS = BackPropagation(sweeps=0)
 
 Line = str | Mapping[str, object]
@@ -55,7 +56,8 @@ Line = str | Mapping[str, object]
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
     """Name what logs must share to be localized in one launch."""
     if params.schedule == "together":
-        return together.batch_key(log, params)
+        key: Hashable = load(_TOGETHER, "schedule together").batch_key(log, params)
+        return key
     rounds = params.back_propagation or _NO_SWEEPS
     schedule = (params.iterations, params.trace_every, rounds.every, rounds.sweeps, rounds.recent)
     return (len(log.dock_offset_body), *schedule)
@@ -75,7 +77,11 @@ def localize_batch(
     if params[0].schedule == "together":
         heights = [_heights(log, p) for log, p in zip(logs, params, strict=True)]
         in_plane_only = [_planar(log) for log in logs]
-        return together.localize_batch(logs, params[0], heights, in_plane_only, on_progress)
+        together = load(_TOGETHER, "schedule together")
+        stepped: list[Estimate] = together.localize_batch(
+            logs, params[0], heights, in_plane_only, on_progress
+        )
+        return stepped
     iterations, every = params[0].iterations, params[0].trace_every
     rounds = params[0].back_propagation or _NO_SWEEPS
     swept = [*range(every, rounds.sweeps, every), rounds.sweeps] if rounds.sweeps else []

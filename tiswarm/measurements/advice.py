@@ -43,9 +43,6 @@ _SEEN = 1e-3
 _DECISIVE = 5.0
 """Difference between two solutions from which on a measurement excludes one of them [sd]."""
 
-IMAGES_APART = "images apart [sd]"
-"""Heading of `Advice.images_apart_sd` in tables."""
-
 _AXES = 3
 """Rows of a known position."""
 

@@ -18,6 +18,9 @@ from tiswarm.records.sensing_log import SensingLog
 MOST_SHOWN = 10
 """Robots, and solutions, that a line or a list names."""
 
+IMAGES_APART = "images apart [sd]"
+"""Heading of how far a further measurement sets two solutions apart."""
+
 _STRETCH = 1.5
 """A chain of contacts this many times as long as it can be is no error of a few dock radii."""
 

@@ -44,6 +44,16 @@ SCALING_PANELS = {
 }
 
 
+def scaling_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the figure of sizes by file name, if a run has several."""
+    return {"scaling": draw_scaling} if run.sweeps_robots else {}
+
+
+def round_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the figure of rounds of back-propagation by file name, if a run compares some."""
+    return {"back-propagation": draw_rounds} if compares_rounds(run) else {}
+
+
 def compares_rounds(run: RunData) -> bool:
     """Whether conditions of a run have rounds of back-propagation at several intervals."""
     table = run.table("table.csv", ["condition"], [], after="cases", optional=True)

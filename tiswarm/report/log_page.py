@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.measurements.advice import IMAGES_APART
 from tiswarm.measurements.contacts import contact_count
-from tiswarm.measurements.verdicts import distrust, headline, verdict
+from tiswarm.measurements.verdicts import IMAGES_APART, distrust, headline, verdict
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog

@@ -1,5 +1,6 @@
 """Draws the figure of sensor suites: price against error."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,11 @@ _CHEAPEST = 200.0  # price up to which the axis is linear: some sensors cost not
 _MOST_PANELS = 4
 _LINE, _LETTER = 0.025, 0.0145  # height and width of a letter of a label [share of the panel]
 _MARKER = 0.014  # half the width of a marker [share of the panel]
+
+
+def suite_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the figure of suites by file name, if a run has some."""
+    return {"price-and-error": draw_suites} if (run.folder / "suites.csv").is_file() else {}
 
 
 def draw_suites(run: RunData) -> "Figure":

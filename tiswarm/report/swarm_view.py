@@ -19,7 +19,6 @@ from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.terrain import Terrain
 from tiswarm.records.trace import EstimateTrace, read_trace, thinned
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
-from tiswarm.report.render.scene import DrawnRobots, Look
 from tiswarm.report.run_data import StoredCase
 
 POSE = ["x_R", "y_R", "z_R", "qw", "qx", "qy", "qz"]
@@ -27,6 +26,25 @@ _ESTIMATED_POSE = [
     *("x_est_R", "y_est_R", "z_est_R"),
     *("qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"),
 ]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Radii of a robot's parts [R]."""
+
+    hub: float
+    arm: float
+    dock: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnRobots:
+    """N robots to draw."""
+
+    center: Reals  # centers [R], shape (N, 3)
+    dock: Reals  # dock centers [R], shape (N, docks, 3)
+    color: Reals  # red, green, blue of each robot, 0 to 1, shape (N, 3)
+    look: Look
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Draws the figures with a row for each of a table: accuracy, shapes and the comparison of runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,14 @@ _SHAPE_PANELS = {
     "contacts_per_robot": "Contacts per robot",
     "height_R": "Height [R]",
 }
+
+
+def table_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the figures of `table.csv` that a run has, by file name."""
+    if not (run.folder / "table.csv").is_file():
+        return {}
+    shape = {"shape": draw_shape} if run.sweeps_robot else {}
+    return {"accuracy": draw_accuracy, **shape}
 
 
 def draw_accuracy(run: RunData) -> "Figure":

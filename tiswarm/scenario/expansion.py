@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
+from tiswarm.base.plugins import load_plugins, watch
 from tiswarm.records.messages import Part, counted, dotted
 from tiswarm.records.run_folder import LABEL
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
@@ -100,6 +101,7 @@ def variants(scenario: Scenario) -> list[Variant]:
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
+    load_plugins()
     path = find_scenario(path)
     source = read_yaml(path)
     data = source.data
@@ -373,6 +375,9 @@ def _reset_section(data: Plain, change: _Change) -> str:
 def _defaults(section: str, selected: str) -> Plain | None:
     outcome = from_plain({**_MINIMAL, section: {DISCRIMINATORS[section]: selected}})
     return to_plain(outcome)[section] if isinstance(outcome, Scenario) else None
+
+
+watch(_defaults.cache_clear)
 
 
 def _attribute(mistake: Mistake, changes: Sequence[_Change], label: str) -> Mistake:

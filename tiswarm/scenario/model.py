@@ -6,7 +6,6 @@ Each section is defined in the room that uses it.
 import json
 import re
 from dataclasses import field
-from functools import cache
 from hashlib import sha256
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -24,10 +23,11 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
+from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.run_folder import LABEL
-from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, validate
+from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, take_methods, validate
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams
@@ -156,6 +156,7 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
+watch(lambda: take_methods(Scenario, ADAPTER))
 
 
 def from_plain(data: Plain) -> Scenario | list[Mistake]:
@@ -169,7 +170,6 @@ def to_plain(scenario: Scenario) -> Plain:
     return data
 
 
-@cache
 def scenario_schema() -> Plain:
     """Return the JSON Schema of a scenario file, for editors."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}

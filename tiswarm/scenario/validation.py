@@ -9,12 +9,14 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass
+from pydantic.dataclasses import dataclass, rebuild_dataclass
 from pydantic_core import ErrorDetails
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
+from tiswarm.base.plugins import load_plugins, watch
 from tiswarm.localization.params import CUES, LocalizationParams
+from tiswarm.localization.plugins import all_params
 from tiswarm.records.messages import UNKNOWN_KEY, Part, did_you_mean, dotted, explain, shown
 from tiswarm.scenario.yaml_source import parse_yaml
 
@@ -147,6 +149,7 @@ def localization_params(
     Raises:
         InputError: for an unknown method or cue, or for the first bad setting.
     """
+    load_plugins()
     switches = {} if cues is None else _switches(method, cues)
     settings = [parse_setting(text, "localization") for text in overrides]
     section = {"method": method, **switches, **(values or {})}
@@ -221,6 +224,8 @@ def _mistake(error: ErrorDetails, adapter: TypeAdapter[Any]) -> Mistake:
         problem = f"is missing; write it like localization: {{method: joint}}, one of {methods}"
         return Mistake(path, problem)
     problem = explain(error, _allowed(error["loc"], adapter))
+    if path == _METHOD:
+        problem += ", or one of a plug-in that you load (--plugin FILE)"
     return Mistake(path, _by_choice(error, adapter) or problem, about_key)
 
 
@@ -273,3 +278,14 @@ def _allowed(path: tuple[Part, ...], adapter: TypeAdapter[Any]) -> tuple[str, ..
 @cache
 def _schema(adapter: TypeAdapter[Any]) -> Plain:
     return adapter.json_schema()
+
+
+def take_methods(section: Any, adapter: TypeAdapter[Any]) -> None:  # noqa: ANN401 - a dataclass
+    """Let a class with settings of any method have those of plug-ins, too."""
+    section.__dataclass_fields__["localization"].type = all_params()
+    rebuild_dataclass(section, force=True)
+    adapter.rebuild(force=True)
+    _schema.cache_clear()
+
+
+watch(lambda: take_methods(_LocalizationSection, _LOCALIZATION))

@@ -1,13 +1,21 @@
-"""Noise of the robots' own senses."""
+"""The robots' own senses, and their noise."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.compute.math import normal, uniform
+from tiswarm.compute.math import dock_offsets, normal, uniform
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
+
+NO_SOURCE = -1
+"""Source of fixes and ranges whose errors have no part in common."""
+
+_PLANE_SD = 0.01
+"""Standard deviation of the plane that a planar robot is in [R]."""
 
 
 def sensed_orientation(history: History, length: Ints, params: SensingParams) -> Reals:
@@ -64,3 +72,42 @@ def spawn_position(history: History, params: SensingParams) -> Reals:
         return np.full_like(true, np.nan)
     robot = np.arange(history.robot_count)[:, None]
     return true + params.spawn_noise * normal(history.seed, "spawn position", robot, np.arange(3))
+
+
+def planes(history: History) -> Reals:
+    """Return y = 0 at the final stance of each planar robot, as a fix, shape (F, 8)."""
+    robot = np.arange(history.robot_count if history.is_planar else 0)
+    last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
+    fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, NO_SOURCE], (len(robot), 1))
+    return np.column_stack([robot, last, fix])
+
+
+def flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
+    """Return the height of each robot's center that its own flips imply, shape (N,).
+
+    A robot starts on the ground, with its center above the docks that stand there. A flip about the
+    dock at b moves its center by (R - R') b, where R and R' are the orientations sensed before and
+    after. NaN for a robot that starts without a dock on the ground.
+    """
+    dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]
+    height = np.full(len(end), history.ground_z + history.robot.dock_radius)
+    for j, walk in enumerate(history.walks):
+        rows = dock_height[end[j] - walk.stance_count : end[j]]
+        standing = walk.ground_docks[walk.ground_docks[:, 0] == 0, 1]
+        height[j] -= rows[0, standing].mean() if len(standing) else np.nan
+        step = np.arange(walk.stance_count - 1)
+        height[j] += np.sum(rows[step, walk.pivot_dock] - rows[step + 1, walk.pivot_dock])
+    return height
+
+
+def split_touches(contacts: NDArray[np.int32], params: SensingParams) -> dict[str, NDArray[Any]]:
+    """Split contacts into those with docks and touches, whose docks robots do not all know."""
+    touches = contacts.copy()
+    touches[:, 4] = -1
+    if params.contact_docks == "none":
+        touches[:, 2] = -1
+    has_docks = params.contact_docks == "both"
+    return {
+        "contacts": contacts if has_docks else contacts[:0],
+        "touches": touches[:0] if has_docks else np.unique(touches, axis=0),
+    }

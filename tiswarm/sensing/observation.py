@@ -1,21 +1,34 @@
 """Turns the true history of a structure into the noisy log that localizers read."""
 
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
-from tiswarm.compute.math import dock_offsets
+from tiswarm.base.parts import load
 from tiswarm.records.sensing_log import SensingLog, Stances
-from tiswarm.sensing.beacons import sense_fixes
-from tiswarm.sensing.connections import sense_connections, sense_directions
-from tiswarm.sensing.noise import sensed_contacts, sensed_orientation, spawn_position
+from tiswarm.sensing.noise import (
+    flip_height,
+    planes,
+    sensed_contacts,
+    sensed_orientation,
+    spawn_position,
+    split_touches,
+)
 from tiswarm.sensing.params import SensingParams
-from tiswarm.sensing.ranging import sense_ranges
-from tiswarm.sensing.sight import find_lookouts
+from tiswarm.sensing.plugins import COLUMNS, own_rows
 from tiswarm.world.history import History
+
+SENSES = {
+    "fixes": "tiswarm.sensing.suites.beacons:sense_fixes",
+    "ranges": "tiswarm.sensing.suites.ranging:sense_ranges",
+    "directions": "tiswarm.sensing.suites.connections:sense_directions",
+    "connections": "tiswarm.sensing.suites.connections:sense_connections",
+}
+"""By list of the log, a function of history and settings that returns rows of it."""
 
 _Lists = dict[str, NDArray[Any]]
 """Rows of (robot, stance, ...) by the name of their list in the log."""
@@ -40,18 +53,15 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = sensed_orientation(history, length, params)
-    lookouts = find_lookouts(history, params)
-    lists: _Lists = {
-        "contacts": sensed_contacts(history, params),
-        "ground_docks": history.table("ground_docks"),
-        "fixes": np.unique(sense_fixes(history, lookouts, params), axis=0),
-        "ranges": np.unique(sense_ranges(history, lookouts, params), axis=0),
-        "directions": sense_directions(history, params),
-        "connections": sense_connections(history, params),
-    }
+    lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
+    lists["contacts"] = sensed_contacts(history, params)
+    lists["ground_docks"], lists["fixes"] = history.table("ground_docks"), planes(history)
+    added = ((name, load(SENSES[name], name)(history, params)) for name in params.added)
+    for filled, rows in chain(added, own_rows(history, params)):
+        lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
-    lists |= _touches(lists["contacts"], params)
+    lists |= split_touches(lists["contacts"], params)
     final: dict[str, Any] = {
         name: np.delete(rows[_is_last(rows, length)], 1, axis=1) for name, rows in lists.items()
     }
@@ -60,7 +70,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     if not params.senses("compass"):
         orientation[0] = history.orientation_wxyz[0]  # known, as the anchor's position is
         orientation[1:] = np.nan
-    height = _flip_height(history, sensed, end)
+    height = flip_height(history, sensed, end)
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
@@ -78,24 +88,6 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     )
 
 
-def _flip_height(history: History, sensed: Reals, end: Ints) -> Reals:
-    """Return the height of each robot's center that its own flips imply, shape (N,).
-
-    A robot starts on the ground, with its center above the docks that stand there. A flip about the
-    dock at b moves its center by (R - R') b, where R and R' are the orientations sensed before and
-    after. NaN for a robot that starts without a dock on the ground.
-    """
-    dock_height = dock_offsets(sensed, history.robot.dock_offset_body)[:, :, 2]
-    height = np.full(len(end), history.ground_z + history.robot.dock_radius)
-    for j, walk in enumerate(history.walks):
-        rows = dock_height[end[j] - walk.stance_count : end[j]]
-        standing = walk.ground_docks[walk.ground_docks[:, 0] == 0, 1]
-        height[j] -= rows[0, standing].mean() if len(standing) else np.nan
-        step = np.arange(walk.stance_count - 1)
-        height[j] += np.sum(rows[step, walk.pivot_dock] - rows[step + 1, walk.pivot_dock])
-    return height
-
-
 def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> Stances:
     """Gather every stance except each robot's last."""
     start = np.concatenate([[0], np.cumsum(length - 1)])
@@ -105,19 +97,6 @@ def _stances(history: History, sensed: Reals, length: Ints, lists: _Lists) -> St
         pivot_dock=np.concatenate([walk.pivot_dock for walk in history.walks]),
         **{name: _numbered(rows[~_is_last(rows, length)], start) for name, rows in lists.items()},
     )
-
-
-def _touches(contacts: NDArray[np.int32], params: SensingParams) -> _Lists:
-    """Split contacts into those with docks and touches, whose docks robots do not all know."""
-    touches = contacts.copy()
-    touches[:, 4] = -1
-    if params.contact_docks == "none":
-        touches[:, 2] = -1
-    has_docks = params.contact_docks == "both"
-    return {
-        "contacts": contacts if has_docks else contacts[:0],
-        "touches": touches[:0] if has_docks else np.unique(touches, axis=0),
-    }
 
 
 def _is_last(rows: NDArray[Any], length: Ints) -> Bools:

@@ -1,21 +1,26 @@
 """Settings of what robots sense, and with which noise."""
 
 from dataclasses import fields, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, Strict, model_validator
-from pydantic.dataclasses import dataclass
+from pydantic.dataclasses import dataclass, rebuild_dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT
+from tiswarm.base.parts import load
+from tiswarm.base.plugins import Plugin, registered, watch
 from tiswarm.records.sensing_log import Angle, Fraction, SensingNoise
-from tiswarm.sensing.suites import SUITES, SuiteName
+from tiswarm.sensing.plugins import SuiteName
+
+SUITE_OF = "tiswarm.sensing.suites.systems:suite_of"
+"""Function that returns a suite by its name."""
 
 _Coordinate = Annotated[float, Strict(), Field(ge=-1e6, le=1e6)]
 # A setting of a suite passes through Python, where strict checks accept no list for a tuple.
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
 _Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # noqa: FBT003
-_Sense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
+_OwnSense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
 _Length = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
@@ -149,12 +154,34 @@ class SensingParams:
         """Put a suite's settings beneath those that are given."""
         given = data.kwargs or {} if isinstance(data, ArgsKwargs) else data
         name = given.get("suite") if isinstance(given, dict) else None
-        suite = SUITES.get(name) if isinstance(name, str) else None
-        return {**suite.settings, **given} if suite else data
+        if own := registered("sensor").get(str(name)):
+            return {**own.value.settings, **given}
+        if name not in get_args(SuiteName)[1:]:
+            return data
+        return {**load(SUITE_OF, f"suite {name}")(name).settings, **given}
 
-    def senses(self, name: _Sense) -> bool:
+    def __reduce_ex__(self, protocol: Any) -> Any:  # noqa: ANN401 - of any version
+        """Send the plug-in of a suite ahead, so that a worker loads it first."""
+        own = registered("sensor").get(self.suite)
+        if own is None:
+            return super().__reduce_ex__(protocol)
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return _received, (own.plugin, values)
+
+    def senses(self, name: _OwnSense) -> bool:
         """Whether robots have one of FireAntV3's own senses."""
         return self.touch or bool(getattr(self, name))
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Lists of the log that other senses fill."""
+        has = {
+            "fixes": bool(self.beacons) or self.seed_robots > 0,
+            "ranges": self.range_reach is not None,
+            "directions": self.direction_noise_deg is not None,
+            "connections": self.connection_noise_deg is not None,
+        }
+        return tuple(name for name, is_filled in has.items() if is_filled)
 
     @property
     def sources(self) -> dict[str, float]:
@@ -176,3 +203,17 @@ class SensingParams:
         if self.senses("compass"):
             return noise
         return replace(noise, tilt_deg=0.0, yaw_deg=0.0, yaw_bias_deg=None)
+
+
+def _received(plugin: Plugin, values: dict[str, Any]) -> SensingParams:  # noqa: ARG001
+    """Make settings on a worker, where the plug-in has been loaded."""
+    return SensingParams(**values)
+
+
+@watch
+def _take_suites() -> None:
+    """Let settings name the suites of plug-ins, too."""
+    names = (*get_args(SuiteName), *registered("sensor"))
+    section: Any = SensingParams
+    section.__dataclass_fields__["suite"].type = Literal[names]
+    rebuild_dataclass(section, force=True)

@@ -11,6 +11,7 @@ from tiswarm.base.errors import (
     OutOfMemoryError,
     TiswarmError,
 )
+from tiswarm.base.plugins import PluginError
 from tiswarm.base.progress import Progress
 from tiswarm.study.executors import Executor, reason
 from tiswarm.study.jobs import Job
@@ -67,13 +68,14 @@ def _outcome(future: "Future[Outcome]", job: Job) -> Outcome | None:
     error = future.exception()
     if error is None:
         return future.result()
-    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, OutOfMemoryError)
+    of_one = OutOfMemoryError | PluginError
+    concerns_all = isinstance(error, TiswarmError) and not isinstance(error, of_one)
     if concerns_all or not isinstance(error, Exception):
         raise error
     if len(job.cases) > 1:
         return None
-    record = failure(job.cases[0], reason(error))
-    job.folder.store_failure(record)
+    traceback = error.details if isinstance(error, PluginError) else ""
+    record = job.folder.store_failure(failure(job.cases[0], reason(error)), traceback)
     return Outcome(records=[record], used=())
 
 

@@ -17,6 +17,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
+from tiswarm.base.plugins import registered
 from tiswarm.base.version import __version__, code_digest
 from tiswarm.compute.backend import Backend
 from tiswarm.compute.machine import machine
@@ -25,22 +26,30 @@ from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 
-_METHODS = {name: module.__name__ for name, module in registry.METHODS.items()}
+_METHODS = registry.METHODS
 _COMPOSES = "tiswarm.study.runner"
 """Module that composes a case of all that computes it."""
 
 
-@cache
-def case_code(method: str) -> str:
+def case_code(method: str, suite: str = "") -> str:
     """Return the digest of the code that computes cases of a localization method in this process.
 
     Other methods do not count, so that an edit of one leaves the cases of the others current. The
-    digest of an unknown method is empty.
+    digests of plug-ins that the method and the suite are from follow after "+". The digest of an
+    unknown method is empty.
     """
-    if method not in _METHODS:
+    own = [registered("method").get(method), registered("sensor").get(suite)]
+    if method not in _METHODS and own[0] is None:
         return ""
-    others = {*_METHODS.values()} - {_METHODS[method]}
-    return code_digest([_COMPOSES, _METHODS[method]], {registry.__name__: others})
+    code = module_code(_METHODS.get(method, registry.OWN))
+    return "+".join([code, *(found.plugin.digest for found in own if found)])
+
+
+@cache
+def module_code(module: str) -> str:
+    """Return the digest of the code that computes cases of the methods in a module."""
+    others = {registry.OWN, *_METHODS.values()} - {module}
+    return code_digest([_COMPOSES, module], {registry.__name__: others})
 
 
 @cache

@@ -251,7 +251,7 @@ def _record(
         case=case.name,
         seed=case.seed,
         method=method,
-        code=case_code(method),
+        code=case_code(method, case.settings.sensing.suite),
         condition=case.variant.condition,
         point=case.variant.point,
         status=status,

@@ -18,6 +18,7 @@ from pydantic.dataclasses import dataclass
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT
+from tiswarm.base.plugins import registered
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend
 from tiswarm.records.estimate import Estimate
@@ -43,6 +44,9 @@ from tiswarm.world.history import History, read_history, write_history
 
 _COST = "cost.json"
 _STRUCTURES = "structures"
+TRACEBACK = "traceback.txt"
+"""File of a case that failed in a plug-in."""
+
 _TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case."""
 
@@ -92,7 +96,8 @@ class CaseRecord:
     @property
     def is_current(self) -> bool:
         """Whether the code of this process computed the case, or failed to."""
-        return bool(self.code) and self.code == case_code(self.method)
+        suites = ("", *registered("sensor"))
+        return bool(self.code) and any(self.code == case_code(self.method, s) for s in suites)
 
     def sealed(self) -> "CaseRecord":
         """Return the record with its digest."""
@@ -189,9 +194,15 @@ class RunFolder:
         found = {case.name: self.read_case(case.name) for case in cases}
         return {name: record for name, record in found.items() if record is not None}
 
-    def store_failure(self, record: CaseRecord) -> None:
-        """Store a case that failed; the next run tries it again."""
-        self._publish(record, self._new_folder(record.case))
+    def store_failure(self, record: CaseRecord, traceback: str = "") -> CaseRecord:
+        """Store a case that failed, with its traceback if it has one; the next run tries again."""
+        folder = self._new_folder(record.case)
+        if traceback:
+            why = f"{record.reason}; cases/{record.case}/{TRACEBACK} has the traceback"
+            record = replace(record, reason=why)
+            write_text(folder / TRACEBACK, traceback)
+        self._publish(record, folder)
+        return record
 
     def store(
         self,

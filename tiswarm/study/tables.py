@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.parts import load
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
@@ -28,7 +29,7 @@ from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
-from tiswarm.sensing.suites import SUITES
+from tiswarm.sensing.params import SUITE_OF
 from tiswarm.study.cases import Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
@@ -272,10 +273,10 @@ def suites(
     located whose positions its cues determine. Means are over structures.
     """
     setting_of = dict(zip([record.case for record in records], settings, strict=True))
-    rows = []
+    suite_of, rows = load(SUITE_OF, "suites.csv"), []
     for group in _grouped(records, lambda record: record.series):
         first, setting = group[0], setting_of[group[0].case]
-        suite, touch = SUITES[setting.sensing.suite], setting.sensing.touch
+        suite, touch = suite_of(setting.sensing.suite), setting.sensing.touch
         done = [
             {**record.scores, **_located(cases / record.case)} for record in group if record.is_done
         ]

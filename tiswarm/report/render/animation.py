@@ -20,9 +20,9 @@ from tiswarm.records.terrain import Terrain
 from tiswarm.report.figure_style import JOIN_COLORS, colors_along
 from tiswarm.report.render.pictures import Rendered, Scale, add_legend
 from tiswarm.report.render.raycast import draw_growth
-from tiswarm.report.render.scene import TRUE_SIZE, DrawnRobots, build_scene
+from tiswarm.report.render.scene import TRUE_SIZE, build_scene
 from tiswarm.report.run_data import RunData
-from tiswarm.report.swarm_view import read_case_view
+from tiswarm.report.swarm_view import DrawnRobots, read_case_view
 
 LAST_MS = 2_500
 """Duration of the last frame, which shows the whole structure [ms]."""

@@ -23,10 +23,10 @@ from tiswarm.report.figure_style import (
     rgb,
 )
 from tiswarm.report.render.raycast import draw_scenes
-from tiswarm.report.render.scene import TRUE_SIZE, DrawnRobots, Look, Scene, build_scene
+from tiswarm.report.render.scene import TRUE_SIZE, Scene, build_scene
 from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
 from tiswarm.report.run_data import RunData
-from tiswarm.report.swarm_view import SwarmView, read_case_view
+from tiswarm.report.swarm_view import DrawnRobots, Look, SwarmView, read_case_view
 
 _GHOST_BLUE = "#80B8D8"  # TRUE_BLUE, translucent over white
 _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball

@@ -15,6 +15,7 @@ from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.report.ground import shown_slabs
 from tiswarm.report.render.lit_ground import Ground, lay_ground
 from tiswarm.report.render.shade import Array32, blocked_light, dot, unit
+from tiswarm.report.swarm_view import DrawnRobots, Look
 
 _ROD_RADIUS = 0.16  # [R]
 _ROD_GRAY = (0.45, 0.45, 0.47)
@@ -96,7 +97,7 @@ class Scene:
         columns, rows = round(share * self.camera.width), round(share * self.camera.height)
         return self.seen_by(replace(self.camera, width=columns, height=rows))
 
-    def painted(self, robots: "DrawnRobots") -> "Scene":
+    def painted(self, robots: DrawnRobots) -> "Scene":
         """Return a scene of robots alone in their present colors."""
         parts = _capsules(robots)
         return replace(self, color=np.concatenate([part[3] for part in parts]).astype(np.float32))
@@ -112,27 +113,8 @@ class Scene:
         return replace(self, camera=camera, ghost=ghost)
 
 
-@dataclass(frozen=True)
-class Look:
-    """Radii of a robot's parts [R]."""
-
-    hub: float
-    arm: float
-    dock: float
-
-
 TRUE_SIZE = Look(0.45, 0.3, 1.0)
 """Radii in which touching docks touch."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DrawnRobots:
-    """N robots to draw."""
-
-    center: Reals  # centers [R], shape (N, 3)
-    dock: Reals  # dock centers [R], shape (N, docks, 3)
-    color: Reals  # red, green, blue of each robot, 0 to 1, shape (N, 3)
-    look: Look
 
 
 def build_scene(

@@ -1,4 +1,4 @@
-"""Fixes: coordinates of planar and of seed robots, and those that beacons in line of sight give.
+"""Fixes: coordinates of seed robots, and those that beacons in line of sight give.
 
 The two planes of a lighthouse are sources: what one measures has an error in common.
 """
@@ -9,28 +9,24 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import normal
+from tiswarm.sensing.noise import NO_SOURCE
 from tiswarm.sensing.params import SensingParams
-from tiswarm.sensing.sight import Lookouts, in_sight
+from tiswarm.sensing.suites.sight import Lookouts, find_lookouts, in_sight
 from tiswarm.world.history import History
 
 _SLANT = np.radians(30.0)
 """Slant of both planes of a lighthouse to the vertical axis about which they sweep; that of
 version 2 [rad]."""
 
-_PLANE_SD = 0.01
-"""Standard deviation of the plane that a planar robot is in [R]."""
 
-_NO_SOURCE = -1
-
-
-def sense_fixes(history: History, lookouts: Lookouts, params: SensingParams) -> Reals:
+def sense_fixes(history: History, params: SensingParams) -> Reals:
     """Measure coordinates of centers.
 
     Returns:
         Rows of (robot, stance, direction (3), value, standard deviation, source), shape (F, 8). The
         source is a place in `params.sources`, or -1.
     """
-    rows = [_plane(history), _seeds(history, params)]
+    rows, lookouts = [_seeds(history, params)], find_lookouts(history, params)
     views = [lookouts.toward(np.array(beacon)) for beacon in params.beacons]
     seen = [in_sight(history, view) for view in views]
     if params.beacon_kind == "sweep":
@@ -41,21 +37,13 @@ def sense_fixes(history: History, lookouts: Lookouts, params: SensingParams) -> 
     return np.concatenate(rows)
 
 
-def _plane(history: History) -> Reals:
-    """Return y = 0 at the final stance of each planar robot."""
-    robot = np.arange(history.robot_count if history.is_planar else 0)
-    last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
-    fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, _NO_SOURCE], (len(robot), 1))
-    return np.column_stack([robot, last, fix])
-
-
 def _seeds(history: History, params: SensingParams) -> Reals:
     """Measure the final centers of the first robots but the anchor, which is known."""
     robot = np.repeat(np.arange(1, min(params.seed_robots, history.robot_count)), 3)
     axis = np.arange(len(robot)) % 3
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     error = params.fix_noise * normal(history.seed, "seed robot", robot, axis)
-    known = np.tile([params.fix_noise, _NO_SOURCE], (len(robot), 1))
+    known = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
     return np.column_stack(
         [robot, last, np.eye(3)[axis], history.position[robot, axis] + error, known]
     )
@@ -64,7 +52,7 @@ def _seeds(history: History, params: SensingParams) -> Reals:
 def _coordinates(seed: int, lookouts: Lookouts, params: SensingParams) -> Iterator[Reals]:
     """Measure x and y."""
     robot, stance, center, _ = lookouts
-    known = np.tile([params.fix_noise, _NO_SOURCE], (len(robot), 1))
+    known = np.tile([params.fix_noise, NO_SOURCE], (len(robot), 1))
     for axis in (0, 1):
         error = params.fix_noise * normal(seed, "fix", robot, 2 * stance + axis)
         direction = np.tile(np.eye(3)[axis], (len(robot), 1))
@@ -91,6 +79,6 @@ def _planes(seed: int, lookouts: Lookouts, number: int, params: SensingParams) -
         draw = 2 * (64 * stance + number) + plane
         error = params.fix_noise * normal(seed, "sweep", robot, draw)
         error += params.fix_bias * normal(seed, "beacon", number, plane)
-        source = 2 * number + plane if params.fix_bias else _NO_SOURCE
+        source = 2 * number + plane if params.fix_bias else NO_SOURCE
         known = np.tile([params.fix_noise, source], (len(robot), 1))
         yield np.column_stack([robot, stance, direction, direction @ station + error, known])

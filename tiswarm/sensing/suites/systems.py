@@ -7,13 +7,10 @@ gives millimeters, 33 mm are 1 R. `docs/suites.md` has the source of each number
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
-SuiteName = Literal[
-    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
-    "swarmbang",
-]  # fmt: skip
-"""Names of all suites."""
+from tiswarm.base.plugins import registered
+from tiswarm.sensing.plugins import KIND
 
 Point = tuple[float, float, float]
 
@@ -38,7 +35,7 @@ _NO_TOUCH = {"contacts": False, "ground_docks": False, "heights": False, "stance
 class Suite:
     """Sensors of one system and their price."""
 
-    name: SuiteName
+    name: str
     senses: str
     """What robots sense."""
 
@@ -145,3 +142,13 @@ _SUITES = (
 
 SUITES: dict[str, Suite] = {suite.name: suite for suite in _SUITES}
 """Every suite by its name."""
+
+
+def suite_of(name: str) -> Suite:
+    """Return a suite by its name; that of a plug-in has no source of its price."""
+    if found := SUITES.get(name):
+        return found
+    own = registered(KIND)[name].value
+    return Suite(
+        name=name, senses=own.fills, settings=own.settings, robot_usd=own.robot_usd, needs="unknown"
+    )

@@ -87,7 +87,7 @@ def in_sight(history: History, views: Views) -> Bools:
         return np.empty(0, np.bool_)
     from tiswarm.compute import backend, program  # noqa: PLC0415 - slow to import
     from tiswarm.compute.cell_kernels import CellList  # noqa: PLC0415
-    from tiswarm.sensing.sight_kernels import Segments, SightLimits, find_blocked  # noqa: PLC0415
+    from tiswarm.sensing.suites.sight_kernels import Segments, SightLimits, find_blocked  # noqa: PLC0415
 
     radius = history.robot.dock_radius
     turned = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)

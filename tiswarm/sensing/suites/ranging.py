@@ -6,11 +6,11 @@ from scipy.spatial import cKDTree
 from tiswarm.base.aliases import Reals
 from tiswarm.compute.math import normal
 from tiswarm.sensing.params import SensingParams
-from tiswarm.sensing.sight import Lookouts, Views, in_sight
+from tiswarm.sensing.suites.sight import Views, find_lookouts, in_sight
 from tiswarm.world.history import History
 
 
-def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) -> Reals:
+def sense_ranges(history: History, params: SensingParams) -> Reals:
     """Measure the distance of centers to that of earlier robots within reach and in sight.
 
     Returns:
@@ -20,6 +20,7 @@ def sense_ranges(history: History, lookouts: Lookouts, params: SensingParams) ->
     """
     if params.range_reach is None:
         return np.empty((0, 6))
+    lookouts = find_lookouts(history, params)
     here, there = cKDTree(lookouts.center), cKDTree(history.position)
     pairs = here.sparse_distance_matrix(there, params.range_reach, output_type="ndarray")
     place, other = pairs["i"], pairs["j"]

@@ -29,8 +29,15 @@ from scipy.spatial import cKDTree
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import assess, rms
+from tiswarm.localization.hop_by_hop.trilateration import (
+    POINTS,
+    Ties,
+    Trilateration,
+    length,
+    outer,
+    unit,
+)
 from tiswarm.localization.params import HopByHopParams
-from tiswarm.localization.trilateration import POINTS, Ties, Trilateration, length, outer, unit
 from tiswarm.measurements.contacts import disconnected, parts
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements

@@ -1,0 +1,413 @@
+"""Plug-ins: methods and formats from a file of a user, and what happens where one is wrong."""
+
+import json
+import pickle
+import re
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+import tiswarm
+from tests.runs import REPOSITORY, call
+from tiswarm.base import plugins
+from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.localization.plugins import all_params
+from tiswarm.scenario.model import scenario_schema
+from tiswarm.scenario.validation import localization_params
+
+PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
+CHAIN, RADAR, XYZ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+[STUDY] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+ORIGIN = """
+import numpy as np
+import tiswarm
+
+@tiswarm.method("origin")
+def locate(log):
+    return np.zeros((log.robot_count, 3))
+"""
+FAILS = ORIGIN.replace("np.zeros((log", "np.zeros((log_")
+SCENARIO = """
+name: own
+robots: 5
+seeds: 2
+structure: {kind: tower}
+localization: {method: origin}
+conditions:
+  own: {}
+  hops: {localization: {method: hop-by-hop}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _forget():
+    """Leave no plug-in to the next test."""
+    yield
+    plugins.forget()
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """Working folder with a plug-in and a scenario for it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.py").write_text(ORIGIN)
+    (tmp_path / "own.yaml").write_text(SCENARIO)
+    return tmp_path
+
+
+@pytest.fixture
+def log(files):
+    """A sensing log in the working folder."""
+    run = _run(files)
+    return next(run.folder.glob("cases/0-own/sensing.jsonl"))
+
+
+def _run(files, **options):
+    named = {"out": files / "runs", "pictures": False, "quiet": True, **options}
+    return tiswarm.run(files / "own.yaml", plugins=[files / "own.py"], **named)
+
+
+def _record(run, case):
+    return json.loads((run.folder / "cases" / case / "case.json").read_text())
+
+
+def test_the_example_of_the_page_runs(tmp_path):
+    """Its commands check the scenario, run it on two workers, and localize a log."""
+    (tmp_path / "chain.py").write_text(CHAIN)
+    (tmp_path / "study.yaml").write_text(STUDY)
+    small = ["--set", "robots=6", "--set", "seeds=1", "--no-pictures"]
+
+    checked = call("check", "study.yaml", "--plugin", "chain.py", cwd=tmp_path)
+    run = call(
+        *("run", "study.yaml", "--plugin", "chain.py", "--workers", "2", *small), cwd=tmp_path
+    )
+    [case] = tmp_path.glob("reports/*/cases/0-chain")
+    done = call(
+        *("localize", case / "sensing.jsonl", "--plugin", "chain.py", "--method", "chain"),
+        *("--set", "gap=2.1"),
+        cwd=tmp_path,
+    )
+
+    assert len(CHAIN.splitlines()) <= 40
+    assert checked.returncode == 0, checked.stderr
+    assert run.returncode == 0, run.stderr
+    assert "chain: RMSE" in run.stdout
+    assert json.loads((case / "case.json").read_text())["status"] == "done"
+    assert "-> estimate.csv" in done.stdout
+
+
+def test_a_setting_is_checked_as_any_other(files):
+    """A wrong key, type or value is a line with its place."""
+    (files / "own.py").write_text(CHAIN)
+    tiswarm.check("own.yaml", plugins=["own.py"])
+    wrong = {"gap=-1": "gap should be 0 or more", "gap=x": "valid number", "gab=1": "did you mean"}
+
+    for setting, words in wrong.items():
+        with pytest.raises(InputError, match=words):
+            localization_params("chain", [setting])
+
+
+def test_the_schema_has_settings_of_plugins(files):
+    """Editors complete them, with their docstrings and defaults."""
+    (files / "own.py").write_text(CHAIN)
+
+    plugins.load_plugins(["own.py"])
+
+    gap = scenario_schema()["$defs"]["OwnChainParams"]["properties"]["gap"]
+    assert gap["default"] == 2.0
+    assert gap["description"] == "Distance of docks that touch [dock radii]."
+
+
+def test_positions_get_verdicts(log):
+    """All robots at the anchor fit no contact: the estimate says that it did not converge."""
+    with pytest.warns(tiswarm.base.errors.ResultWarning):
+        found = tiswarm.localize(log, "origin")
+
+    assert found.convergence is not None
+    assert not found.convergence.trusted
+
+
+def test_an_estimate_is_returned_as_it_is(files, log):
+    """A method that returns an estimate without verdicts has none."""
+    code = ORIGIN.replace(
+        "return np.zeros((log.robot_count, 3))",
+        "from tiswarm.records.estimate import Estimate\n"
+        "    position, none = np.zeros((log.robot_count, 3)), np.zeros(log.robot_count, bool)\n"
+        "    return Estimate(robot_id=log.robot_id, position=position, disconnected=none,\n"
+        "                    iteration=np.zeros(1), trace=position[None], residual=np.zeros(1))",
+    )
+    (files / "own.py").write_text(code)
+
+    found = tiswarm.localize(log, "origin", plugins=["own.py"])
+
+    assert found.convergence is None
+    anchor = found.log.anchor_position
+    np.testing.assert_array_equal(found.position, np.tile(anchor, (found.robot_count, 1)))
+
+
+def test_the_record_of_a_case_has_the_digest_of_its_plugin(files):
+    """Twelve hex digits of the file follow the digest of the package."""
+    run = _run(files)
+
+    digest = sha256((files / "own.py").read_bytes()).hexdigest()[:12]
+    assert _record(run, "0-own")["code"].endswith(f"+{digest}")
+    assert "+" not in _record(run, "0-hops")["code"]
+
+
+def test_an_edit_computes_the_cases_of_the_plugin_again(files):
+    """Cases of other methods stay as they are, to the inode."""
+    before = _run(files)
+    x = before.frame("estimate", case="0-own")["x_R"]
+    kept = (before.folder / "cases" / "0-hops" / "case.json").stat().st_ino
+    code = _record(before, "0-own")["code"]
+
+    (files / "own.py").write_text(ORIGIN.replace("zeros", "ones"))
+    after = _run(files)
+
+    assert (after.folder / "cases" / "0-hops" / "case.json").stat().st_ino == kept
+    assert _record(after, "0-own")["code"] != code
+    moved = after.frame("estimate", case="0-own")["x_R"] - x
+    np.testing.assert_allclose(moved, 1.0, rtol=1e-12)  # the anchor's place is rounded
+
+
+@pytest.mark.parametrize("workers", [[], ["--workers", "2"]])
+def test_an_exception_leaves_its_traceback_in_the_case(files, workers):
+    """The case fails with a line that names the file, all others are done; --debug prints it."""
+    (files / "own.py").write_text(FAILS)
+
+    command = ("run", "own.yaml", "--plugin", "own.py", "--no-pictures", *workers)
+    done = call(*command, cwd=files)
+    debugged = call(*command, "--debug", cwd=files)
+
+    [run] = files.glob("reports/*")
+    record = json.loads((run / "cases" / "1-own" / "case.json").read_text())
+    traceback = (run / "cases" / "1-own" / "traceback.txt").read_text()
+    hops = json.loads((run / "cases" / "1-hops" / "case.json").read_text())
+    assert done.returncode == debugged.returncode == 3
+    assert record["status"] == "failed"
+    assert f"{files / 'own.py'}:7: origin failed: NameError" in record["reason"]
+    assert record["reason"].endswith("cases/1-own/traceback.txt has the traceback")
+    assert "Traceback (most recent call last)" in traceback
+    assert hops["status"] == "done"
+    assert "Traceback" not in done.stderr
+    assert traceback in debugged.stderr
+
+
+def test_localize_prints_a_line_or_with_debug_the_traceback(files, log):
+    """A user of the method reads the line, its author the rest."""
+    (files / "own.py").write_text(FAILS)
+
+    command = ("localize", log, "--plugin", "own.py", "--method", "origin")
+    done, debugged = call(*command, cwd=files), call(*command, "--debug", cwd=files)
+
+    assert done.returncode == debugged.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "own.py:7: origin failed: NameError" in done.stderr
+    assert "Traceback" in debugged.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        ("x = 1\n", "own.py: registers nothing; decorate a function"),
+        ("def f(:\n", "own.py:1: invalid syntax; correct the plug-in"),
+        ("\n1 / 0\n", "own.py:2: ZeroDivisionError: division by zero; correct the plug-in"),
+        (ORIGIN.replace('"origin"', '"joint"'), "own.py:5: method joint is taken by tiswarm"),
+        (ORIGIN.replace('"origin"', '"My Own"'), "own.py:5: 'My Own' names no method; use words"),
+        (ORIGIN.replace('"origin"', '"o", cues=["smell"]'), "own.py:5: smell is not a cue; use"),
+        (ORIGIN.replace('"origin"', '"o", settings=int'), "own.py:5: .* is no frozen dataclass"),
+        (CHAIN.replace("gap: float", "method: float"), "own.py:.* method has a meaning already"),
+        (CHAIN.replace("gap: float", "gap: np.ndarray"), "own.py:.* use types like float or str"),
+        (RADAR.replace('"radar"', '"atron"'), "own.py:6: sensor atron is taken by tiswarm itself"),
+        (RADAR.replace('"ranges"', '"smells"'), "own.py:6: fills: the log has no list smells"),
+        (XYZ.replace('"xyz"', '"ply"'), "own.py:4: format ply is taken by tiswarm itself"),
+    ],
+)
+def test_a_mistake_in_a_plugin_is_a_line(files, code, problem):
+    """It names file and line, what is wrong and what to do, and registers nothing."""
+    (files / "own.py").write_text(code)
+
+    with pytest.raises(InputError, match=problem):
+        tiswarm.check("own.yaml", plugins=["own.py"])
+
+    assert plugins.registered("method") == plugins.registered("format") == {}
+
+
+def test_a_plugin_that_is_missing_is_a_line(files):
+    """A wrong path is no traceback."""
+    done = call("check", "own.yaml", "--plugin", "none.py", cwd=files)
+
+    assert done.returncode == 2
+    assert done.stderr == (
+        "tiswarm: error: none.py: cannot be read: No such file or directory; "
+        "correct the path of the plug-in\n"
+    )
+
+
+def test_a_name_of_another_plugin_is_taken(files):
+    """The line names the file that has it."""
+    (files / "other.py").write_text(ORIGIN)
+
+    with pytest.raises(InputError, match=r"other.py:5: method origin is taken by .*own.py"):
+        tiswarm.check("own.yaml", plugins=["own.py", "other.py"])
+
+
+@pytest.mark.parametrize(
+    ("returned", "problem"),
+    [
+        ("np.zeros((2, 3))", r"returned ndarray of shape \(2, 3\); return positions"),
+        ("np.full((log.robot_count, 3), np.nan)", "returned positions that are not finite"),
+    ],
+)
+def test_a_wrong_result_is_a_line(files, log, returned, problem):
+    """It says what was returned, and what is wanted."""
+    (files / "own.py").write_text(ORIGIN.replace("np.zeros((log.robot_count, 3))", returned))
+
+    with pytest.raises(plugins.PluginError, match=problem):
+        tiswarm.localize(log, "origin", plugins=["own.py"])
+
+
+def test_no_file_loads_code_by_itself(files, log):
+    """A scenario, a log and the folder of a run leave a plug-in beside them alone."""
+    (files / "own.py").write_text(f"{ORIGIN}\nopen('loaded', 'w').close()\n")
+    run = log.parents[2]
+    (run / "own.py").write_text((files / "own.py").read_text())
+
+    commands = [
+        ("check", "own.yaml"),
+        ("run", "own.yaml"),
+        ("localize", log, "--method", "origin"),
+        ("report", run),
+    ]
+    found = [call(*command, cwd=files) for command in commands]
+
+    assert [done.returncode for done in found] == [2, 2, 2, 2]
+    assert all('"origin" should be one of' in done.stderr for done in found)
+    assert all("that you load (--plugin FILE)" in done.stderr for done in found)
+    assert not (files / "loaded").exists()
+
+
+def test_a_worker_refuses_a_plugin_that_changed(files):
+    """Cases of one run are computed by one state of the code."""
+    tiswarm.check("own.yaml", plugins=["own.py"])
+    sent = pickle.dumps(localization_params("origin"))
+    same = pickle.loads(sent)  # noqa: S301 - our own
+
+    (files / "own.py").write_text(ORIGIN.replace("zeros", "ones"))
+
+    assert same == localization_params("origin")
+    with pytest.raises(EnvironmentTroubleError, match=r"own.py: the plug-in has changed"):
+        pickle.loads(sent)  # noqa: S301 - our own
+
+
+def test_a_method_of_a_session_needs_no_file(log):
+    """A notebook registers a function and localizes by it; only workers need a file."""
+
+    @tiswarm.method("here")
+    def locate(log):
+        return np.zeros((log.robot_count, 3))
+
+    with pytest.warns(tiswarm.base.errors.ResultWarning):
+        found = tiswarm.localize(log, "here")
+
+    assert found.robot_count == 5
+    with pytest.raises(InputError, match="workers cannot load what this session defines"):
+        pickle.dumps(localization_params("here"))
+
+
+def test_an_installed_plugin_needs_no_option(files, log):
+    """An entry point of its package names the module."""
+    (files / "mine.py").write_text(ORIGIN)
+    folder = files / "mine-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text("[tiswarm.plugins]\norigin = mine\n")
+    path = f"{files}:{REPOSITORY}"
+
+    checked = call("check", "own.yaml", cwd=files, PYTHONPATH=path)
+    run = call(*("run", "own.yaml", "--workers", "1", "--no-pictures"), cwd=files, PYTHONPATH=path)
+    (files / "mine.py").write_text("import nothing_of_that_name\n")
+    broken = call("check", "own.yaml", cwd=files, PYTHONPATH=path)
+
+    assert checked.returncode == 0, checked.stderr
+    assert run.returncode == 0, run.stderr
+    assert broken.returncode == 1
+    assert broken.stderr.startswith("tiswarm: error: plug-in origin (mine): ")
+    assert broken.stderr.endswith("; repair or uninstall it\n")
+
+
+def test_a_format_of_a_plugin_is_written(files, log):
+    """The example of the page lists the robots as atoms; an unknown format is a line."""
+    (files / "xyz.py").write_text(XYZ)
+
+    command = ("export", log, log.with_name("estimate.csv"), "--format")
+    done = call(*command, "xyz", "--plugin", "xyz.py", cwd=files)
+    unknown = call(*command, "xyz", cwd=files)
+
+    assert done.returncode == 0, done.stderr
+    assert (files / "export" / "case.xyz").read_text().startswith("5\n")
+    assert unknown.returncode == 2
+    assert "--format: there is no format xyz" in unknown.stderr
+
+
+RADARS = """
+name: own
+robots: 5
+seeds: 2
+structure: {kind: tower}
+localization: {method: hop-by-hop}
+conditions:
+  usual: {}
+  radar: {sensing: {suite: radar}}
+"""
+
+
+def test_a_sensor_of_a_plugin_fills_its_list(files):
+    """Its ranges are near the distances to the anchor; workers and tables know the suite."""
+    (files / "own.py").write_text(RADAR)
+    (files / "own.yaml").write_text(RADARS)
+
+    run = _run(files, workers=2)
+
+    log = tiswarm.read_log(run.folder / "cases" / "0-radar" / "sensing.jsonl")
+    truth = run.frame("truth", case="0-radar")[["x_R", "y_R", "z_R"]].to_numpy()
+    distance = np.linalg.norm(truth[1:] - truth[0], axis=1)
+    assert log.ranges[:, [0, 1]].tolist() == [[robot, 0] for robot in range(1, 5)]
+    # Five of its standard deviations.
+    np.testing.assert_allclose(log.ranges[:, 2], distance, atol=0.5)
+    assert run.frame("suites")["suite"].tolist() == ["fireant-v3", "radar"]
+
+
+def test_an_edit_of_a_sensor_computes_its_cases_again(files):
+    """Those of other suites are kept."""
+    (files / "own.py").write_text(RADAR)
+    (files / "own.yaml").write_text(RADARS)
+    before = _run(files)
+    kept = (before.folder / "cases" / "0-usual" / "case.json").stat().st_ino
+
+    (files / "own.py").write_text(RADAR.replace("0.1", "0.2"))
+    after = _run(files)
+
+    assert (after.folder / "cases" / "0-usual" / "case.json").stat().st_ino == kept
+    log = tiswarm.read_log(after.folder / "cases" / "0-radar" / "sensing.jsonl")
+    assert set(log.ranges[:, 3]) == {0.2}
+    assert _record(after, "0-radar")["code"].count("+") == 1
+
+
+@pytest.mark.parametrize("returned", ["columns[:2]", "np.full(6, 9.0)", "np.full(6, np.nan)"])
+def test_wrong_rows_of_a_sensor_fail_the_case(files, returned):
+    """The reason names the file, and cases of other suites are done."""
+    (files / "own.py").write_text(RADAR.replace("np.column_stack(columns)", returned))
+    (files / "own.yaml").write_text(RADARS)
+
+    with pytest.warns(tiswarm.base.errors.ResultWarning, match="2 cases failed"):
+        run = _run(files)
+
+    assert str(files / "own.py") in _record(run, "0-radar")["reason"]
+    assert _record(run, "0-usual")["status"] == "done"
+
+
+def test_what_is_forgotten_leaves_the_scenario():
+    """The union of settings is that of the package without plug-ins."""
+    assert "origin" not in str(all_params())

@@ -1,0 +1,1 @@
+"""Optional: the method `hop-by-hop`, as rival systems localize."""

@@ -1,0 +1,241 @@
+"""Draws the figures of errors: against the iterations of a method, and along the structure."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.records.messages import counted
+from tiswarm.report import figure_style
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    MOST_BANDS,
+    PAGE_WIDTH,
+    fit_axis,
+    line_style,
+    new_panels,
+    shortened,
+)
+from tiswarm.report.run_data import RunData, Series, StoredCase
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MAX_PANELS = 9
+_MANY_TIMES = 4.0  # ratio of iterations from which the axis is logarithmic
+_MAX_POINTS = 20_000  # points drawn in one panel: a fixed random choice where there are more
+_MOST_VECTORS = 2_000  # points in all panels that an SVG has one by one
+_MAX_KINDS = 4
+_LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
+_LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
+
+_HEIGHT = ("z_R", "True height [R]")
+_GROWS = {
+    "tower": _HEIGHT,
+    "cantilever": ("x_R", "True distance out from the edge [R]"),
+    "bridge": ("x_R", "True distance along the gap [R]"),
+    "chain": _HEIGHT,
+}
+"""By kind of structure, the column of `robots.csv` along which it grows, and the axis label."""
+
+
+def error_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+    """List the figures of errors that a run has, by file name."""
+    if _first_by_kind(run.series):
+        return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
+    upward = all(_way(cases) == _HEIGHT for cases in run.series.values())
+    name = "error-against-height" if upward else "error-along-growth"
+    return {"convergence": draw_convergence, name: draw_errors}
+
+
+def draw_convergence(run: RunData) -> "Figure":
+    """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
+
+    Each point of a sweep has a panel with a line for each condition; many lines have no bands.
+    """
+    points = _by_point(run.series)
+    shown = dict(list(points.items())[:_MAX_PANELS])
+    names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
+    seeds = max(map(len, run.series.values()))
+    bands = len(names) <= MOST_BANDS and seeds > 1
+    columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
+    rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
+    width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
+    height = 0.8 + 1.9 * rows + _LEGEND_LINE * (len(names) // in_line)
+    figure, panels = new_panels(width, height, len(shown), columns, share="y")
+    legend: dict[str, Artist] = {}
+    top = 0.0
+    for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
+        top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
+        axes.set_title(title, fontsize=8.0)
+        legend |= {str(line.get_label()): line for line in axes.lines}
+    lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
+    ends = np.array([line[-1] for line in lines])
+    panels[0].set_ylim(top=1.05 * top or 1.0)
+    fit_axis(panels[0], "y", ends, others=np.concatenate([np.empty(0), *lines]))
+    figure.supylabel("RMSE [R]", fontsize=8.0)
+    figure.legend(
+        legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
+        title=f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}", title_fontsize=7.0,
+    )  # fmt: skip
+    left = len(points) - len(shown)
+    more = f"{counted(left, 'more sweep point')} not shown" if left else ""
+    figure_style.add_note(figure, more, run.note)
+    return figure
+
+
+def _by_point(series: Series) -> dict[str, Series]:
+    """Group series by sweep point; a single group if each point has one condition."""
+    points: dict[str, Series] = {}
+    for name, cases in series.items():
+        points.setdefault(shortened(cases[0].point), {})[cases[0].condition or name] = cases
+    if len(points) == len(series) > 1:
+        return {"": {shortened(name): cases for name, cases in series.items()}}
+    return points
+
+
+def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: bool) -> float:
+    """Draw mean and band of each series, colored by its place in `names`; returns the top [R]."""
+    top = 0.0
+    for name, cases in series.items():
+        look = line_style(names.index(name))
+        iteration, rmse = _traces(cases)
+        if not iteration.size:
+            continue
+        mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * bands
+        axes.plot(iteration, mean, label=name, **look)
+        if bands:
+            axes.fill_between(
+                iteration, mean - sd, mean + sd, color=look["color"], alpha=0.2, linewidth=0.0
+            )
+        top = max(top, float((mean + sd).max()))
+    axes.set_xlabel("Iteration")
+    axes.margins(x=0.0)
+    ends = [float(np.max(line.get_xdata())) for line in axes.lines]
+    if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
+        axes.set_xscale("log", nonpositive="mask")
+    return top
+
+
+def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
+    """Interpolate each case's RMSE on common iterations; a case that ended keeps its last value."""
+    names = ["iteration", "rmse_R"]
+    tables = [case.columns("convergence.csv", names, empty=True) for case in cases]
+    tables = [table for table in tables if len(table)]
+    iteration = np.unique(np.concatenate([np.empty(0), *(table[:, 0] for table in tables)]))
+    return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
+
+
+def draw_errors(run: RunData) -> "Figure":
+    """Draw each robot's error against its place along the structure, colored by its join index.
+
+    Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
+    """
+    shown = list(run.series.items())
+    if len(shown) > _MAX_PANELS:
+        conditions = list(dict.fromkeys(cases[0].condition for _, cases in shown))
+        shown.sort(key=lambda item: conditions.index(item[1][0].condition))
+    shown = shown[:_MAX_PANELS]
+    pairs = len(_by_point(run.series)) == 2 or len(shown) == 4  # noqa: PLR2004
+    columns = 2 if pairs else min(3, len(shown))
+    shown = shown[: _MAX_PANELS // columns * columns]
+    rows = -(-len(shown) // columns)
+    width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
+    lines = max(name.count(", ") for name, _ in shown)
+    height = 0.5 + (2.0 + _LEGEND_LINE * lines) * rows
+    ways = [_way(cases) for _, cases in shown]
+    alike = len(set(ways)) == 1
+    figure, panels = new_panels(width, height, len(shown), columns, share="xy" if alike else "y")
+    tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
+    _scatter(panels, tables)
+    notes = [run.note]
+    for axes, (name, _), table in zip(panels, shown, tables, strict=True):
+        if len(table) > _MAX_POINTS:
+            notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
+        axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
+    if alike:
+        figure.supxlabel(ways[0][1], fontsize=8.0)
+    else:
+        for axes, (_, label) in zip(panels, ways, strict=True):
+            axes.set_xlabel(label)
+    figure.supylabel("Error [R]", fontsize=8.0)
+    if len(shown) < len(run.series):
+        notes.append(f"{len(run.series) - len(shown)} more series not shown")
+    figure_style.add_note(figure, *notes)
+    return figure
+
+
+def _draw_error_along_growth(run: RunData) -> "Figure":
+    """Draw each robot's error against its place along the structure, colored by its join index.
+
+    Each kind of structure has a panel with the first condition.
+    """
+    kinds = _first_by_kind(run.series)
+    figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y")
+    _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
+    for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
+        axes.set_xlabel(_way(cases)[1])
+        many = counted(len(cases), "structure")
+        axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
+    panels[0].set_ylabel("Error [R]")
+    figure_style.add_note(figure, run.note)
+    return figure
+
+
+def _first_by_kind(series: Series) -> Series:
+    """Take the first series of each kind of structure; none unless a run sweeps a few kinds."""
+    kinds: Series = {}
+    for cases in series.values():
+        kinds.setdefault(cases[0].kind, cases)
+    points = {cases[0].point for cases in series.values()}
+    few = 1 < len(kinds) == len(points) <= _MAX_KINDS
+    return kinds if few and kinds.keys() <= _GROWS.keys() else {}
+
+
+def _way(cases: list[StoredCase]) -> tuple[str, str]:
+    """Return the column along which structures of a series grow, and the axis label."""
+    return _GROWS.get(cases[0].kind, _HEIGHT)
+
+
+def _errors_at(cases: list[StoredCase], column: str) -> Reals:
+    """Gather a column, error and join index of all robots with an error, shape (robots, 3)."""
+    names = [column, "error_R"]
+    tables = [case.columns("robots.csv", names, gaps=names) for case in cases]
+    table = np.concatenate([np.column_stack([t, np.arange(len(t))]) for t in tables])
+    finite: Reals = table[np.isfinite(table).all(axis=1)]
+    return finite
+
+
+def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
+    """Draw a table of `_errors_at` in each panel, colored by join index.
+
+    Where methods differ much, the axis of errors is logarithmic; less is drawn at its lower edge.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.ticker import MaxNLocator
+
+    last = max(1.0, *(float(table[:, 2].max(initial=0.0)) for table in tables))
+    colors = LinearSegmentedColormap.from_list("join", figure_style.JOIN_COLORS)
+    errors = [table[:, 1] for table in tables if len(table)]
+    typical = np.concatenate([[0.0], *(np.quantile(each, _LOW_AND_MIDDLE) for each in errors)])
+    fit_axis(panels[0], "y", typical)
+    low = panels[0].get_ylim()[0]
+    many = sum(min(len(table), _MAX_POINTS) for table in tables) > _MOST_VECTORS
+    top = 0.0
+    for axes, table in zip(panels, tables, strict=True):
+        x, y, join = np.random.default_rng(0).permutation(table)[:_MAX_POINTS].T
+        area = float(np.clip(9000.0 / max(len(x), 1), 1.0, 12.0))
+        dots = axes.scatter(
+            x, np.maximum(y, low), c=join, s=area, cmap=colors, vmin=0.0, vmax=last,
+            linewidths=0.0, clip_on=False, rasterized=many,
+        )  # fmt: skip
+        top = max(top, float(y.max(initial=0.0)))
+    panels[0].set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
+    figure = panels[0].figure
+    aspect = 25 * -(-len(panels) // 3)
+    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)
+    bar.locator = MaxNLocator("auto", integer=True)
+    bar.ax.spines["outline"].set_visible(False)

@@ -1,0 +1,121 @@
+"""Sensors of plug-ins: a function that fills a list of the log becomes a sensor suite.
+
+@tiswarm.sensor("radar", fills="ranges")
+def sense(history, sensing):
+    return rows  # (robot, stance, other robot, distance, standard deviation, source)
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar, get_args
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.errors import InputError
+from tiswarm.base.plugins import PluginError, Registered, guarded, register, registered
+from tiswarm.world.history import History
+
+KIND = "sensor"
+"""What plug-ins register here."""
+
+Filled = Literal["fixes", "ranges", "directions", "connections"]
+"""Lists of the log that a sensor may fill."""
+
+COLUMNS = {"fixes": 8, "ranges": 6, "directions": 8, "connections": 9}
+"""Numbers in a row of each of them, with robot and stance."""
+
+SuiteName = Literal[
+    "fireant-v3", "coachbot-v1", "coachbot-v2", "zooids", "kilobot", "freesn", "m-blocks", "atron",
+    "swarmbang",
+]  # fmt: skip
+"""Names of all suites of the package; `fireant-v3` has the defaults."""
+
+_Sense = TypeVar("_Sense", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnSuite:
+    """A sensor suite that a plug-in registered."""
+
+    name: str
+    fills: Filled
+    sense: Callable[..., Any]
+    settings: Mapping[str, Any]
+    robot_usd: float
+
+
+def sensor(
+    name: str,
+    *,
+    fills: Filled,
+    settings: Mapping[str, Any] = MappingProxyType({}),
+    robot_usd: float = 0.0,
+) -> Callable[[_Sense], _Sense]:
+    """Register a function as a sensor, which scenarios choose as `sensing.suite`.
+
+    The function takes the history of a structure, `tiswarm.world.history.History`, and the settings
+    of `sensing`. It returns rows of (robot, stance, ...) as `tiswarm.sensing.suites` has them.
+    Random numbers should depend on `history.seed` alone.
+
+    Args:
+        name: Name of the suite.
+        fills: List of the log that the rows are of.
+        settings: Settings of `sensing` that differ from the defaults.
+        robot_usd: Price of the sensors of a robot [USD]; 0 where unknown.
+
+    Raises:
+        InputError: the name is taken, or the log has no such list.
+    """
+    if name in get_args(SuiteName):
+        raise InputError(f"sensor {name} is taken by tiswarm itself; choose another name")
+    if fills not in COLUMNS:
+        raise InputError(f"fills: the log has no list {fills}; use {', '.join(COLUMNS)}")
+
+    def add(sense: _Sense) -> _Sense:
+        suite = OwnSuite(
+            name=name, fills=fills, sense=sense, settings=dict(settings), robot_usd=robot_usd
+        )
+        register(KIND, name, suite, sense)
+        return sense
+
+    return add
+
+
+def own_rows(history: History, params: Any) -> Iterator[tuple[str, Reals]]:  # noqa: ANN401
+    """Yield the list that the sensor of a plug-in fills, and its rows, if the suite is one.
+
+    Args:
+        history: True history of the structure.
+        params: Settings of `sensing`.
+
+    Raises:
+        PluginError: the sensor failed, or returned something else than rows.
+    """
+    found: Registered | None = registered(KIND).get(params.suite)
+    if found is None:
+        return
+    suite: OwnSuite = found.value
+    rows = guarded(
+        found.plugin, suite.name, lambda: np.array(suite.sense(history, params), np.float64)
+    )
+    if wrong := _fault(rows, COLUMNS[suite.fills], history):
+        problem = f"{found.plugin.file}: {suite.name} returned {wrong}"
+        raise PluginError(problem, f"{problem}\n")
+    yield suite.fills, rows
+
+
+def _fault(rows: Reals, columns: int, history: History) -> str:
+    """Say what is wrong with the rows of a sensor, and what is wanted; empty if nothing is."""
+    if rows.ndim != 2 or rows.shape[1] != columns:  # noqa: PLR2004 - rows and columns
+        return f"shape {rows.shape}; return rows of {columns} numbers"
+    if not np.isfinite(rows).all():
+        return "numbers that are not finite; leave out what was not measured"
+    stances = np.array([walk.stance_count for walk in history.walks])
+    robot = rows[:, 0].astype(np.int64)
+    is_robot = (robot >= 0) & (robot < len(stances))
+    is_stance = (rows[:, 1] >= 0) & (rows[:, 1] < stances[np.where(is_robot, robot, 0)])
+    if not (is_robot & is_stance).all():
+        return "a robot or stance that the structure lacks; start rows with (robot, stance)"
+    return ""

@@ -1,0 +1,1 @@
+"""Optional: sensor suites, and the senses that FireAntV3 lacks."""
