@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tiswarm.app import inspection
 from tiswarm.app.inspection import AdviceTable, advice_rows, inspect, rows_together
 from tiswarm.base.errors import InputError
 from tiswarm.measurements import advice
@@ -135,8 +134,7 @@ def test_a_set_that_cannot_be_chosen_is_refused(
 ):
     """The line names the argument."""
     log, center = observe(towers[1], SensingParams()), towers[1].position
-    for module in (advice, inspection):
-        monkeypatch.setattr(module, "MOST_ROBOTS", robots)
+    monkeypatch.setattr(advice, "MOST_ROBOTS", robots)
 
     with pytest.raises(InputError, match=re.escape(problem)):
         rows_together(
