@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests import foreign
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.ends import ranked
+from tiswarm.localization.joint.ends import aligned, ranked
 from tiswarm.localization.joint.mixture import minimum, mix
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import MixtureSettings
@@ -470,3 +471,20 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
     true = np.linalg.norm(place[:, None] - place, axis=2)
     np.testing.assert_allclose(apart, true, atol=2.0)
     assert not mixture.mirrored.any()
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_ends_are_aligned_with_the_one_of_least_cost(first):
+    """It stays where it is, and an end that misses more comes as near to it as a turn allows."""
+    log, place = foreign.without_beacons(6, 0, sd=0.01)
+    known, place = pose_problem(log, AS_ENDED), place / log.dock_radius
+    turned = place[0] + (place - place[0]) @ Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+    turned[-1] += [0.0, 0.0, 2.0]
+    position = np.roll([place, turned], first, axis=0)
+    ends = ends_of(log, position)
+
+    _, found = aligned(known, chains_at(position), ends)
+
+    np.testing.assert_allclose(found.position[first], place, rtol=1e-12)
+    away, before = (np.linalg.norm(each - place) for each in (found.position[1 - first], turned))
+    assert away < 0.2 * before
