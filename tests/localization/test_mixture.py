@@ -488,3 +488,15 @@ def test_ends_are_aligned_with_the_one_of_least_cost(first):
     np.testing.assert_allclose(found.position[first], place, rtol=1e-12)
     away, before = (np.linalg.norm(each - place) for each in (found.position[1 - first], turned))
     assert away < 0.2 * before
+
+
+def test_structures_that_are_not_refined_count_no_chain_that_failed(towers):
+    """Three of four chains are in the mean."""
+    log = observe(towers[0], NOISY)
+    position = np.array([towers[0].position] * 4)
+
+    mixture = mix(
+        log, AS_ENDED, pose_problem(log, AS_ENDED), chains_at(position), np.arange(4) == 2
+    )
+
+    assert mixture.solutions[0].chains == 3
