@@ -130,7 +130,7 @@ def test_tiny_structures_are_scored(towers, robots):
 
 
 def test_ranges_are_equally_wide_and_hold_the_largest_value():
-    """Eleven joins from 10 on are pairs and one left over; ten heights each end where one starts."""
+    """Eleven joins from 10 on are pairs and one left over; a height ends where the next starts."""
     robots = pd.DataFrame({"join": np.arange(10, 21), "z_R": np.arange(11.0), "error_R": 1.0})
 
     profile = error_profile(robots.assign(hops_from_anchor=1, contacts=1)).groupby("by")

@@ -550,3 +550,13 @@ def test_the_residual_of_each_frame_uses_the_yaw_of_that_frame(towers):
         assert estimate.residual[frame] == pytest.approx(np.sqrt(np.mean(gap**2)), rel=1e-9)
     width = np.sqrt(known.variance + params.end_sigma**2)
     assert estimate.residual_sd == pytest.approx(np.sqrt(np.mean((gap / width) ** 2)), rel=1e-9)
+
+
+def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
+    """From none to one, in even parts, with the steps at the end temperature."""
+    shares = []
+
+    annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)], on_progress=shares.append)
+
+    even = np.union1d(np.linspace(0.0, 1.0, AnnealSchedule.frames), [0.75])
+    np.testing.assert_allclose(shares, even, atol=1.0 / 400)

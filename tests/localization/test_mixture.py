@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from tests import foreign
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.joint.chains import Annealed
+from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import aligned, ranked
+from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import minimum, mix
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import MixtureSettings
+from tiswarm.localization.joint.settings import MixtureSettings, SdCalibration
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.sensing import SensingParams, observe
@@ -500,3 +501,18 @@ def test_structures_that_are_not_refined_count_no_chain_that_failed(towers):
     )
 
     assert mixture.solutions[0].chains == 3
+
+
+def test_hinges_make_no_robot_less_sure_that_nothing_ties():
+    """Its error is that of its chains, and of a guess where it may have joined."""
+    log = foreign.silent(0.5 * np.arange(4)[:, None] * [1.0, 0.0, 0.0])
+    known = pose_problem(log, ALL)
+    chains = chains_at(np.random.default_rng(0).normal(0.0, 5.0, (4, 4, 3)), within=4.0)
+
+    mixture = mix(log, ALL, known, chains, SOUND)
+
+    own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
+    guess = place_disconnected(mixture.position[None], known)[1][0]
+    assert known.untied[1:].all()
+    square = (1.0 - SdCalibration.hinged) * own + guess
+    np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)
