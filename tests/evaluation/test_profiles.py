@@ -127,3 +127,16 @@ def test_tiny_structures_are_scored(towers, robots):
     assert unknown == (alone if robots == 1 else set())
     assert scores["rmse_rigid_aligned_R"] == pytest.approx(0.0, abs=1e-9)
     assert error_profile(table).groupby("by")["count"].sum().eq(robots).all()
+
+
+def test_ranges_are_equally_wide_and_hold_the_largest_value():
+    """Eleven joins from 10 on are pairs and one left over; a height ends where the next starts."""
+    robots = pd.DataFrame({"join": np.arange(10, 21), "z_R": np.arange(11.0), "error_R": 1.0})
+
+    profile = error_profile(robots.assign(hops_from_anchor=1, contacts=1)).groupby("by")
+
+    joins, heights = profile.get_group("join"), profile.get_group("height_R")
+    assert joins["low"].tolist() == [10, 12, 14, 16, 18, 20]
+    assert joins["high"].tolist() == [11, 13, 15, 17, 19, 20]
+    assert heights["low"].tolist() == [*range(BINS)]
+    assert heights["count"].tolist() == [1] * (BINS - 1) + [2]

@@ -101,6 +101,21 @@ def test_ranges_are_not_judged_as_contacts(towers):
     assert scores["wrong_contacts"] == len(wrong)
 
 
+def test_every_dock_of_a_contact_counts_from_number_0_on(towers):
+    """If all contacts are judged wrong, precision is the share that is; recall is complete."""
+    log = observe(towers[0], SensingParams(false_contacts=0.05))
+    rows = measure(log, ["contacts"])
+    estimate = localize(log, VirtualForceParams(iterations=1))
+    judged = dataclasses.replace(estimate, outlier_contacts=rows.sensed_contacts)
+
+    scores = outlier_scores(towers[0], judged, rows=rows)
+
+    assert (rows.sensed_contacts[:, [2, 4]] == 0).any()
+    assert scores["outliers"] == len(log.contacts)
+    assert scores["outlier_precision"] == scores["wrong_contacts"] / len(log.contacts)
+    assert scores["outlier_recall"] == 1.0
+
+
 def _connected(history, count):
     """Robots that contacts of the first `count` connect to robot 0, by following them."""
     pairs = {(i, j) for i, _, j, _ in history.contacts.tolist() if j < count}

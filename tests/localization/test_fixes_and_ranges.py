@@ -5,7 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests import foreign
 from tests.structures import with_fixes, with_ranges
+from tiswarm.localization.assessment import assess
 from tiswarm.localization.joint.annealing import start_sigma
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import (
@@ -128,3 +130,16 @@ def test_a_robot_on_a_beam_is_near_those_that_joined_before(towers):
     size = np.linalg.norm(towers[0].position - towers[0].position.mean(axis=0), axis=1)
     assert found.disconnected[1:].all()
     assert (away**2).mean() < 2.0 * (size**2).mean()
+
+
+@pytest.mark.parametrize(("miss", "outliers"), [(0.0, []), (3.5, []), (7.0, [[3, 0, -1, 1, -1]])])
+def test_an_assessed_range_is_an_outlier_from_five_sd_on(miss, outliers):
+    """Fixes hold the robots; the range from robot 3 to robot 1 is too long by so many sd."""
+    _, place = foreign.without_beacons(5, 0)
+    log = foreign.with_places(foreign.silent(place), place, range(1, 5))
+    late = {(1, 3): 0.1 * miss}
+    log = foreign.with_all_ranges(log, place, sd=0.0, seed=0, stated=0.1, late=late)
+
+    found = assess(log, ("fixes", "ranges"), place / log.dock_radius, is_guess=np.zeros(5, bool))
+
+    assert found.outlier_contacts.tolist() == outliers

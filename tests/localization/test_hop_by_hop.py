@@ -279,6 +279,20 @@ def test_in_join_order_later_robots_change_nothing():
     assert whole.sd[:first].tobytes() == part.sd.tobytes()
 
 
+@pytest.mark.parametrize("params", METHODS, ids=lambda p: p.order)
+def test_a_robot_that_is_not_located_is_guessed_by_one_that_was_guessed(params):
+    """A chain of contacts alone: docks touch, though no position is determined."""
+    chain = np.array([[0, 0, 1, 1], [1, 0, 2, 1], [2, 2, 3, 0]], np.int32)
+    log = dataclasses.replace(swarm(np.zeros((4, 3))), contacts=chain)
+
+    found = localize(log, params)
+
+    i, a, j, b = chain.T
+    docks = found.position[:, None] + log.dock_offset_body
+    np.testing.assert_allclose(np.linalg.norm(docks[i, a] - docks[j, b], axis=1), 2.0, atol=1e-6)
+    assert not found.located[1:].any()
+
+
 def test_open_coordinates_are_reported():
     """Robots that no rows determine name the axes, and so do those that depend on them."""
     truth = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [3.0, 3.0, 4.0]])
@@ -345,6 +359,18 @@ def test_the_error_of_a_source_does_not_average_out():
     # The prior is that robots are within 2 R or so.
     information = 1.0 / (0.5**2 + 0.1**2 / 100) + 3.0 / 2.0**2
     assert found.sd[1] == pytest.approx(np.sqrt(3.0 / information), rel=1e-6)
+
+
+@pytest.mark.parametrize("reach", [6.0, 10.0])
+def test_a_robot_with_one_range_is_as_unsure_as_its_sphere_is_large(reach):
+    """Across the range, the prior of one partner leaves a variance of a third of its square."""
+    log = swarm(np.zeros((2, 3)))
+    log = dataclasses.replace(log, ranges=np.array([[1, 0, reach, 0.1, -1.0]]))
+
+    found = localize(log, HOPS)
+
+    along = 1.0 / (0.1**-2 + 3.0 / reach**2)
+    assert found.sd[1] == pytest.approx(np.sqrt(along + 2.0 * reach**2 / 3.0), rel=1e-6)
 
 
 def test_a_dock_in_the_way_excludes_a_mirror_image():

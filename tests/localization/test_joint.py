@@ -535,12 +535,28 @@ def _edge_as_ground(history, log):
 
 
 def test_the_residual_of_each_frame_uses_the_yaw_of_that_frame(towers):
-    """The first frame has robots as they were sensed, the last as they are estimated."""
-    log = observe(towers[0], dataclasses.replace(NOISY, yaw_bias_deg=20.0))
-    known = pose_problem(log, SHORT)
+    """The first frame has robots as they were sensed, the last as they are estimated.
 
-    estimate = localize(log, SHORT)
+    In sd, the last residual counts the heat that chains end in.
+    """
+    log = observe(towers[0], dataclasses.replace(NOISY, yaw_bias_deg=20.0))
+    params = dataclasses.replace(SHORT, end_sigma=0.05)
+    known = pose_problem(log, params)
+
+    estimate = localize(log, params)
 
     for frame, yaw in ((0, np.zeros(log.robot_count)), (-1, estimate.yaw)):
         gap = known.residual(estimate.trace[frame], yaw)
         assert estimate.residual[frame] == pytest.approx(np.sqrt(np.mean(gap**2)), rel=1e-9)
+    width = np.sqrt(known.variance + params.end_sigma**2)
+    assert estimate.residual_sd == pytest.approx(np.sqrt(np.mean((gap / width) ** 2)), rel=1e-9)
+
+
+def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
+    """From none to one, in even parts, with the steps at the end temperature."""
+    shares = []
+
+    annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)], on_progress=shares.append)
+
+    even = np.union1d(np.linspace(0.0, 1.0, AnnealSchedule.frames), [0.75])
+    np.testing.assert_allclose(shares, even, atol=1.0 / 400)

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests import foreign
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.ends import ranked
+from tiswarm.localization.joint.chains import Annealed, deviation
+from tiswarm.localization.joint.ends import aligned, ranked
+from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import minimum, mix
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import MixtureSettings
+from tiswarm.localization.joint.settings import MixtureSettings, SdCalibration
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.sensing import SensingParams, observe
@@ -470,3 +472,47 @@ def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand)
     true = np.linalg.norm(place[:, None] - place, axis=2)
     np.testing.assert_allclose(apart, true, atol=2.0)
     assert not mixture.mirrored.any()
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_ends_are_aligned_with_the_one_of_least_cost(first):
+    """It stays where it is, and an end that misses more comes as near to it as a turn allows."""
+    log, place = foreign.without_beacons(6, 0, sd=0.01)
+    known, place = pose_problem(log, AS_ENDED), place / log.dock_radius
+    turned = place[0] + (place - place[0]) @ Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+    turned[-1] += [0.0, 0.0, 2.0]
+    position = np.roll([place, turned], first, axis=0)
+    ends = ends_of(log, position)
+
+    _, found = aligned(known, chains_at(position), ends)
+
+    np.testing.assert_allclose(found.position[first], place, rtol=1e-12)
+    away, before = (np.linalg.norm(each - place) for each in (found.position[1 - first], turned))
+    assert away < 0.2 * before
+
+
+def test_structures_that_are_not_refined_count_no_chain_that_failed(towers):
+    """Three of four chains are in the mean."""
+    log = observe(towers[0], NOISY)
+    position = np.array([towers[0].position] * 4)
+
+    mixture = mix(
+        log, AS_ENDED, pose_problem(log, AS_ENDED), chains_at(position), np.arange(4) == 2
+    )
+
+    assert mixture.solutions[0].chains == 3
+
+
+def test_hinges_make_no_robot_less_sure_that_nothing_ties():
+    """Its error is that of its chains, and of a guess where it may have joined."""
+    log = foreign.silent(0.5 * np.arange(4)[:, None] * [1.0, 0.0, 0.0])
+    known = pose_problem(log, ALL)
+    chains = chains_at(np.random.default_rng(0).normal(0.0, 5.0, (4, 4, 3)), within=4.0)
+
+    mixture = mix(log, ALL, known, chains, SOUND)
+
+    own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
+    guess = place_disconnected(mixture.position[None], known)[1][0]
+    assert known.untied[1:].all()
+    square = (1.0 - SdCalibration.hinged) * own + guess
+    np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)

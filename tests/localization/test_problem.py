@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests import foreign
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.cues import measure
@@ -117,3 +118,17 @@ def _gaps(known, position, yaw):
     walked = np.exp(1j * yaw[robot]) * (walk @ [1.0, 1j])
     away = point - position[robot] - np.column_stack([walked.real, walked.imag, 0.0 * walked.real])
     return (direction * away).sum(axis=1)
+
+
+def test_parts_that_nothing_ties_are_held_apart_as_precisely_as_stated():
+    """Along every axis, with the sd of a height, each beyond the reach of the one before."""
+    place = np.zeros((3, 3))
+
+    known = pose_problem(foreign.silent(place), JointParams(height_sd=0.1))
+
+    planes = known.planes
+    assert planes.robot.tolist() == [1, 1, 1, 2, 2, 2]
+    np.testing.assert_allclose(planes.precision, 0.1**-2)
+    first, second = planes.point.reshape(2, 3, 3).sum(axis=1)
+    assert 0.0 < first[0] < second[0]
+    np.testing.assert_allclose([first[1:], second[1:]], 0.0, atol=1e-12)

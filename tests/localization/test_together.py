@@ -124,6 +124,7 @@ def test_company_does_not_change_a_byte(towers, monkeypatch):
 
         for a, b in zip(batch, alone, strict=True):
             assert a.trace.tobytes() == b.trace.tobytes()
+            assert a.steps.tolist() == b.steps.tolist() == [0] + [200] * (len(a.position) - 1)
     assert sum(shares) == pytest.approx(2 * len(logs))
 
 

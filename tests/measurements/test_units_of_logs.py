@@ -109,6 +109,22 @@ def test_heights_that_are_too_short_contradict_the_ground(log):
     assert slip.factor == pytest.approx(0.001, rel=0.1)
 
 
+def test_heights_that_are_a_little_off_are_in_one_unit(log):
+    """Near a height of 0, 0.4 R more is several times as much, though not by another unit."""
+    standing = np.unique(log.ground_docks[:, 0])
+    down = np.median(log.flip_height[standing]) - 0.2
+    below = np.array([0.0, 0.0, down])
+    low = replace(
+        log,
+        ground_z=log.ground_z - down,
+        anchor_position=log.anchor_position - below,
+        flip_height=log.flip_height - down + 0.4,
+        spawn_position=log.spawn_position - below,
+    )
+
+    assert slips(low) == []
+
+
 @pytest.mark.parametrize("key", ["flip_height", "ranges", "spawn_position"])
 def test_one_length_longer_than_contacts_reach_is_named(log, key):
     """The row of the last robot's first length counts in millimeters where others count in R."""

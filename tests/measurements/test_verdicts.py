@@ -99,6 +99,17 @@ def test_an_estimate_that_did_not_converge_states_the_reason_that_the_method_gav
     assert verdict(lost) == "not converged"
 
 
+def test_robots_that_carry_the_chi_square_are_named_only_of_a_search_that_converged(log, estimate):
+    """Where it stopped short, they say where it stopped, not which measurements are wrong."""
+    misfit = np.where(_which(12, 13, 20), [90.0], [2.0])
+    lost = replace(AT_ODDS, converged=False)
+
+    text = distrust(log, replace(estimate, convergence=lost, misfit=misfit))
+
+    assert text.startswith("neither converged nor consistent")
+    assert "carried by" not in text
+
+
 def test_measurements_that_are_not_consistent_name_the_robots_that_carry_it(log, estimate):
     """Three robots carry more than half, so that these are what to look at."""
     misfit = np.where(_which(12, 13, 20), [90.0], [2.0])
