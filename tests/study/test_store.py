@@ -37,6 +37,15 @@ def test_a_finished_run_is_not_computed_again(tiswarm, small_run):
     assert before == {path: path.stat().st_mtime_ns for path in (small_run / "cases").rglob("*")}
 
 
+def test_every_file_of_a_case_but_its_cost_has_a_digest(small_run):
+    """Damage to any of them is seen, also to what pages alone read."""
+    case = small_run / "cases" / "0-baseline"
+    files = {path.name for path in case.iterdir()} - {"case.json", "cost.json"}
+
+    assert "trace.csv" in files
+    assert json.loads((case / "case.json").read_text())["files"].keys() == files
+
+
 def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
     """A run never mixes results of two states of the code, and reports what it replaces."""
     small = load_scenario(REPOSITORY / "tests" / "tower.yaml", ["robots=5", "seeds=2"])

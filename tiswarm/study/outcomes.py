@@ -37,7 +37,7 @@ def compute(
     running: dict[Future[Outcome], Job] = {}
     found: list[Outcome] = []
     failed = 0
-    # Cases can be watched from now on, whatever computes them.
+    # A user can watch the cases from now on, wherever they are computed.
     progress.info(f"to watch: tiswarm view --live {shlex.quote(str(jobs[0].folder.path))}")
     total = sum(len(job.cases) for job in jobs)
     with progress.task("cases", total, lambda: f"{failed} failed" if failed else "") as advance:

@@ -221,9 +221,9 @@ class RunFolder:
         write_estimate(folder / "estimate.csv", estimate)
         for name in _TABLES:
             write_frame(tables[name], folder / f"{name}.csv")
+        write_trace(folder / "trace.csv", estimate)
         files = {path.name: digest(path) for path in sorted(folder.iterdir())}
         write_json(folder / _COST, cost)
-        write_trace(folder / "trace.csv", estimate)  # for the page alone: no result, no digest
         complete = replace(record, files=files)
         self._publish(complete, folder)
         return complete
