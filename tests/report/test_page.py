@@ -244,7 +244,7 @@ def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():
         pairs = [_pairs("a", "b", rmse=rmse[:2], tilt=0), _pairs("a", "b", rmse=rmse[2:], tilt=1)]
         texts.append(conclusion(table.assign(rmse_R_mean=rmse), pd.DataFrame(pairs)))
 
-    same = "with the same measurements, a has the smallest RMSE at "
+    same = "With the same measurements, a has the smallest RMSE at "
     assert texts == [same + "1 of 2 points, b at 1", same + "2 of 2 points"]
 
 
@@ -257,7 +257,7 @@ def test_swept_methods_are_compared_under_each_condition():
 
     text = conclusion(table.assign(measurements="contacts"), pd.DataFrame())
 
-    assert text == "with the same measurements, a has the smallest RMSE under 2 of 2 conditions"
+    assert text == "With the same measurements, a has the smallest RMSE under 2 of 2 conditions"
     others = ["contacts", "contacts", "ranges", "ranges"]
     assert conclusion(table.assign(measurements=others), pd.DataFrame()) == ""
 
@@ -293,6 +293,21 @@ def test_intervals_need_some_structures():
     ]  # fmt: skip
     assert shown.note.count("95 % CI") == 1
     assert "fewer than 4 structures" in shown.note
+
+
+def test_measurements_beyond_those_of_all_are_beside_the_error():
+    """A reader sees which conditions can be compared; one that failed measures nothing."""
+    table = pd.DataFrame(
+        {"condition": [*"abc"], "cases": [2, 2, 0], "rmse_R_mean": [1.0, 2.0, None]}
+    )
+    used = ["contacts, height, walk_contacts", "contacts, height", None]
+
+    shown = headline_table(table.assign(measurements=used))
+    alike = headline_table(table.assign(measurements=used[1]))
+
+    assert shown.frame["further measurements"].tolist() == ["walk contacts", "", ""]
+    assert "All conditions use contacts, height." in shown.note
+    assert "further measurements" not in alike.frame
 
 
 def test_disconnected_robots_are_stated_beside_the_error():

@@ -41,7 +41,7 @@ def conclusion(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
     key, found = _compared(table), list(_contests(table, pairs))
     if not found:
         return ""
-    same = "with the same measurements"
+    same = "With the same measurements"
     if len(_points(table, key)) == 1:
         return f"{same}, {'; '.join(_in_words(contest, key) for contest in found)}"
     where = ("under", "condition") if _names(table) == ["condition", METHOD] else ("at", "point")

@@ -95,8 +95,9 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     columns = _means(rows, _ACCURACY)
     if "disconnected_mean" in rows and (rows["disconnected_mean"] > 0.0).any():
         columns["robots disconnected"] = _mean(rows, "disconnected")
-    if len(set(rows.get("measurements", ()))) > 1:
-        columns["measurements"] = rows["measurements"].str.replace("_", " ")
+    shared, further = _measurements(rows)
+    if any(further):
+        columns["further measurements"] = pd.Series(further, rows.index)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -109,10 +110,22 @@ def headline_table(table: pd.DataFrame) -> PageTable:
         notes.append(
             f"In parentheses: least and greatest, of fewer than {FEWEST_FOR_CI} structures."
         )
+    if any(further) and shared:
+        notes.append(f"All conditions use {shared}.")
     notes.append("R is the radius of a dock; disparity 0 means the right shape.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
     return _labeled(swept_words(rows), columns, "Accuracy", " ".join(notes))
+
+
+def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
+    """Write what all conditions measure, and what each measures beyond it."""
+    texts = rows["measurements"].fillna("") if "measurements" in rows else [""] * len(rows)
+    used = [text.replace("_", " ").split(", ") if text else [] for text in texts]
+    known = [each for each in used if each]  # of conditions with finished cases
+    shared = [name for name in known[0] if all(name in each for each in known)] if known else []
+    further = [", ".join(name for name in each if name not in shared) for each in used]
+    return ", ".join(shared), further
 
 
 def result_tables(
