@@ -305,9 +305,9 @@ def test_measurements_beyond_those_of_all_are_beside_the_error():
     shown = headline_table(table.assign(measurements=used))
     alike = headline_table(table.assign(measurements=used[1]))
 
-    assert shown.frame["further measurements"].tolist() == ["walk contacts", "", ""]
-    assert "All conditions use contacts, height." in shown.note
-    assert "further measurements" not in alike.frame
+    assert shown.frame["condition"].tolist() == ["a + walk contacts", "b", "c"]
+    assert "All conditions use contacts, height; + names" in shown.note
+    assert alike.frame["condition"].tolist() == [*"abc"]
 
 
 def test_disconnected_robots_are_stated_beside_the_error():

@@ -96,8 +96,6 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     if "disconnected_mean" in rows and (rows["disconnected_mean"] > 0.0).any():
         columns["robots disconnected"] = _mean(rows, "disconnected")
     shared, further = _measurements(rows)
-    if any(further):
-        columns["further measurements"] = pd.Series(further, rows.index)
     least, most = rows["cases"].min(), rows["cases"].max()
     if least < most:
         columns["structures"] = _numbers(rows["cases"])
@@ -111,11 +109,13 @@ def headline_table(table: pd.DataFrame) -> PageTable:
             f"In parentheses: least and greatest, of fewer than {FEWEST_FOR_CI} structures."
         )
     if any(further) and shared:
-        notes.append(f"All conditions use {shared}.")
+        notes.append(f"All conditions use {shared}; + names what others use too.")
     notes.append("R is the radius of a dock; disparity 0 means the right shape.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
-    return _labeled(swept_words(rows), columns, "Accuracy", " ".join(notes))
+    words = swept_words(rows)
+    words["condition"] += [f" + {names}" if names else "" for names in further]
+    return _labeled(words, columns, "Accuracy", " ".join(notes))
 
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
