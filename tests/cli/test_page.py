@@ -195,8 +195,7 @@ def test_the_view_moves(small_run, tmp_path):
 
     assert moved["troubles"] == []
     rmse = pd.read_csv(small_run / "summary.csv").query("seed == 0")["rmse_R"].tolist()
-    best = rmse.index(min(rmse))
-    assert moved["cases"] == [str(best), "1" if best == 0 else "0"]
+    assert moved["cases"] == [str(rmse.index(min(rmse))), ""]  # no two have the same measurements
     assert moved["panes"] == 2
     word, robots = moved["joining"]
     assert word == "Pause"
@@ -207,6 +206,25 @@ def test_the_view_moves(small_run, tmp_path):
     assert first.startswith("baseline, seed 0, iteration 0, RMSE ")
     shown = [float(re.search(r"RMSE ([\d.]+) R", text)[1]) for text in (first, last)]
     assert shown == pytest.approx([rmse.iloc[0], rmse.iloc[-1]], rel=0.01)  # three digits
+
+
+def test_the_view_starts_with_two_cases_of_the_same_measurements(tiswarm, tmp_path):
+    """The best of all, which has more measurements, is not put beside the others."""
+    few = "{localization.iterations: 3, localization.z_correction: false}"
+    conditions = f"more: {{}}, fewer: {few}, none: {few[:-1]}, localization.initial_offset: 40.0}}"
+    done = tiswarm(
+        "run", "tests/tower.yaml", "--set", "robots=8", "--set", "seeds=1",
+        "--set", f"conditions={{{conditions}}}", "--out", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = next(tmp_path.iterdir())
+    rmse = pd.read_csv(run / "summary.csv")["rmse_R"].tolist()
+    assert rmse[0] < rmse[1] < rmse[2]
+
+    page = (run / "report.html").read_text()
+    moved = probe(page, MOTION, tmp_path, more=("--window-size=1280,800",))
+
+    assert moved["cases"] == ["1", "2"]
 
 
 def test_the_page_is_one_small_file(small_run):

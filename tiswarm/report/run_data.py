@@ -33,6 +33,7 @@ class StoredCase:
     series: str  # point of the sweep and condition, which cases of other seeds share
     point: str  # values of the sweep; empty without a sweep
     kind: str  # kind of its structure
+    measurements: str  # that its method used; empty where unknown
     robots: int  # robots of its structure; 0 where unknown
     left_edge: float  # end of the ground at the left [R], as in `Terrain`
     right_edge: float  # beginning of the ground at the right [R]
@@ -67,7 +68,7 @@ class RunData:
     @cached_property
     def cases(self) -> list[StoredCase]:
         """All cases, in the order of the summary."""
-        unknown = {"robots": 0, "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
+        unknown = {"robots": 0, "measurements": "", "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
         table = self.summary.reindex(columns=[*_WORDS, *unknown])
         table = table.fillna(unknown | dict.fromkeys(_WORDS, ""))
         return [
@@ -78,6 +79,7 @@ class RunData:
                 robots=int(row["robots"]),
                 left_edge=row["left_edge_R"],
                 right_edge=row["right_edge_R"],
+                measurements=row["measurements"],
                 **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")

@@ -63,6 +63,7 @@ def build_view(run: RunData) -> View | None:
         values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])
+        data["measurements"] = case.measurements
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:

@@ -67,12 +67,14 @@ function paneOf(view, data) {
   return pane;
 }
 
-// The places of the most accurate case of the first structure, and of the first other one; that is empty if there is none.
+// The places of two cases of the first structure with the same measurements: the most accurate one, and the first other one. If no two have the same, the most accurate of all is alone.
 function firstCases(cases) {
   const structure = JSON.stringify(cases[0].true), errors = cases.map(({ true: truth, estimate }) => rmseOf(truth, estimate));
   const alike = cases.flatMap((each, n) => (each.true.length && JSON.stringify(each.true) === structure ? [n] : []));
-  const best = alike.reduce((least, n) => (errors[n] < errors[least] ? n : least), alike[0] ?? 0);
-  return [best, alike.find((n) => n !== best) ?? ""];
+  const rival = (n) => alike.find((other) => other !== n && cases[other].measurements === cases[n].measurements) ?? "";
+  const compared = alike.filter((n) => rival(n) !== ""), offered = compared.length ? compared : alike;
+  const best = offered.reduce((least, n) => (errors[n] < errors[least] ? n : least), offered[0] ?? 0);
+  return [best, rival(best)];
 }
 
 // What a pane shows, in words.
