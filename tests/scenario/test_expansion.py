@@ -10,8 +10,9 @@ from pydantic.dataclasses import dataclass
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.records.run_folder import MAX_VARIANT_NAME
 from tiswarm.scenario import model
-from tiswarm.scenario.expansion import MAX_LABEL, find_mistakes, variants
+from tiswarm.scenario.expansion import find_mistakes, variants
 from tiswarm.scenario.model import Scenario
 from tiswarm.world.params import TowerParams
 
@@ -166,7 +167,7 @@ def test_labels_are_fit_for_folders():
         "structure=kind-tower-goal_height-2.5,sensing.tilt_noise_deg=1e-05,baseline",
     ]
     assert len(set(long_names)) == 2
-    assert all(len(name) <= MAX_LABEL for name in long_names)
+    assert all(len(name) <= MAX_VARIANT_NAME for name in long_names)
 
 
 def test_cases_that_a_file_system_may_mix_up_are_refused():

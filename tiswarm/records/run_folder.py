@@ -1,8 +1,11 @@
 """What all rooms know of the folder of a run: its folders and its manifest."""
 
+import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, field
+from hashlib import sha256
 from pathlib import Path
 
 from pydantic import ConfigDict, TypeAdapter
@@ -23,6 +26,9 @@ _Facts = Mapping[str, str | int | None]
 
 TABLE_NOTES = ("measurements",)
 """Columns of text that `table.csv` has after its first numbers; older ones have none."""
+
+MAX_VARIANT_NAME = 150
+"""Most characters of the name of a case, without its seed."""
 
 
 @dataclass(frozen=True, kw_only=True, config=_TOLERANT)
@@ -106,3 +112,15 @@ def case_folder(run: Path, name: str) -> Path:
         problem = f"case {name!r} has no folder in the run; run the scenario again to restore it"
         raise InputError(problem, path=run)
     return folder
+
+
+def variant_name(point: Mapping[str, object], condition: str) -> str:
+    """Name a point of the sweep under a condition; any file system accepts its characters."""
+    names = []
+    for key, value in point.items():
+        text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+        text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
+        names.append(f"{key}={text.strip('-') if isinstance(value, (dict, list)) else text}")
+    label = ",".join([*names, condition])
+    short = f"{label[: MAX_VARIANT_NAME - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
+    return label if len(label) <= MAX_VARIANT_NAME else short

@@ -6,20 +6,18 @@ A variant is one point of the sweep under one condition.
 import itertools
 import json
 import math
-import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.plugins import load_plugins, watch
 from tiswarm.records.messages import Part, counted, dotted
-from tiswarm.records.run_folder import LABEL
+from tiswarm.records.run_folder import LABEL, variant_name
 from tiswarm.scenario.model import Scenario, from_plain, swept_keys, to_plain
 from tiswarm.scenario.shipped import find_scenario
 from tiswarm.scenario.validation import (
@@ -35,7 +33,6 @@ from tiswarm.scenario.validation import (
 )
 from tiswarm.scenario.yaml_source import YamlSource, read_yaml
 
-MAX_LABEL = 150
 _MAX_VARIANTS = 10_000
 
 _Sweep = Mapping[str, Sequence[Any]]
@@ -287,7 +284,7 @@ def _expand(
     points = itertools.product(*(list(_rows(entry, values)) for entry, values in sweep.items()))
     for rows, (condition, entries) in itertools.product(points, conditions.items()):
         point = {row[0].key: row[0].value for row in rows}
-        label = _label(point, condition)
+        label = variant_name(point, condition)
         changes = [row[0] for row in rows]
         changes += [follower for row in rows for follower in row[1:]]
         settings = [(key, value) for key, value in entries.items() if key != LABEL]
@@ -389,15 +386,3 @@ def _attribute(mistake: Mistake, changes: Sequence[_Change], label: str) -> Mist
     if mistake.about_key and size == len(mistake.path) and source[0] == "sweep":
         source = source[:2]
     return mistake._replace(path=(*source, *mistake.path[size:]))
-
-
-def _label(point: Mapping[str, object], condition: str) -> str:
-    """Name a case with characters that any file system accepts."""
-    names = []
-    for key, value in point.items():
-        text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
-        text = re.sub(r"[^A-Za-z0-9._+-]+", "-", text)
-        names.append(f"{key}={text.strip('-') if isinstance(value, (dict, list)) else text}")
-    label = ",".join([*names, condition])
-    short = f"{label[: MAX_LABEL - 9]}-{sha256(label.encode()).hexdigest()[:8]}"
-    return label if len(label) <= MAX_LABEL else short
