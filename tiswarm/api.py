@@ -30,7 +30,9 @@ from tiswarm.app.results import (
     as_texts,
     choose,
 )
-from tiswarm.app.showing import export, render, view  # noqa: F401 - calls of this module, too
+from tiswarm.app.showing import export as export  # noqa: PLC0414 - a call of this module, too
+from tiswarm.app.showing import render as render  # noqa: PLC0414
+from tiswarm.app.showing import view as view  # noqa: PLC0414
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.plugins import load_plugins
