@@ -14,14 +14,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
-from importlib import metadata
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "tiswarm.plugins"
 """Entry points of installed plug-ins."""
@@ -175,6 +177,8 @@ def _load_file(given: Path) -> None:
 
 @cache
 def _load_installed() -> None:
+    from importlib import metadata  # noqa: PLC0415 - 10 ms, which --help need not wait
+
     for entry in metadata.entry_points(group=GROUP):
         try:
             plugin = _installed(entry)
@@ -185,7 +189,7 @@ def _load_installed() -> None:
             raise EnvironmentTroubleError(problem) from error
 
 
-def _installed(entry: metadata.EntryPoint) -> Plugin:
+def _installed(entry: "EntryPoint") -> Plugin:
     """Describe an installed plug-in by the source of its package, before it is imported."""
     spec = find_spec(entry.module.partition(".")[0])
     if spec is None or spec.origin is None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
@@ -213,9 +213,10 @@ def _significance(gain: Reals, freed: Ints, fit: _Fit) -> Reals:
     """
     square = fit.linear.square
     spare = len(square) / max(fit.linear.freedom(), 1)
-    noise = max(1.0, float(np.median(square) / chi2.median(1)) * spare)
-    chance = chi2.logsf(np.maximum(gain, 0.0) / noise, np.maximum(freed, 1))
-    return np.where(freed > 0, -chance / np.log(10.0), 0.0)
+    noise = max(1.0, float(np.median(square) / chdtri(1, 0.5)) * spare)
+    with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
+        significance = -np.log10(chdtrc(np.maximum(freed, 1), np.maximum(gain, 0.0) / noise))
+    return np.where(freed > 0, significance, 0.0)
 
 
 def _gains(fit: _Fit) -> tuple[Reals, Ints]:
