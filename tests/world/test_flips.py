@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 
 from tests import oracle
 from tests.strategies import unit_vectors, vectors
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.lang import Reals2, ti
+from tiswarm.world.growth import grow
+from tiswarm.world.params import ClimbParams, TowerParams
 from tiswarm.world.turn_kernels import crossing_angles
 
 FULL_TURN = 2.0 * np.pi
@@ -85,7 +88,18 @@ def test_a_dock_that_may_not_turn_either_way_stays(half_side):
 
 def test_walks_keep_their_pivot_where_it_is(towers):
     """From stance to stance the dock that the robot turns about does not move."""
-    for history in towers:
+    _assert_pivots_stay(towers)
+
+
+def test_walks_that_go_on_after_settling_keep_their_pivot():
+    """Robots that settle go on from where they came, if others join beside them meanwhile."""
+    params = TowerParams(movers=4, climb=ClimbParams(settle=1.0))
+    # Robot 61 of this seed settles away from the end of its walk, beside one that joins first.
+    _assert_pivots_stay(grow(params, robots=62, seeds=[14], robot=RobotGeometry()))
+
+
+def _assert_pivots_stay(histories):
+    for history in histories:
         body = history.robot.dock_offset_body
         for walk in history.walks:
             dock = [

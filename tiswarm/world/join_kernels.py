@@ -10,7 +10,8 @@ from tiswarm.world.climb_arrays import ClimbLimits, StructureArrays, WalkArrays
 def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: Ref, newest):
     """Find the first stance of a walk that docks from item `newest` on could matter to, or -1.
 
-    Only docks within a flip's reach of its own matter to what a robot senses and does.
+    Only docks within a flip's reach of its own matter to what a robot senses and does. A robot
+    settles anew from the last stance that it walked to.
     """
     disturbed = -1
     for stance in range(ti.max(walks.last[mover], walks.stay[mover]) + 1):
@@ -24,7 +25,7 @@ def _first_disturbed(limits: Ref, structures: Ref, s, walks: Ref, mover, body: R
                 while item >= newest:  # chains run from the newest item to the oldest
                     offset = vector_in(structures.dock, s, item) - point
                     if offset.norm_sqr() < limits.reach * limits.reach:
-                        disturbed = stance
+                        disturbed = ti.min(stance, walks.last[mover])
                     item = structures.cells.following[s, item]
         if disturbed >= 0:
             break
