@@ -46,7 +46,7 @@ def _meetings(terrain, pivot, arm, axis):
     path = np.concatenate([pivot + along, arm - along, np.cross(axis, arm)], axis=-1)
     path = np.atleast_2d(path)
     angles = np.zeros((len(path), 2))
-    _slab_angles(climb_limits(ClimbParams(), ROBOT, terrain), path, angles)
+    _slab_angles(climb_limits(ClimbParams(), ROBOT, terrain, by_belief=False), path, angles)
     return angles
 
 

@@ -178,10 +178,24 @@ def totals(history: History) -> dict[str, float | int]:
         **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
         "crossed": int(history.crossed),
+        "flips_as_planned": _flips_as_planned(history),
         "first_on_anchor": first,
         "second_on_anchor": second,
         "third_on_anchor": third,
     }
+
+
+def _flips_as_planned(history: History) -> float:
+    """Return the share of flips planned to end at a robot that touched it then; NaN if none was."""
+    as_planned = planned = 0
+    for walk in history.walks:
+        flip = np.flatnonzero(walk.planned_robot >= 0)
+        planned += len(flip)
+        stance, _, touched, _ = walk.contacts.T
+        meant = np.column_stack([flip + 1, walk.planned_robot[flip]])
+        found = set(zip(stance.tolist(), touched.tolist(), strict=True))
+        as_planned += sum(tuple(row) in found for row in meant.tolist())
+    return as_planned / planned if planned else np.nan
 
 
 def _on_anchor(history: History) -> NDArray[np.int32]:

@@ -63,4 +63,7 @@ def plan(scenario: Scenario) -> Plan:
 def structure_kind(settings: Scenario) -> tuple[int, str]:
     """Return all that determines a structure but its seed: size and settings."""
     # Small structures sort first: they finish early, and need no memory that large ones took.
-    return settings.robots, repr((settings.structure, settings.robot))
+    structure = settings.structure
+    by_estimate = structure.navigate_by == "estimate"
+    known = (settings.sensing, settings.localization) if by_estimate else ()
+    return settings.robots, repr((structure, settings.robot, *known))

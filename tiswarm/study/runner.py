@@ -11,6 +11,7 @@ import numpy as np
 
 from tiswarm.base.memory import naming_shortage
 from tiswarm.base.params import AnyPrecision
+from tiswarm.base.parts import load
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
@@ -30,6 +31,8 @@ from tiswarm.world.validity import find_fault
 
 KEPT_FROM_S = 10.0
 """Growth that took so long [s] is kept in case the run is stopped before its cases are stored."""
+
+_NAVIGATION = "tiswarm.study.navigation:believe_by"
 
 SAMPLE_ROBOTS, SAMPLE_SEED = 4, 2**31 - 1
 """Size and seed of the structure that warms up the kernels."""
@@ -145,10 +148,13 @@ class _CaseRunner:
         if not seeds:
             return histories
         self._warm_up_growth()
+        believe = None
+        if settings.structure.navigate_by == "estimate":
+            believe = load(_NAVIGATION, "structure.navigate_by: estimate")(settings)
         with self._stage("grow", missing, len(seeds) * settings.robots) as advance:
             grown = grow(
                 settings.structure, robots=settings.robots, seeds=seeds, robot=settings.robot,
-                on_progress=advance,
+                believe=believe, on_progress=advance,
             )  # fmt: skip
         self.used.add(Used("grow", backend.processor()))
         for seed, history in zip(seeds, grown, strict=True):

@@ -30,7 +30,7 @@ from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.params import SUITE_OF
-from tiswarm.study.cases import Plan
+from tiswarm.study.cases import Plan, structure_kind
 from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord
@@ -41,7 +41,8 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "joined", "disconnected",
-    "contacts_per_robot", "rms_radius_R", "height_R", "peak_stress", "floppy_modes", "coverage_50",
+    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "crossed", "flips_as_planned",
+    "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
@@ -205,6 +206,9 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
     for of_point in _grouped(records, lambda record: record.point_text):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
+            grown = {structure_kind(sensed[group[0].case]) for group in (first, second)}
+            if len(grown) > 1:
+                continue  # robots that navigate by what they estimate build other structures
             names = {"condition": second[0].condition, "against": first[0].condition}
             used = {_shared(record.measurements for record in group) for group in (first, second)}
             senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}

@@ -38,6 +38,7 @@ class ClimbLimits:
     inverse_edge: F64
     twists: I32
     is_planar: I32
+    by_belief: I32
 
 
 class StructureArrays(NamedTuple):
@@ -54,6 +55,16 @@ class StructureArrays(NamedTuple):
 
     robot_count: Ints1
     """Robots that have joined, shape (S,)."""
+
+
+class BelievedDocks(NamedTuple):
+    """The joined docks where robots believe them; those of `StructureArrays` if they know."""
+
+    cells: CellList
+    """The docks by believed place."""
+
+    dock: Reals3
+    """Dock centers [R], shape (S, n N, 3)."""
 
 
 class Climbers(NamedTuple):
@@ -78,7 +89,10 @@ class Climbers(NamedTuple):
     """Center to dock in the body frame [R], shape (n, 3)."""
 
     near: Reals3
-    """Scratch: vectors from the pivot to docks in reach, shape (slots, near, 3)."""
+    """Scratch: vectors from the pivot to docks in reach, as believed, shape (slots, near, 3)."""
+
+    obstacle: Reals3
+    """Scratch: the same as they are, for robots that do not know, shape (slots, near, 3)."""
 
 
 class WalkArrays(NamedTuple):

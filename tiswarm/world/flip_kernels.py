@@ -7,9 +7,7 @@ something: another dock, flat ground, a rounded edge. Lengths in R, everything i
 
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item
 from tiswarm.compute.lang import (  # fmt: skip
-    F64,
     GRAIN,
-    I32,
     Ints1,
     Ints2,
     Ints3,
@@ -17,9 +15,6 @@ from tiswarm.compute.lang import (  # fmt: skip
     Reals2,
     Reals3,
     Ref,
-    Vec3,
-    Vec4,
-    kernel_struct,
     ti,
 )
 from tiswarm.compute.math_kernels import (  # fmt: skip
@@ -34,28 +29,23 @@ from tiswarm.world.climb_arrays import (
     EDGE,
     FLAT,
     MAX_TOUCHING,
+    BelievedDocks,
     Climbers,
     ClimbLimits,
     StructureArrays,
     WalkArrays,
 )
+from tiswarm.world.plan_kernels import (
+    Flip,
+    gather_near,
+    misplaced,
+    nearest_flip,
+    planned_dock,
+)
 from tiswarm.world.turn_kernels import contact_angles
 
 _WALKING, _ENDED, RECRUITED, SCRATCH_FULL = range(4)
 """States of a walk."""
-_ALONG = 1e-6
-"""Squared sine of the angle below which a dock counts as on the z axis of the body."""
-
-
-@kernel_struct
-class _Flip:
-    """A flip that could be taken: where it ends and about which dock."""
-
-    distance: F64
-    center: Vec3
-    orientation: Vec4
-    pivot: I32
-    overflow: I32
 
 
 @ti.func
@@ -72,24 +62,6 @@ def _ground_kind(point, limits):
         if out * out + up * up < limit * limit:
             kind = ti.select(out == 0.0 and up > 0.0, FLAT, EDGE)
     return kind
-
-
-@ti.func
-def _gather_near(limits: Ref, structures: Ref, s, pivot, near: Ref, mover):
-    """List the vectors from `pivot` to the structure's docks in reach; return how many."""
-    count = 0
-    cube = cube_of(pivot, limits.inverse_edge)
-    for which in range(27):
-        item = first_item(structures.cells, s, cube, which)
-        while item >= 0:
-            offset = vector_in(structures.dock, s, item) - pivot
-            if offset.norm_sqr() < limits.reach * limits.reach:
-                if count < near.shape[1]:
-                    for c in ti.static(range(3)):
-                        near[mover, count, c] = offset[c]
-                count += 1
-            item = structures.cells.following[s, item]
-    return count
 
 
 @ti.func
@@ -118,70 +90,6 @@ def _sense_contacts(limits: Ref, structures: Ref, s, walks: Ref, mover, stance, 
 def _is_attached(walks: Ref, mover, stance, k):
     """Whether dock `k` touches another dock or the ground."""
     return walks.touching[mover, stance, k, 0] >= 0 or walks.on_ground[mover, stance, k] != 0
-
-
-@ti.func
-def _revisits(limits: Ref, walks: Ref, mover, stance, point):
-    """Whether the walk up to `stance` has had its center at `point` before."""
-    seen = False
-    for earlier in range(stance + 1):
-        offset = point - vector_in(walks.center, mover, earlier)
-        seen = seen or offset.norm() < limits.revisit_distance
-    return seen
-
-
-@ti.func
-def _across(arm):
-    """Find the unit vector across `arm` nearest to the body's z axis, or x for an arm along z."""
-    size = arm.norm_sqr()
-    across = ti.Vector([0.0, 0.0, 1.0]) - arm[2] / size * arm
-    if across.norm_sqr() < _ALONG:
-        across = ti.Vector([1.0, 0.0, 0.0]) - arm[0] / size * arm
-    return across.normalized()
-
-
-@ti.func
-def _nearest_flip(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, mover, stance, k):
-    """Of all flips about dock `k`, find the one that ends nearest to the goal."""
-    s = climbers.structure[mover]
-    body, near = ti.static(climbers.dock_offset_body, climbers.near)
-    docks = body.shape[0]
-    here = vector_in(walks.center, mover, stance)
-    q = quaternion_at(walks.orientation, mover, stance)
-    goal = vector_at(climbers.goal, mover)
-    chosen = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
-    body_in = vector_at(body, k)
-    to_center = -rotate(q, body_in)
-    pivot = here - to_center
-    found = _gather_near(limits, structures, s, pivot, near, mover)
-    count = ti.min(found, near.shape[1])
-    chosen.overflow = ti.cast(found > count, ti.i32)
-    normal = rotate(q, ti.Vector([0.0, 0.0, 1.0]))
-    if limits.is_planar:
-        normal = ti.Vector([0.0, 1.0, 0.0])  # exactly, so that y stays 0
-    elif body_in[2] != 0.0:
-        normal = rotate(q, _across(body_in))
-    side = normal.cross(to_center.normalized())
-    for twist in range(limits.twists):
-        turn = 0.5 * limits.full_turn * twist / limits.twists
-        axis = ti.cos(turn) * normal + ti.sin(turn) * side
-        first = ti.Vector([limits.full_turn, limits.full_turn])
-        for step in range(1, docks):
-            arm = rotate(q, vector_at(body, (k + step) % docks) - body_in)
-            first = ti.min(first, contact_angles(limits, arm, axis, pivot, near, mover, count))
-        for way in ti.static(range(2)):
-            angle = first[way]
-            if angle >= limits.min_flip and angle <= limits.max_flip:
-                flip = axis_rotation(axis, (1.0 - 2.0 * way) * angle)
-                turned = quaternion_product(flip, q).normalized()
-                end = pivot - rotate(turned, body_in)
-                distance = (end - goal).norm()
-                if distance < chosen.distance and not _revisits(limits, walks, mover, stance, end):
-                    chosen.distance = distance
-                    chosen.center = end
-                    chosen.orientation = turned
-                    chosen.pivot = k
-    return chosen
 
 
 @ti.func
@@ -219,7 +127,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
         across = rotate(q, vector_at(body, other) - body_in)
         pivot = vector_in(walks.center, m, best) + rotate(q, body_in)
         axis = across.normalized()
-        count = ti.min(_gather_near(limits, structures, s, pivot, near, m), near.shape[1])
+        count = ti.min(gather_near(limits, structures, s, pivot, near, m), near.shape[1])
         met = ti.Vector([limits.full_turn, limits.full_turn])
         for k in range(docks):
             if k != one and k != other:
@@ -241,12 +149,14 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state_out: Ints1,
+    limits: ClimbLimits, movers: Ints1, state_out: Ints1, planned_out: Ints2,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
+    # BelievedDocks
+    believed_head: Ints2, believed_following: Ints2, believed_dock: Reals3,
     # Climbers
     structure: Ints1, first_stance: Ints1, goal: Reals2, patience: Ints1, settles: Ints1,
-    dock_offset_body: Reals2, near_out: Reals3,
+    dock_offset_body: Reals2, near_out: Reals3, obstacle_out: Reals3,
     # WalkArrays, from the first stance on
     center_out: Reals3, orientation_out: Reals3, pivot_dock_out: Ints2, touching_out: Ints4,
     on_ground_out: Ints3, last_out: Ints1, best_out: Ints1, stay_out: Ints1,
@@ -256,17 +166,21 @@ def climb(
     Of all flips about all attached docks the one that ends nearest to the goal is taken,
     unless the walk has been there before. A robot that is recruited stops where it is. Else
     the walk ends after `patience` steps without a new best, or when no flip is left, and
-    the caller lets the robot walk back to its best stance.
+    the caller lets the robot walk back to its best stance. Distances to the goal, and what a
+    flip meets, are as the robot believes; what it touches and where a flip ends are as they are.
 
     Args:
         limits: Terrain, distances and limits.
         movers: Slots of the robots that move, shape (M,).
         state_out: How each walk ended, shape (slots,).
+        planned_out: Item of the dock that the flip from each stance was planned to end at, or
+            GROUND, shape (slots, stances); written only where robots go by belief.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
-    climbers = ti.static(
-        Climbers(structure, first_stance, goal, patience, settles, dock_offset_body, near_out)
-    )
+    believed = ti.static(BelievedDocks(CellList(believed_head, believed_following), believed_dock))
+    climbers = ti.static(Climbers(
+        structure, first_stance, goal, patience, settles, dock_offset_body, near_out, obstacle_out,
+    ))  # fmt: skip
     walks = ti.static(WalkArrays(
         center_out, orientation_out, pivot_dock_out, touching_out, on_ground_out, last_out,
         best_out, stay_out,
@@ -279,8 +193,9 @@ def climb(
             stance = first_stance[m]
             best_stance = 0
             best_distance = ti.math.inf
-            for earlier in range(stance + 1):
-                distance = (vector_in(center_out, m, earlier) - target).norm()
+            for earlier in range(stance):
+                by = misplaced(limits, structures, believed, s, walks, m, earlier, 0)
+                distance = (vector_in(center_out, m, earlier) + by - target).norm()
                 if distance < best_distance:
                     best_distance = distance
                     best_stance = earlier
@@ -288,18 +203,28 @@ def climb(
             while state_out[m] == _WALKING:
                 here = vector_in(center_out, m, stance)
                 q = quaternion_at(orientation_out, m, stance)
-                flip = _Flip(distance=ti.math.inf, center=here, orientation=q, pivot=-1, overflow=0)
+                flip = Flip(
+                    distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1,
+                    overflow=0,
+                )  # fmt: skip
                 called = 0
                 for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
+                by = misplaced(limits, structures, believed, s, walks, m, stance, 0)
+                distance = (here + by - target).norm()
+                if distance < best_distance:
+                    best_distance = distance
+                    best_stance = stance
                 if called:
                     state_out[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < patience[m]:
                     for k in range(dock_offset_body.shape[0]):
                         if _is_attached(walks, m, stance, k):
-                            other = _nearest_flip(limits, structures, climbers, walks, m, stance, k)
+                            other = nearest_flip(
+                                limits, structures, believed, climbers, walks, m, stance, k
+                            )
                             if other.overflow:
                                 state_out[m] = SCRATCH_FULL
                             if other.distance < flip.distance:
@@ -310,11 +235,17 @@ def climb(
                         state_out[m] = _ENDED
                     else:
                         pivot_dock_out[m, stance] = flip.pivot
+                        if limits.by_belief:
+                            arm = rotate(q, vector_at(dock_offset_body, flip.pivot))
+                            by = misplaced(
+                                limits, structures, believed, s, walks, m, stance, flip.pivot
+                            )
+                            planned_out[m, stance] = planned_dock(
+                                limits, believed, dock_offset_body, s, here + arm + by,
+                                flip.planned, flip.pivot,
+                            )  # fmt: skip
                         stance += 1
                         _move_to(walks, m, stance, flip.center, flip.orientation)
-                        if flip.distance < best_distance:
-                            best_distance = flip.distance
-                            best_stance = stance
             last_out[m] = stance
             best_out[m] = best_stance
             stay_out[m] = best_stance

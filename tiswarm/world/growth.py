@@ -13,7 +13,7 @@ that comes in at another zone less 2; so a call fades with distance (Swissler an
 ReactiveBuild, DARS 2021).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,20 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
-from tiswarm.world.climb_arrays import StructureArrays
+from tiswarm.world.climb_arrays import BelievedDocks, StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
+from tiswarm.world.join_kernels import list_docks
 from tiswarm.world.mechanics import Frames, StructureFailure
 from tiswarm.world.params import RecruitParams, StructureParams
 from tiswarm.world.walks import Spawn, Walks, climb_limits
 
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
+
+
+Believe = Callable[[Sequence[History]], Sequence[Reals]]
+"""Returns where the robots of structures that have grown so far believe their docks [R], (n N, 3)
+each; dock k of robot i is in row n i + k."""
 
 
 @program.exclusive()
@@ -41,6 +47,7 @@ def grow(
     robots: int,
     seeds: Sequence[int],
     robot: RobotGeometry,
+    believe: Believe | None = None,
     on_progress: Advance = ignore,
 ) -> list[History]:
     """Grow one structure for each seed.
@@ -50,6 +57,8 @@ def grow(
         robots: Robots in each structure.
         seeds: One seed a structure.
         robot: The robots' shape.
+        believe: Where robots believe the docks of those that have joined; called after each round
+            with the structures that grew. None where all know the truth.
         on_progress: Called after each round with the number of robots that joined in it.
 
     Returns:
@@ -57,7 +66,7 @@ def grow(
         what had grown is kept.
     """
     backend.processor()
-    batch = _GrowthBatch(params, robots, seeds, robot)
+    batch = _GrowthBatch(params, robots, seeds, robot, believe)
     while batch.spawn():
         on_progress(batch.round())
     return [structure.history() for structure in batch.structures]
@@ -67,9 +76,14 @@ class _GrowthBatch:
     """Structures that grow together and the robots that climb them, `movers` slots each."""
 
     def __init__(
-        self, params: StructureParams, robots: int, seeds: Sequence[int], robot: RobotGeometry
+        self,
+        params: StructureParams,
+        robots: int,
+        seeds: Sequence[int],
+        robot: RobotGeometry,
+        believe: Believe | None,
     ) -> None:
-        self.robots = robots
+        self.robots, self.believe = robots, believe
         robot = params.robot(robot)
         count, docks = len(seeds), robot.dock_count * robots
         self.frames = Frames(
@@ -84,8 +98,13 @@ class _GrowthBatch:
             relay=np.zeros((count, docks), np.int32),
             robot_count=np.zeros(count, np.int32),
         )
+        self.believed = BelievedDocks(self.arrays.cells, self.arrays.dock)
+        if believe:
+            self.believed = BelievedDocks(
+                CellList.allocate(count, docks), np.zeros((count, docks, 3))
+            )
         self.structure_of = np.repeat(np.arange(len(seeds), dtype=np.int32), params.movers)
-        limits = climb_limits(params.climb, robot, params.terrain)
+        limits = climb_limits(params.climb, robot, params.terrain, by_belief=believe is not None)
         self.walks = Walks(self.structure_of, limits, params.climb, robot)
         self.moving = np.zeros(len(self.structure_of), np.bool_)
         self.call = np.zeros((count, robots), np.int32)
@@ -110,7 +129,7 @@ class _GrowthBatch:
     def round(self) -> int:
         """Let all movers climb, and those that can join; return how many did."""
         walks, movers = self.walks, np.flatnonzero(self.moving).astype(np.int32)
-        walks.climb(self.arrays, movers)
+        walks.climb(self.arrays, self.believed, movers)
         wants = np.zeros(len(self.structure_of), np.int32)
         for slot in movers:
             wants[slot] = walks.touches(slot) or self._climbed_by(slot).founding
@@ -136,7 +155,21 @@ class _GrowthBatch:
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         for slot in movers:
             self.moving[slot] &= not self._climbed_by(slot).ended
+        if self.believe and grown:
+            self._update_beliefs(grown, self.believe)
         return int(joined.sum())
+
+    def _update_beliefs(self, grown: "Sequence[GrowingStructure]", believe: Believe) -> None:
+        """Put the docks of structures that grew where robots believe them from now on."""
+        cells, dock = self.believed
+        backend.processor()
+        for structure, believed in zip(
+            grown, believe([structure.history() for structure in grown]), strict=True
+        ):
+            dock[structure.number, : len(believed)] = believed
+        chosen = np.array([structure.number for structure in grown], np.int32)
+        dock_count = self.walks.docks * self.arrays.robot_count
+        list_docks(self.walks.limits.inverse_edge, chosen, dock_count, *cells, dock)
 
     def _climbed_by(self, slot: int) -> "GrowingStructure":
         return self.structures[int(self.structure_of[slot])]

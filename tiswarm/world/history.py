@@ -3,7 +3,7 @@
 import json
 import math
 import zipfile
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,10 @@ class Walk:
 
     edge_docks: NDArray[np.int32]
     """Docks on a slab's rounded edge or underside, rows of (stance, own dock), shape (E, 2)."""
+
+    planned_robot: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    """Robot that each flip was planned to end at, -1 for none, of flips before the way back; empty
+    where robots know their places, shape (flips,)."""
 
     recruited: bool = False
     """Whether the robot stays because it was called for."""

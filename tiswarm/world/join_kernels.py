@@ -1,7 +1,7 @@
 """Joining: how robots that climbed at the same time become part of the structure in turn."""
 
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
-from tiswarm.compute.lang import GRAIN, Ints1, Ints2, Ints3, Ints4, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import F64, GRAIN, Ints1, Ints2, Ints3, Ints4, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import quaternion_at, rotate, vector_at, vector_in
 from tiswarm.world.climb_arrays import ClimbLimits, StructureArrays, WalkArrays
 
@@ -93,3 +93,29 @@ def join_undisturbed(
                     disturbed_out[m] = _first_disturbed(
                         limits, structures, s, walks, m, body, newest
                     )
+
+
+@ti.kernel
+def list_docks(
+    inverse_edge: F64, chosen: Ints1, dock_count: Ints1,
+    # BelievedDocks
+    head_out: Ints2, following_out: Ints2, dock: Reals3,
+):  # fmt: skip
+    """List anew, by place, the docks of some structures that have moved.
+
+    Args:
+        inverse_edge: One over the edge of a cube [1 / R].
+        chosen: Structures to list, shape (C,).
+        dock_count: Docks of every structure, shape (S,).
+        head_out: First item of each bucket; see `CellList`.
+        following_out: Next item of each chain.
+        dock: Dock centers [R], shape (S, n N, 3).
+    """
+    cells = ti.static(CellList(head_out, following_out))
+    for c, idle in ti.ndrange(chosen.shape[0], GRAIN):
+        if idle == 0:
+            s = chosen[c]
+            for bucket in range(head_out.shape[1]):
+                head_out[s, bucket] = -1
+            for item in range(dock_count[s]):
+                link(cells, s, item, cube_of(vector_in(dock, s, item), inverse_edge))

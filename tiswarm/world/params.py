@@ -102,6 +102,15 @@ class GrowthParams(RecruitParams):
         int, Field(ge=1, description="Joins between two solves of the structure's mechanics.")
     ] = 1
 
+    navigate_by: Annotated[
+        Literal["truth", "estimate"],
+        Field(
+            description="By which places of themselves and of the docks near them robots choose "
+            "flips and stops: the true ones, or those that the localization method of the case "
+            "estimates from what robots have sensed so far."
+        ),
+    ] = "truth"
+
     anchor: Annotated[
         float | None,
         Field(

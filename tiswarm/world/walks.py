@@ -16,6 +16,7 @@ from tiswarm.world.climb_arrays import (
     EDGE,
     FLAT,
     MAX_TOUCHING,
+    BelievedDocks,
     Climbers,
     ClimbLimits,
     StructureArrays,
@@ -28,7 +29,13 @@ from tiswarm.world.params import ClimbParams
 _Slots = NDArray[np.int32]
 
 
-def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> ClimbLimits:
+_BELIEVED_NEARER = 8
+"""Docks overlap where robots believe them, so that so many times as many are listed at a pivot."""
+
+
+def climb_limits(
+    climb: ClimbParams, robot: RobotGeometry, terrain: Terrain, *, by_belief: bool
+) -> ClimbLimits:
     """Gather the numbers that do not change during a climb."""
     # No flip meets a dock whose center is farther than this from the pivot.
     reach = float(pdist(robot.dock_offset_body).max()) + robot.spacing
@@ -47,6 +54,7 @@ def climb_limits(climb: ClimbParams, robot: RobotGeometry, terrain: Terrain) -> 
         inverse_edge=1.0 / reach,
         twists=1 if is_planar else climb.twists,
         is_planar=is_planar,
+        by_belief=by_belief,
     )
 
 
@@ -91,7 +99,8 @@ class Walks:
             patience=np.zeros(slots, np.int32),
             settles=np.zeros(slots, np.int32),
             dock_offset_body=robot.dock_offset_body,
-            near=np.empty((slots, near, 3)),
+            near=np.empty((slots, near * (_BELIEVED_NEARER if limits.by_belief else 1), 3)),
+            obstacle=np.empty((slots, near if limits.by_belief else 1, 3)),
         )
         last, best, stay = np.zeros((3, slots), np.int32)
         self.stances = WalkArrays(
@@ -105,6 +114,7 @@ class Walks:
             stay=stay,
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
+        self.planned = np.empty((slots, stances if limits.by_belief else 0), np.int32)
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
@@ -115,11 +125,13 @@ class Walks:
         self.climbers.settles[slot] = spawn.settles
         self.climbers.first_stance[slot] = 0
 
-    def climb(self, structures: StructureArrays, movers: _Slots) -> None:
+    def climb(self, structures: StructureArrays, believed: BelievedDocks, movers: _Slots) -> None:
         """Let the robots in the slots `movers` walk on from their first stance."""
         cells, *docks = structures
+        believed_cells, believed_dock = believed
         flip_kernels.climb(
-            self.limits, movers, self.state, *cells, *docks, *self.climbers, *self.stances,
+            self.limits, movers, self.state, self.planned, *cells, *docks, *believed_cells,
+            believed_dock, *self.climbers, *self.stances,
         )  # fmt: skip
         if (self.state[movers] == flip_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
@@ -153,6 +165,7 @@ class Walks:
         order = np.concatenate([np.arange(last + 1), np.arange(last - 1, best - 1, -1)])
         # Out and back between two stances go about the same dock.
         pivot = stances.pivot_dock[slot, np.minimum(order[:-1], order[1:])]
+        planned = self.planned[slot, :last]
         if stances.stay[slot] > last:
             order = np.append(order, last + 1)
             pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
@@ -168,5 +181,6 @@ class Walks:
             contacts=contacts.astype(np.int32),
             ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
+            planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
             recruited=bool(self.state[slot] == flip_kernels.RECRUITED),
         )

@@ -1,0 +1,137 @@
+"""Robots choose flips by where they believe docks are, and land where docks are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests import oracle
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute.math import dock_offsets
+from tiswarm.evaluation.tables import totals
+from tiswarm.world.growth import grow
+from tiswarm.world.params import (
+    BridgeParams,
+    CantileverParams,
+    ChainParams,
+    ClimbParams,
+    TowerParams,
+)
+from tiswarm.world.validity import find_fault
+
+FIREANT = RobotGeometry()
+KINDS = [
+    TowerParams(),
+    TowerParams(movers=3, climb=ClimbParams(settle=0.5)),
+    TowerParams(plane=True),
+    CantileverParams(),
+    BridgeParams(),
+    ChainParams(),
+]
+
+
+def docks(history):
+    """True docks of the robots that have joined [R], shape (n N, 3)."""
+    offset = dock_offsets(history.orientation_wxyz, history.robot.dock_offset_body)
+    return (history.position[:, None] + offset).reshape(-1, 3)
+
+
+def misplaced(sd, common=(0.0, 0.0, 0.0)):
+    """Beliefs that are wrong by a common vector, and by an own one for each robot [R]."""
+
+    def believe(grown):
+        found = []
+        for history in grown:
+            rng = np.random.default_rng(history.seed)
+            each = rng.normal(scale=sd, size=(1_000, 3))[: history.robot_count] + common
+            found.append(docks(history) + np.repeat(each, history.robot.dock_count, axis=0))
+        return found
+
+    return believe
+
+
+def built(params, *, robots=20, seeds=(0, 1), believe=None):
+    return grow(params, robots=robots, seeds=seeds, robot=FIREANT, believe=believe)
+
+
+def same(a, b):
+    """Whether two robots walked the same way."""
+    names = ("center", "orientation_wxyz", "pivot_dock", "contacts")
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+@pytest.mark.parametrize("params", KINDS, ids=lambda params: params.kind)
+def test_robots_that_believe_the_truth_build_what_robots_build_that_know_it(params):
+    """The structures are equal to the last bit, and every flip ends where it was planned to."""
+    known, believed = built(params), built(params, believe=misplaced(0.0))
+
+    for one, other in zip(known, believed, strict=True):
+        assert all(same(a, b) for a, b in zip(one.walks, other.walks, strict=True))
+        assert totals(other)["flips_as_planned"] == 1.0
+        assert np.isnan(totals(one)["flips_as_planned"])
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    sd=st.floats(0.0, 6.0),
+    params=st.sampled_from(KINDS),
+    seed=st.integers(0, 10_000),
+)
+def test_structures_are_sound_whatever_robots_believe(sd, params, seed):
+    """Docks do not overlap, contacts are as they are, and no pivot moves."""
+    [history] = built(params, seeds=[seed], believe=misplaced(sd))
+
+    assert find_fault(history, contact_gap=0.02) == ""
+    for walk in history.walks:
+        for step, k in enumerate(walk.pivot_dock):
+            before, after = (
+                walk.center[at]
+                + oracle.matrix(walk.orientation_wxyz[at]) @ history.robot.dock_offset_body[k]
+                for at in (step, step + 1)
+            )
+            np.testing.assert_allclose(after, before, atol=1e-12)
+
+
+def test_flips_fail_more_often_the_more_neighbors_are_misplaced():
+    """Errors of 0, .3, 1 and 3 R spoil none, some, more and most of the flips."""
+    shares = [
+        np.mean([totals(history)["flips_as_planned"] for history in histories])
+        for histories in (built(TowerParams(), believe=misplaced(sd)) for sd in (0, 0.3, 1, 3))
+    ]
+
+    assert shares[0] == 1.0
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] < 0.75
+
+
+def test_a_common_shift_spoils_no_flip_of_a_robot_that_has_touched_another():
+    """A robot takes its place from what it touches, so both are shifted alike."""
+    shift = (3.0, -2.0, 1.0)
+    for history in built(TowerParams(), believe=misplaced(0.0, shift)):
+        for walk in history.walks[1:]:
+            first = walk.contacts[:, 0].min()
+            touched = {(stance, other) for stance, _, other, _ in walk.contacts}
+            for flip, robot in enumerate(walk.planned_robot):
+                if flip >= first and robot >= 0:
+                    assert (flip + 1, robot) in touched
+
+
+def test_robots_stop_where_they_believe_to_be_nearest_to_the_goal():
+    """Robots that believe to be 18 R higher than they are build half as high toward 20 R."""
+    params = TowerParams(goal_height=20.0)
+    lifted = built(params, robots=40, believe=misplaced(0.0, (0.0, 0.0, 18.0)))
+    known = built(params, robots=40)
+
+    for one, other in zip(lifted, known, strict=True):
+        assert totals(one)["height_R"] < 0.5 * totals(other)["height_R"]
+
+
+def test_a_seed_builds_the_same_in_any_company():
+    """Structures whose robots believe what is wrong do not depend on those beside them."""
+    params = replace(TowerParams(), movers=2)
+    together = built(params, seeds=[3, 4, 5], believe=misplaced(1.0))
+    [alone] = built(params, seeds=[4], believe=misplaced(1.0))
+
+    assert all(same(a, b) for a, b in zip(together[1].walks, alone.walks, strict=True))
