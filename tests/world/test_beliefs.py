@@ -52,7 +52,7 @@ def misplaced(sd, common=(0.0, 0.0, 0.0)):
     return believe
 
 
-def built(params, *, robots=20, seeds=(0, 1), believe=None):
+def _built(params, *, robots=20, seeds=(0, 1), believe=None):
     return grow(params, robots=robots, seeds=seeds, robot=FIREANT, believe=believe)
 
 
@@ -65,7 +65,7 @@ def same(a, b):
 @pytest.mark.parametrize("params", KINDS, ids=lambda params: params.kind)
 def test_robots_that_believe_the_truth_build_what_robots_build_that_know_it(params):
     """The structures are equal to the last bit, and every flip ends where it was planned to."""
-    known, believed = built(params), built(params, believe=misplaced(0.0))
+    known, believed = _built(params), _built(params, believe=misplaced(0.0))
 
     for one, other in zip(known, believed, strict=True):
         assert all(same(a, b) for a, b in zip(one.walks, other.walks, strict=True))
@@ -81,7 +81,7 @@ def test_robots_that_believe_the_truth_build_what_robots_build_that_know_it(para
 )
 def test_structures_are_sound_whatever_robots_believe(sd, params, seed):
     """Docks do not overlap, contacts are as they are, and no pivot moves."""
-    [history] = built(params, seeds=[seed], believe=misplaced(sd))
+    [history] = _built(params, seeds=[seed], believe=misplaced(sd))
 
     assert find_fault(history, contact_gap=0.02) == ""
     for walk in history.walks:
@@ -98,7 +98,7 @@ def test_flips_fail_more_often_the_more_neighbors_are_misplaced():
     """Errors of 0, .3, 1 and 3 R spoil none, some, more and most of the flips."""
     shares = [
         np.mean([totals(history)["flips_as_planned"] for history in histories])
-        for histories in (built(TowerParams(), believe=misplaced(sd)) for sd in (0, 0.3, 1, 3))
+        for histories in (_built(TowerParams(), believe=misplaced(sd)) for sd in (0, 0.3, 1, 3))
     ]
 
     assert shares[0] == 1.0
@@ -109,7 +109,7 @@ def test_flips_fail_more_often_the_more_neighbors_are_misplaced():
 def test_a_common_shift_spoils_no_flip_of_a_robot_that_has_touched_another():
     """A robot takes its place from what it touches, so both are shifted alike."""
     shift = (3.0, -2.0, 1.0)
-    for history in built(TowerParams(), believe=misplaced(0.0, shift)):
+    for history in _built(TowerParams(), believe=misplaced(0.0, shift)):
         for walk in history.walks[1:]:
             first = walk.contacts[:, 0].min()
             touched = {(stance, other) for stance, _, other, _ in walk.contacts}
@@ -121,8 +121,8 @@ def test_a_common_shift_spoils_no_flip_of_a_robot_that_has_touched_another():
 def test_robots_stop_where_they_believe_to_be_nearest_to_the_goal():
     """Robots that believe to be 18 R higher than they are build half as high toward 20 R."""
     params = TowerParams(goal_height=20.0)
-    lifted = built(params, robots=40, believe=misplaced(0.0, (0.0, 0.0, 18.0)))
-    known = built(params, robots=40)
+    lifted = _built(params, robots=40, believe=misplaced(0.0, (0.0, 0.0, 18.0)))
+    known = _built(params, robots=40)
 
     for one, other in zip(lifted, known, strict=True):
         assert totals(one)["height_R"] < 0.5 * totals(other)["height_R"]
@@ -131,7 +131,7 @@ def test_robots_stop_where_they_believe_to_be_nearest_to_the_goal():
 def test_a_seed_builds_the_same_in_any_company():
     """Structures whose robots believe what is wrong do not depend on those beside them."""
     params = replace(TowerParams(), movers=2)
-    together = built(params, seeds=[3, 4, 5], believe=misplaced(1.0))
-    [alone] = built(params, seeds=[4], believe=misplaced(1.0))
+    together = _built(params, seeds=[3, 4, 5], believe=misplaced(1.0))
+    [alone] = _built(params, seeds=[4], believe=misplaced(1.0))
 
     assert all(same(a, b) for a, b in zip(together[1].walks, alone.walks, strict=True))

@@ -34,6 +34,10 @@ share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
 
+_JOINING = {"virtual-force": "tiswarm.localization.virtual_force:Localizer"}
+"""Classes of what localizes robots as they join, made of a log's header and settings. They have
+`join`, which takes the line of a robot, and `positions`."""
+
 PARALLEL = frozenset({"joint", "virtual-force together"})
 """Titles of methods that run on the device that a user chooses; others run on the processor in
 f64."""
@@ -42,6 +46,16 @@ f64."""
 def module_of(method: str) -> Any:  # noqa: ANN401 - a module
     """Import the module of a method."""
     return load(METHODS.get(method, OWN), f"method {method}")
+
+
+def joining(params: LocalizationParams) -> Any | None:  # noqa: ANN401 - a class
+    """Import the class that localizes robots as they join; None if these settings need all."""
+    moves_all = isinstance(params, VirtualForceParams) and (
+        params.schedule == "together" or params.back_propagation is not None
+    )
+    if params.method not in _JOINING or moves_all:
+        return None
+    return load(_JOINING[params.method], f"method {params.method}")
 
 
 def title(params: LocalizationParams) -> str:
