@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from tiswarm.localization.joint.annealing import cooled, end_sigma, thermostat
 from tiswarm.localization.joint.motion_kernels import MEMORY
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 
 DEFAULTS = JointParams()
-COLDEST, WARMEST = AnnealSchedule.coldest, AnnealSchedule.warmest
-LACKING = AnnealSchedule.underdetermined
+COLDEST, WARMEST = ANNEALING.coldest, ANNEALING.warmest
+LACKING = ANNEALING.underdetermined
 
 
 def _end(shortage=0.0, sd=1e-9, contacts=5, params=DEFAULTS):

@@ -17,7 +17,7 @@ from tiswarm.localization.joint.chains import (
     squares,
 )
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import ConvergenceTest
+from tiswarm.localization.joint.settings import CONVERGENCE
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.contacts import reach
@@ -67,7 +67,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
         annealer.advance(step)
         heat.append(annealer.temperatures(step - 1)[:, 0])
 
-    assert np.mean(heat, axis=0).max() < ConvergenceTest.runaway
+    assert np.mean(heat, axis=0).max() < CONVERGENCE.runaway
 
 
 @settings(deadline=None, max_examples=25)

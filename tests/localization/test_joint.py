@@ -24,7 +24,7 @@ from tiswarm.localization.joint.arrays import (
     YAW,
 )
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.joint.subtrees import find_subtrees, weights
 from tiswarm.localization.params import CUES, JointParams
 from tiswarm.localization.registry import localize, localize_many
@@ -77,7 +77,7 @@ def test_forces_match_the_energies_written_out_slowly(towers, docks, noise, robu
         annealer.by_robot(annealer.swarm.heading),
     )
     yaw = heading[:, :, YAW]
-    size = 2.0 * min(1.0, (steps + 1) / (AnnealSchedule.growing * SHORT.steps))
+    size = 2.0 * min(1.0, (steps + 1) / (ANNEALING.growing * SHORT.steps))
 
     annealer.advance(steps + 1)
 
@@ -464,11 +464,11 @@ def test_each_part_that_nothing_ties_is_put_where_its_first_robot_may_have_joine
     shape = put[:, -1] - put[:, -4]
     np.testing.assert_allclose(shape, chain[:, -1] - chain[:, -4], atol=1e-12)
     for first in (before + 2, before + 4):
-        likely = [np.exp((i - first) / AnnealSchedule.join_memory) for i in range(first)]
+        likely = [np.exp((i - first) / ANNEALING.join_memory) for i in range(first)]
         place = sum(w * put[:, i, :2] for i, w in enumerate(likely)) / sum(likely)
         np.testing.assert_allclose(put[:, first, :2], place, atol=1e-12)
         away = [((put[:, i, :2] - place) ** 2).sum(axis=1) for i in range(first)]
-        off = [AnnealSchedule.join_variance * a + square[:, i] for i, a in enumerate(away)]
+        off = [ANNEALING.join_variance * a + square[:, i] for i, a in enumerate(away)]
         off = sum(w * o for w, o in zip(likely, off, strict=True)) / sum(likely)
         np.testing.assert_allclose(square[:, first], off, rtol=1e-12)
     np.testing.assert_array_equal(square[:, ~untied], 0.0)
@@ -558,5 +558,5 @@ def test_the_share_of_the_steps_that_is_done_grows_up_to_all_of_them(log):
 
     annealing.anneal([log], [SHORT], [pose_problem(log, SHORT)], on_progress=shares.append)
 
-    even = np.union1d(np.linspace(0.0, 1.0, AnnealSchedule.frames), [0.75])
+    even = np.union1d(np.linspace(0.0, 1.0, ANNEALING.frames), [0.75])
     np.testing.assert_allclose(shares, even, atol=1.0 / 400)

@@ -16,7 +16,7 @@ from tiswarm.localization.joint.ends import aligned, ranked
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import minimum, mix
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import MixtureSettings, SdCalibration
+from tiswarm.localization.joint.settings import MIXTURE, SD_CALIBRATION
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.sensing import SensingParams, observe
@@ -71,12 +71,12 @@ def test_the_less_a_chain_misses_the_more_it_weighs(off):
 
     ends = ends_of(log, position)
 
-    width = pose_problem(log, AS_ENDED).rows.variance()[0] + (MixtureSettings.tempered * SIGMA) ** 2
+    width = pose_problem(log, AS_ENDED).rows.variance()[0] + (MIXTURE.tempered * SIGMA) ** 2
     np.testing.assert_allclose(ends.cost, np.square(off) / width, atol=1e-9)
     order = np.argsort(ends.cost)
     assert (np.diff(ends.weight[order]) <= 1e-15).all()
     assert ends.weight.sum() == pytest.approx(1.0)
-    assert (ends.weight[ends.weight > 0.0] >= MixtureSettings.least_weight).all()
+    assert (ends.weight[ends.weight > 0.0] >= MIXTURE.least_weight).all()
     is_far = ends.cost > ends.cost.min() + 200.0
     assert not ends.weight[is_far].any()
 
@@ -514,5 +514,5 @@ def test_hinges_make_no_robot_less_sure_that_nothing_ties():
     own = deviation(known, chains.mean, chains.within, np.full(4, 0.25), SIGMA) ** 2
     guess = place_disconnected(mixture.position[None], known)[1][0]
     assert known.untied[1:].all()
-    square = (1.0 - SdCalibration.hinged) * own + guess
+    square = (1.0 - SD_CALIBRATION.hinged) * own + guess
     np.testing.assert_allclose(mixture.sd[1:] ** 2, square[1:], rtol=1e-9)

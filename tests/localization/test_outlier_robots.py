@@ -132,7 +132,7 @@ def test_no_robot_is_to_blame_for_docks_of_another_size(log):
 
 def test_too_many_outliers_are_none(drifting, monkeypatch):
     """Where a large part of the robots would have to be wrong, something else is."""
-    monkeypatch.setattr(OutlierRobotSettings, "most", 0.0)
+    monkeypatch.setattr(outliers, "OUTLIER_ROBOTS", OutlierRobotSettings(most=0.0))
 
     found = localize(drifting, JointParams())
 

@@ -14,7 +14,7 @@ from tiswarm.localization.joint.annealing import Annealer
 from tiswarm.localization.joint.arrays import MASS, MOVES
 from tiswarm.localization.joint.planes import Planes
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.observability import observability
 
@@ -63,7 +63,7 @@ def test_a_plane_that_alone_holds_its_part_pulls_however_far_the_part_is(swarm):
 
     assert known.part.max() > 1
     forces = annealer.by_robot(annealer.swarm.motion)[..., :MASS]
-    size = 2.0 / (AnnealSchedule.growing * SHORT.steps)
+    size = 2.0 / (ANNEALING.growing * SHORT.steps)
     for k in range(SHORT.chains):
         slow, _ = oracle.joint_force(
             log, known, away[k], np.zeros(len(known.part)), 0.3, 3.0, SHORT.extension_prior, size

@@ -8,7 +8,7 @@ import pytest
 
 from tiswarm.localization.joint.chains import deviation
 from tiswarm.localization.joint.ends import _weights
-from tiswarm.localization.joint.settings import AnnealSchedule, MixtureSettings, SdCalibration
+from tiswarm.localization.joint.settings import ANNEALING, MIXTURE, SD_CALIBRATION
 
 
 def _weighed(cost, heat):
@@ -20,11 +20,11 @@ def _weighed(cost, heat):
 
 def _weights_slowly(cost, measurements):
     """Weights at the lowest of some temperatures that leaves enough ends, without dust."""
-    hottest = max(1.0, math.sqrt(2 * measurements) / MixtureSettings.chance)
-    heats = [hottest ** (k / (MixtureSettings.heats - 1)) for k in range(MixtureSettings.heats)]
-    enough = [heat for heat in heats if _weighed(cost, heat)[1] >= MixtureSettings.fewest - 1e-9]
+    hottest = max(1.0, math.sqrt(2 * measurements) / MIXTURE.chance)
+    heats = [hottest ** (k / (MIXTURE.heats - 1)) for k in range(MIXTURE.heats)]
+    enough = [heat for heat in heats if _weighed(cost, heat)[1] >= MIXTURE.fewest - 1e-9]
     share, _ = _weighed(cost, (enough or heats[-1:])[0])
-    counted = [s if s >= MixtureSettings.least_weight else 0.0 for s in share]
+    counted = [s if s >= MIXTURE.least_weight else 0.0 for s in share]
     return [c / sum(counted) for c in counted]
 
 
@@ -59,7 +59,7 @@ def test_mixtures_of_many_measurements_are_hotter(measurements):
 
 def _deviation_slowly(known, mean, within, weight, sigma):
     """Standard deviation of each robot, robot by robot."""
-    fit, warmest = SdCalibration, AnnealSchedule.warmest
+    fit, warmest = SD_CALIBRATION, ANNEALING.warmest
     chains, robots = mean.shape[:2]
     noise = np.mean([v / (v + warmest**2) for v in known.variance])
     many = 1.0 / sum(w**2 for w in weight)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
+from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.params import CUES, LARGE, ChiSquareParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
@@ -102,17 +102,17 @@ def assess(
         found = _itself(rows, state, unknowns)
     else:
         found = _minimum(log, chosen, problem, rows, state, is_guess)
-    freedom = max(found.freedom, int(MixtureSettings.spare * unknowns), 1)
+    freedom = max(found.freedom, int(MIXTURE.spare * unknowns), 1)
     misfit_sd = float((found.chi_square - freedom) / np.sqrt(2.0 * freedom))
     is_consistent = misfit_sd <= MOST_MISFIT_SD
-    chance = unknowns + ConvergenceTest.chance_sd * np.sqrt(2.0 * unknowns)
+    chance = unknowns + CONVERGENCE.chance_sd * np.sqrt(2.0 * unknowns)
     is_near = found.excess <= chance
     links = len(rows.other)
     torn = int(found.outlier[:links].sum())
     reasons = {
         "all positions are guesses": is_guess[1:].any() and not unknowns,
         f"{torn} of {links} contacts and ranges are outliers": (
-            torn > ConvergenceTest.most_outliers * links
+            torn > CONVERGENCE.most_outliers * links
         ),
         f"chi-square exceeds the least one nearby by {found.excess:.3g}, and noise explains "
         f"{chance:.3g}": not is_near and not _is_within(found.position - position, sd, is_guess),
@@ -143,7 +143,7 @@ def assess(
 def _itself(rows: Measurements, estimate: tuple[Reals, Reals], unknowns: int) -> _NearestMinimum:
     """Take an estimate for the minimum."""
     square = rows.residual(*estimate) ** 2 / rows.variance()
-    outlier = square > ConvergenceTest.outlier_sd**2
+    outlier = square > CONVERGENCE.outlier_sd**2
     square[outlier] = 0.0
     freedom = int((~outlier).sum()) - unknowns
     return _NearestMinimum(estimate[0], 0.0, outlier, float(square.sum()), freedom, square)
@@ -167,11 +167,11 @@ def _minimum(
 
     aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
     start = estimate[0] + is_guess[:, None] * aside, estimate[1]
-    robust = cost(rows, AnnealSchedule.outlier_sd)
+    robust = cost(rows, ANNEALING.outlier_sd)
     _, own = robust.refine(start, _ROUNDS, np.full(log.robot_count, _STAYS))
     state, least = robust.refine(start, _ROUNDS)
     missed = rows.residual(state.position, state.yaw) ** 2 / rows.variance()
-    outlier = missed > ConvergenceTest.outlier_sd**2
+    outlier = missed > CONVERGENCE.outlier_sd**2
     _, linear = cost(rows.select(~outlier), None).refine((state.position, state.yaw), _ROUNDS)
     square = np.zeros(len(rows))
     square[~outlier] = linear.square

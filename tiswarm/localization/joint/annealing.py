@@ -33,7 +33,7 @@ from tiswarm.localization.joint.initialization import initial_guess, reinitializ
 from tiswarm.localization.joint.kernels import SKIN, THIN_SKIN, note_places, take_steps
 from tiswarm.localization.joint.motion_kernels import MEMORY, sum_rows
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.joint.subtrees import find_subtrees, subtree_arrays
 from tiswarm.localization.joint.upload import (
     block_arrays,
@@ -152,23 +152,23 @@ class Annealer:
         if running.on_card:
             return False
         copies, blocks = self.chains * int(self.start[-1]), self.chains * len(self.size)
-        shared = AnnealSchedule.launch + GRAIN * -(-copies // (GRAIN * running.threads))
+        shared = ANNEALING.launch + GRAIN * -(-copies // (GRAIN * running.threads))
         return copies / blocks * -(-blocks // running.threads) <= shared
 
     def run(self, on_progress: Callable[[float], None] = ignore) -> list[Annealed]:
         """Take all steps, and report the share of them that is done."""
         holding = self.shared.hold_steps
-        frames = np.linspace(0, self.steps + holding, AnnealSchedule.frames).astype(np.int64)
+        frames = np.linspace(0, self.steps + holding, ANNEALING.frames).astype(np.int64)
         frames = np.union1d(frames, self.steps)
         trace, yaw_trace, heat = [], [], []
         for frame in frames.tolist():
             self.advance(frame)
             on_progress(frame / (self.steps + holding))
-            if AnnealSchedule.reinitialize_from * self.steps <= frame < self.steps:
+            if ANNEALING.reinitialize_from * self.steps <= frame < self.steps:
                 self.reinitialize()
             trace.append(self.by_robot(self.swarm.position)[0])
             yaw_trace.append(self.by_robot(self.swarm.heading)[0, :, YAW])
-            if frame > AnnealSchedule.growing * self.steps:
+            if frame > ANNEALING.growing * self.steps:
                 heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.swarm.position)
         moves = last.shape[1] > len(self.size)  # anchors do not
@@ -287,7 +287,7 @@ def start_sigma(problem: Problem, params: JointParams) -> float:
     """
     is_contact = problem.rows.is_contact
     by_ranges = len(is_contact) > 0 and not is_contact.any()
-    return max(params.start_sigma, AnnealSchedule.ranged * by_ranges)
+    return max(params.start_sigma, ANNEALING.ranged * by_ranges)
 
 
 def end_sigma(problem: Problem, params: JointParams) -> float:
@@ -298,9 +298,9 @@ def end_sigma(problem: Problem, params: JointParams) -> float:
     """
     if params.end_sigma is not None:
         return params.end_sigma
-    coldest, warmest = AnnealSchedule.coldest, AnnealSchedule.warmest
+    coldest, warmest = ANNEALING.coldest, ANNEALING.warmest
     noise = float(np.sqrt(np.median(problem.variance))) if len(problem.variance) else warmest
-    lacking = problem.underdetermination / AnnealSchedule.underdetermined
+    lacking = problem.underdetermination / ANNEALING.underdetermined
     return min(max(coldest + (warmest - coldest) * lacking, noise), warmest)
 
 
@@ -312,9 +312,9 @@ def cooled(begin: float, end: float, steps: int, holding: int) -> Reals:
 
 def grown(steps: int, sigma: Reals) -> Reals:
     """Grow docks to their full size as chains of so many steps cool; a part of it at each step."""
-    growing = max(AnnealSchedule.growing * steps, 1.0)
+    growing = max(ANNEALING.growing * steps, 1.0)
     number = np.arange(sigma.shape[-1])
-    return np.clip((number + 1.0) / growing, AnnealSchedule.smallest, 1.0)
+    return np.clip((number + 1.0) / growing, ANNEALING.smallest, 1.0)
 
 
 def thermostat(sigma: Reals) -> Reals:

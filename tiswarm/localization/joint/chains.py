@@ -15,7 +15,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, SdCalibration
+from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, SD_CALIBRATION
 
 _BY_CHAIN = ("mean", "within", "last", "mean_yaw", "last_yaw", "temperature")
 
@@ -91,12 +91,12 @@ def failed(problem: Problem, annealed: Annealed) -> Bools:
     """Find chains that no noise of the measurements explains, shape (chains,)."""
     missed = squares(problem, annealed)[:, : len(problem.variance)]
     # A wrong contact bounds no distance; most chains tear it.
-    torn = (missed > ConvergenceTest.outlier_sd**2).mean(axis=0) >= ConvergenceTest.most_chains
+    torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
     torn = problem.any_of_link(torn)[problem.link]
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
-    is_failed: Bools = beyond | (annealed.temperature > ConvergenceTest.runaway)
+    is_failed: Bools = beyond | (annealed.temperature > CONVERGENCE.runaway)
     return is_failed
 
 
@@ -129,7 +129,7 @@ def deviation(
         weight: Weights of the chains, which add up to 1, shape (chains,).
         sigma: Square root of the temperature at which the chains ended [R].
     """
-    fit = SdCalibration
+    fit = SD_CALIBRATION
     between = between_chains(mean, weight)
     between += fit.shared * between_chains(_others(mean), weight)
     square = weight @ within + between
@@ -138,7 +138,7 @@ def deviation(
     square *= square / np.maximum(square + thermal, np.finfo(np.float64).tiny)
     power = fit.shared_noise_power * noise
     related = np.sqrt(square) ** (1.0 - power) * (fit.shared_noise_at * sigma) ** power
-    sharp = (fit.sharp * (sigma / AnnealSchedule.warmest) ** fit.sharp_power) ** (1.0 - noise)
+    sharp = (fit.sharp * (sigma / ANNEALING.warmest) ** fit.sharp_power) ** (1.0 - noise)
     lacking = 1.0 + fit.underdetermined * problem.underdetermination
     sd: Reals = related * sharp * lacking
     sd[0] = 0.0  # the position of the anchor is known
@@ -172,4 +172,4 @@ def _noise_share(variance: Reals) -> float:
     """Share of the contacts' variance that is noise, not temperature; 1 without contacts."""
     if not len(variance):
         return 1.0
-    return float(np.mean(variance / (variance + AnnealSchedule.warmest**2)))
+    return float(np.mean(variance / (variance + ANNEALING.warmest**2)))

@@ -8,7 +8,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.frames import HELD, Frame, align, free_frame
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import AnnealSchedule, ConvergenceTest, MixtureSettings
+from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.joint.starts import scaled_distances
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost
@@ -51,12 +51,12 @@ def ranked(
 ) -> Ends:
     """Move each chain to a minimum of the cost, and weigh it.
 
-    The cost is that at `MixtureSettings.tempered` times the temperature of the chains: they end
+    The cost is that at `MIXTURE.tempered` times the temperature of the chains: they end
     where it lets measurements be missed.
     """
     position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
     cost = np.full(len(position), np.inf)
-    rounds = MixtureSettings.rounds if params.refines(log.robot_count) else 0
+    rounds = MIXTURE.rounds if params.refines(log.robot_count) else 0
     for k in np.flatnonzero(has_failed.all() | ~has_failed).tolist():
         position[k], yaw[k], cost[k] = _descended(
             log, params, problem, (position[k], yaw[k]), annealed.sigma, rounds
@@ -77,10 +77,10 @@ def _descended(
         log,
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
-        robust_sd=AnnealSchedule.outlier_sd if params.robust else None,
+        robust_sd=ANNEALING.outlier_sd if params.robust else None,
         non_overlap=params.non_overlap,
         are_independent=True,
-        further_variance=(MixtureSettings.tempered * sigma) ** 2,
+        further_variance=(MIXTURE.tempered * sigma) ** 2,
     )
     state, linear = cost.refine(start, rounds)
     return state.position, state.yaw, linear.cost
@@ -111,7 +111,7 @@ def with_further(
     """Add the minima that further starts lead to, as chains that do not move."""
     if not further:
         return annealed, ends
-    rounds = MixtureSettings.warm_rounds
+    rounds = MIXTURE.warm_rounds
     found = [
         _descended(log, params, problem, (position, ends.yaw[0]), annealed.sigma, rounds)
         for position in further
@@ -137,9 +137,9 @@ def settled(
 ) -> tuple[Reals, Reals, float]:
     """Move positions that no chain led to: first warm, then to a minimum as `_descended` does."""
     length = problem.length[~problem.is_offset]
-    warm = MixtureSettings.unfolding * float(np.median(length)) if len(length) else sigma
+    warm = MIXTURE.unfolding * float(np.median(length)) if len(length) else sigma
     start = position, np.zeros(len(position))
-    position, yaw, _ = _descended(log, params, problem, start, warm, MixtureSettings.warm_rounds)
+    position, yaw, _ = _descended(log, params, problem, start, warm, MIXTURE.warm_rounds)
     return _descended(log, params, problem, (position, yaw), sigma, rounds)
 
 
@@ -151,13 +151,13 @@ def further_starts(log: SensingLog, params: ChiSquareParams, problem: Problem) -
     """
     if not params.refines(log.robot_count):
         return []
-    anchor, rounds = log.anchor_position / log.dock_radius, MixtureSettings.warm_rounds
+    anchor, rounds = log.anchor_position / log.dock_radius, MIXTURE.warm_rounds
     found = []
     for start in scaled_distances(problem, anchor):
-        position, _, cost = settled(log, params, problem, start, AnnealSchedule.warmest, rounds)
+        position, _, cost = settled(log, params, problem, start, ANNEALING.warmest, rounds)
         found.append((cost, position))
     found.sort(key=lambda pair: pair[0])
-    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(problem.rows))
+    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(problem.rows))
     return [position for cost, position in found if cost <= found[0][0] + chance]
 
 
@@ -185,16 +185,16 @@ def _weights(cost: Reals, measurements: int) -> Reals:
 
     A chain makes mistakes of its own in many parts of a structure. So
     up to the width of the chi-square, its cost says little about the whole: costs are divided by
-    what leaves `MixtureSettings.fewest` ends in the mixture, where that is in reach.
+    what leaves `MIXTURE.fewest` ends in the mixture, where that is in reach.
     """
     excess = cost - cost.min()
-    hottest = max(1.0, np.sqrt(2.0 * measurements) / MixtureSettings.chance)
-    for heat in np.geomspace(1.0, hottest, MixtureSettings.heats):
+    hottest = max(1.0, np.sqrt(2.0 * measurements) / MIXTURE.chance)
+    for heat in np.geomspace(1.0, hottest, MIXTURE.heats):
         weight = np.exp(-0.5 * excess / heat)
         weight /= weight.sum()
-        if 1.0 / (weight**2).sum() >= MixtureSettings.fewest:
+        if 1.0 / (weight**2).sum() >= MIXTURE.fewest:
             break
-    weight[weight < MixtureSettings.least_weight] = 0.0
+    weight[weight < MIXTURE.least_weight] = 0.0
     scaled: Reals = weight / weight.sum()
     return scaled
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import normal
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.sensing_log import SensingLog
 
@@ -43,7 +43,7 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
         met = guess[:, partner[mine]] - toward[mine] if len(mine) else guess[:, :1]
         guess[:, i] += met.mean(axis=1)
         ranged = mine[is_range[mine]]
-        for _ in range(AnnealSchedule.trilateration if len(ranged) else 0):
+        for _ in range(ANNEALING.trilateration if len(ranged) else 0):
             away = guess[:, i, None] - guess[:, partner[ranged]]
             short = length[ranged] / np.maximum(np.linalg.norm(away, axis=2), _TINY)
             guess[:, i] += ((short - 1.0)[:, :, None] * away).mean(axis=1)
@@ -73,7 +73,7 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     rows = _rows(problem.robot, len(count))
     moved = 0
     sd = np.sqrt(problem.by_link(problem.variance))
-    far = np.maximum(AnnealSchedule.lost, AnnealSchedule.lost_sd * sd)
+    far = np.maximum(ANNEALING.lost, ANNEALING.lost_sd * sd)
     for here, missed in zip(position, gap > far, strict=True):
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
@@ -101,16 +101,16 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
     placed, square = mean.copy(), np.zeros(mean.shape[:2])
     firsts = np.unique(problem.part, return_index=True)[1]
     for first in np.sort(firsts[problem.untied[firsts]]).tolist():
-        window = slice(max(first - AnnealSchedule.join_window, 0), first)
+        window = slice(max(first - ANNEALING.join_window, 0), first)
         earlier = placed[:, window]
-        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / AnnealSchedule.join_memory)
+        weight = np.exp(np.arange(1 - earlier.shape[1], 1) / ANNEALING.join_memory)
         weight /= weight.sum()
         place = weight @ earlier
         away = (earlier - place[:, None]) @ problem.loose[first]
         part = problem.part == problem.part[first]
         placed[:, part] += ((place - placed[:, first]) @ problem.loose[first])[:, None]
         # The earlier ones may be of disconnected parts, too.
-        uncertain = AnnealSchedule.join_variance * (away**2).sum(axis=2) + square[:, window]
+        uncertain = ANNEALING.join_variance * (away**2).sum(axis=2) + square[:, window]
         square[:, part] = (uncertain @ weight)[:, None]
     return placed, square
 

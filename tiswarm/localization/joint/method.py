@@ -15,7 +15,7 @@ from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
 from tiswarm.localization.joint.outliers import disregard, explains
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import ChiSquareParams, JointParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
@@ -167,7 +167,7 @@ def _restarted(
     """
     restarted = 0
     has_failed = failed(problem, annealed)
-    for attempt in range(1, AnnealSchedule.restarts + 1):
+    for attempt in range(1, ANNEALING.restarts + 1):
         if not has_failed.any():
             break
         again = anneal([log], [params], [problem], halvings=attempt)[0]

@@ -18,11 +18,11 @@ from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import (
-    AnnealSchedule,
-    ConvergenceTest,
-    MixtureSettings,
-    RefineSettings,
-    SdCalibration,
+    ANNEALING,
+    CONVERGENCE,
+    MIXTURE,
+    REFINEMENT,
+    SD_CALIBRATION,
 )
 from tiswarm.localization.joint.starts import images
 from tiswarm.localization.params import ChiSquareParams
@@ -129,7 +129,7 @@ def mix(
     if open_sd is None:
         open_sd = deviation(problem, annealed.mean, annealed.within, ends.weight, annealed.sigma)
     if prior_sd is None and params.refines(log.robot_count):
-        hinged, part = _hinged_variance(log, params, problem, ends, ~outlier), SdCalibration.hinged
+        hinged, part = _hinged_variance(log, params, problem, ends, ~outlier), SD_CALIBRATION.hinged
         open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
     minima, share = _minima(log, params, problem, annealed, ends, ~outlier, open_sd)
     best = minima[0]
@@ -197,7 +197,7 @@ def _minima(
 def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
     """Take the mean of all chains of a structure that is too large to be refined."""
     square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
-    spare = MixtureSettings.spare * 3.0 * (len(sd) - 1)
+    spare = MIXTURE.spare * 3.0 * (len(sd) - 1)
     position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
     return Minimum(
         configuration=position,
@@ -231,7 +231,7 @@ def _hinged_variance(
         yaw_precision=problem.yaw_precision,
         non_overlap=params.non_overlap,
         are_independent=True,
-        further_variance=AnnealSchedule.coldest**2,
+        further_variance=ANNEALING.coldest**2,
         hinged=np.unique(problem.pair[joins], axis=0),
     )
     square = cost.refine(start, 0)[1].variance()
@@ -246,13 +246,13 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     exceeds the least one by more than chance explains do not count.
     """
     cost = np.array([each.cost for each in minima])
-    chance = ConvergenceTest.chance_sd * np.sqrt(2.0 * len(minima[0].square))
+    chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
     if all(each.is_held[1:].all() for each in minima):
         minima, cost = _distinct(minima, cost)
         height = np.array([each.log_volume for each in minima]) - 0.5 * cost
         share = np.exp(height - height.max())
-    share = np.where(share < MixtureSettings.least_weight * share.max(), 0.0, share / share.sum())
+    share = np.where(share < MIXTURE.least_weight * share.max(), 0.0, share / share.sum())
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(share)]
     return [minima[n] for n in order], share[order] / share.sum()
 
@@ -278,7 +278,7 @@ def _outliers(problem: Problem, ends: Ends) -> Bools:
 
     A single chain tears contacts that are right.
     """
-    test = ConvergenceTest
+    test = CONVERGENCE
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
     jury = (ends.weight > 0.0) | ((order < test.jury) & np.isfinite(ends.cost))
     outlier: Bools = (ends.missed[jury] > test.outlier_sd**2).all(axis=0)
@@ -291,8 +291,8 @@ def _convergence(
     problem: Problem, ends: Ends, outlier: Bools, best: Minimum, has_failed: Bools
 ) -> Convergence:
     """Give the verdicts, and the first reason for a bad one."""
-    test, links = ConvergenceTest, len(problem.variance)
-    chance = MixtureSettings.alike * np.sqrt(2.0 * len(problem.rows))
+    test, links = CONVERGENCE, len(problem.variance)
+    chance = MIXTURE.alike * np.sqrt(2.0 * len(problem.rows))
     alike = ends.cost <= ends.cost.min() + chance
     first = int(ends.cost.argmin())
     torn = int((ends.missed[first, :links][~outlier[:links]] > test.outlier_sd**2).sum())
@@ -360,16 +360,16 @@ def minimum(
         non_overlap=params.non_overlap,
         # A bias that is not solved for is in all stances of a robot.
         are_independent=problem.rows.odometry.bias > 0.0,
-        further_variance=(MixtureSettings.tepid * annealed.sigma) ** 2,
+        further_variance=(MIXTURE.tepid * annealed.sigma) ** 2,
     )
-    prior = RefineSettings.prior_sd * np.sqrt(len(sd)) * sd
-    prior = np.maximum(prior, RefineSettings.least_prior)
-    state, linear = cost.refine((position, yaw), RefineSettings.rounds, prior)
+    prior = REFINEMENT.prior_sd * np.sqrt(len(sd)) * sd
+    prior = np.maximum(prior, REFINEMENT.least_prior)
+    state, linear = cost.refine((position, yaw), REFINEMENT.rounds, prior)
     free = ends.frame.motions(state.position, problem.part == problem.part[0])
-    left = RefineSettings.sd_scale * np.sqrt(linear.variance(free))
-    is_biased = 0.0 < problem.yaw_precision < RefineSettings.most_yaw_bias**-2
+    left = REFINEMENT.sd_scale * np.sqrt(linear.variance(free))
+    is_biased = 0.0 < problem.yaw_precision < REFINEMENT.most_yaw_bias**-2
     is_biased &= bool(annealed.within.any())  # only chains say better
-    small = np.maximum(RefineSettings.open_sd * sd, RefineSettings.linear_sd)
+    small = np.maximum(REFINEMENT.open_sd * sd, REFINEMENT.linear_sd)
     is_held = (left <= small) & ~problem.untied & (not is_biased)
     square = np.zeros(len(problem.rows))
     square[used] = linear.square
@@ -381,7 +381,7 @@ def minimum(
         is_held=is_held,
         cost=linear.cost,
         chi_square=linear.chi_square,
-        freedom=max(linear.freedom(), int(MixtureSettings.spare * 3 * (len(sd) - 1))),
+        freedom=max(linear.freedom(), int(MIXTURE.spare * 3 * (len(sd) - 1))),
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),

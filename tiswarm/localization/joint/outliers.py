@@ -17,7 +17,7 @@ from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to impor
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.problem import NO_ROBOTS, Problem, pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule, OutlierRobotSettings
+from tiswarm.localization.joint.settings import ANNEALING, OUTLIER_ROBOTS
 from tiswarm.localization.linear import Linear
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost, State
@@ -81,7 +81,7 @@ def disregard(
         The structure without them. None if there are none, or too many to be outliers, or if the
         structure is too large to be refined.
     """
-    verdict, settings = estimate.convergence, OutlierRobotSettings
+    verdict, settings = estimate.convergence, OUTLIER_ROBOTS
     if verdict is None or verdict.consistent or verdict.misfit_sd < 0.0:
         return None
     # The error of an orientation that was chained is that of many robots.
@@ -109,7 +109,7 @@ def explains(before: Convergence, after: Convergence) -> bool:
     Where docks or noise are not as stated, a few robots are worse than others, but most of the
     misfit is left.
     """
-    most = OutlierRobotSettings.most_left * before.misfit_sd
+    most = OUTLIER_ROBOTS.most_left * before.misfit_sd
     return after.converged and after.misfit_sd <= most
 
 
@@ -131,11 +131,11 @@ def _fitted(
         log,
         problem.rows.associated(*start),
         yaw_precision=problem.yaw_precision,
-        robust_sd=AnnealSchedule.outlier_sd,
+        robust_sd=ANNEALING.outlier_sd,
         non_overlap=params.non_overlap and not sd,
         further_variance=sd**2,
     )
-    rounds = OutlierRobotSettings.rounds
+    rounds = OUTLIER_ROBOTS.rounds
     return _Fit(robots, problem, *cost.refine(start, rounds, turn=turn))
 
 
@@ -156,9 +156,9 @@ def _next(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit | None:
     gain, freed = _gains(fit)
     predicted = _significance(gain, freed, fit)
     predicted[fit.robots] = 0.0
-    best, most = None, OutlierRobotSettings.least
-    for robot in np.argsort(-predicted, kind="stable")[: OutlierRobotSettings.tried].tolist():
-        if predicted[robot] < OutlierRobotSettings.promising:
+    best, most = None, OUTLIER_ROBOTS.least
+    for robot in np.argsort(-predicted, kind="stable")[: OUTLIER_ROBOTS.tried].tolist():
+        if predicted[robot] < OUTLIER_ROBOTS.promising:
             break
         further = _without(log, params, fit, np.append(fit.robots, robot))
         lower = np.array([fit.linear.chi_square - further.linear.chi_square])
@@ -178,7 +178,7 @@ def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
     found = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = fit.state.turn.copy()
-        turn[final] += axis * _TRIAL_TURN / OutlierRobotSettings.turn_sd
+        turn[final] += axis * _TRIAL_TURN / OUTLIER_ROBOTS.turn_sd
         start = fit.state.position, fit.state.yaw
         found.append(_fitted(log, params, posed, start, turn, sd=_TRIAL_SD))
     _, _, state, _ = min(found, key=lambda each: each.linear.cost)
@@ -195,7 +195,7 @@ def _justified(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
         back = _without(log, params, fit, fit.robots[fit.robots != robot])
         rise = np.array([back.linear.chi_square - fit.linear.chi_square])
         freed = _gains(back)[1][[robot]]
-        if _significance(rise, freed, fit)[0] < OutlierRobotSettings.least:
+        if _significance(rise, freed, fit)[0] < OUTLIER_ROBOTS.least:
             fit = back
     return fit
 

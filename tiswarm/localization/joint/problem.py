@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.localization.joint.planes import Planes, measured_planes
-from tiswarm.localization.joint.settings import OutlierRobotSettings
+from tiswarm.localization.joint.settings import OUTLIER_ROBOTS
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.measurements.consistency import ALLOWED_SD, inconsistent_places
 from tiswarm.measurements.contacts import parts, reach, untied_directions
@@ -240,7 +240,7 @@ def pose_problem(
     is_solved = params.solve_yaw and bias > 0.0
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
     if len(disregarded):
-        odometry = odometry.widened(disregarded, OutlierRobotSettings.turn_sd)
+        odometry = odometry.widened(disregarded, OUTLIER_ROBOTS.turn_sd)
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     cues = [cue for cue in params.cues if cue != "fixes"]
     measured = Measured(log, odometry, precision)

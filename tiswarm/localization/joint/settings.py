@@ -1,9 +1,9 @@
 """Constants of the joint method, each with its unit, its reason and where its value is from.
 
-They are read from the classes, whose fields no instance can change. A class says where its values
-are from, a field where its own is from elsewhere. "Chosen" values gave the least error among a few
-tried, "fitted" ones minimize a misfit; both were found on training structures, of seeds that no
-result is reported on; see `docs/notes/`. Lengths in R.
+They are read from one frozen instance of each class, at the end of this file. A class says where
+its values are from, a field where its own is from elsewhere. "Chosen" values gave the least error
+among a few tried, "fitted" ones minimize a misfit; both were found on training structures, of seeds
+that no result is reported on; see `docs/notes/`. Lengths in R.
 """
 
 from dataclasses import dataclass
@@ -163,7 +163,7 @@ class SdCalibration:
     """Standard deviations of an error per one of a chain, without noise [1]."""
 
     sharp_power: float = 0.15
-    """Power of sigma / `AnnealSchedule.warmest` by which `sharp` changes [1]."""
+    """Power of sigma / `ANNEALING.warmest` by which `sharp` changes [1]."""
 
     shared_noise_power: float = 0.193
     """Power of the ratio by which deviations approach `shared_noise_at` sigma, where measurements
@@ -219,7 +219,7 @@ class RefineSettings:
     agree about them more often than they are right. Training suites without compasses."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OutlierRobotSettings:
     """Robots whose orientations do not count. Chosen on training structures."""
 
@@ -245,3 +245,11 @@ class OutlierRobotSettings:
     turn_sd: float = 1.0
     """Standard deviation of an orientation that does not count, about each axis [rad]: a drift of
     3 deg a stance over a walk of twenty stances."""
+
+
+ANNEALING = AnnealSchedule()
+CONVERGENCE = ConvergenceTest()
+MIXTURE = MixtureSettings()
+SD_CALIBRATION = SdCalibration()
+REFINEMENT = RefineSettings()
+OUTLIER_ROBOTS = OutlierRobotSettings()

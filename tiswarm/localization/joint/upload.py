@@ -61,7 +61,7 @@ from tiswarm.localization.joint.arrays import (
     Traits,
 )
 from tiswarm.localization.joint.problem import Problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.joint.subtrees import Forest
 from tiswarm.localization.params import JointParams
 
@@ -113,7 +113,7 @@ def measured_arrays(
         PLANE_END: plane[1:],
     }
     weight = {
-        ROBUST: np.repeat([AnnealSchedule.outlier_sd**-2 * p.robust for p in params], size),
+        ROBUST: np.repeat([ANNEALING.outlier_sd**-2 * p.robust for p in params], size),
         YAW_PRECISION: np.repeat([p.yaw_precision for p in problems], size),
         LIGHTEST: np.full(len(order), lightest),
     }
@@ -195,7 +195,7 @@ def _plane_array(
 def _planes_of(problem: Problem, params: JointParams) -> Reals:
     """Gather the columns of `MeasuredColumns.plane` of one structure, shape (P, 11)."""
     planes = problem.planes
-    robust = AnnealSchedule.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
+    robust = ANNEALING.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
     return _packed({
         POINT: planes.point,
         DIRECTION: planes.direction,
