@@ -31,7 +31,7 @@ run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=sc
 	$(bin)/tiswarm run "$(SCENARIO)"
 
 test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
-	$(bin)/python -m pytest -n auto
+	$(bin)/python -m pytest -n auto --durations=25
 
 docs: $(installed_dev)  ## Build the site of the documentation, build/docs/index.html
 	$(bin)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs

@@ -1,12 +1,18 @@
-"""`docs/architecture.md` tells the truth about the repository, and each class has its own name."""
+"""`docs/architecture.md` tells the truth about the repository, which stays within its limits."""
 
 import ast
 import re
 import sys
+import tokenize
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from tests.test_tour import stops
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -26,6 +32,17 @@ MODULES = {
     for file in sorted((REPOSITORY / "tiswarm").rglob("*.py"))
 }
 """By file, the syntax tree of each module."""
+
+[CONTRACT] = (
+    contract
+    for contract in PROJECT["tool"]["importlinter"]["contracts"]
+    if contract["name"] == "the spine imports no optional part"
+)
+
+NUMERICAL = {"compute", "engine", "localization", "measurements", "world"}
+DIRECTIVE = re.compile(r"# (noqa|type:|fmt:)")
+"""A comment for a tool, not for a reader."""
+LAYOUT = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 _Node = TypeVar("_Node", bound=ast.AST)
 
@@ -74,19 +91,132 @@ def test_dependencies_have_a_reason_on_the_page():
     assert explained == _distributions()
 
 
-def test_a_class_name_has_one_meaning():
-    """A reader who knows a name from one room is not misled in another one."""
+def _tour_lines() -> int:
+    return sum(len((REPOSITORY / stop).read_text().splitlines()) for stop in stops())
+
+
+def _imported(tree: ast.Module) -> Iterator[str]:
+    """Yield the full names that a module imports from the package, without `tiswarm.`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("tiswarm"):
+            for name in node.names:
+                yield f"{node.module}.{name.name}".removeprefix("tiswarm.")
+
+
+def _parts_that_the_spine_imports() -> int:
+    spine, parts = CONTRACT["source_modules"], CONTRACT["forbidden_modules"]
+    imported = {
+        f"tiswarm.{name}."
+        for file, tree in MODULES.items()
+        for name in _imported(tree)
+        if f"{file.removesuffix('.py').replace('/', '.')}.".startswith(_dotted(spine))
+    }
+    return sum(any(name.startswith(_dotted([part])) for name in imported) for part in parts)
+
+
+def _dotted(modules: Iterable[str]) -> tuple[str, ...]:
+    """Return prefixes that a module's full name has if it is, or is in, one of the modules."""
+    return tuple(f"{module}." for module in modules)
+
+
+def _entries() -> int:
+    entries = {path.name for path in (REPOSITORY / "tiswarm").iterdir()}
+    return len(entries - {"__pycache__", "py.typed"})
+
+
+def _names_that_cross_rooms() -> int:
+    """Count what a module imports from a room that is not its own, each name once."""
+    crossing = {
+        name
+        for file, tree in MODULES.items()
+        for name in _imported(tree)
+        if name.split(".")[0] != file.removesuffix(".py").split("/")[1]
+    }
+    return len(crossing)
+
+
+def _names_with_two_meanings() -> int:
     names = Counter(node.name.lstrip("_") for _, node in _nodes(ast.ClassDef))
+    return sum(count > 1 for count in names.values())
 
-    assert {name for name, count in names.items() if count > 1} == set()
+
+def _functions() -> tuple[list[ast.FunctionDef], list[ast.FunctionDef]]:
+    """Return the functions of the package, and its kernels."""
+    kinds: tuple[list[ast.FunctionDef], list[ast.FunctionDef]] = ([], [])
+    for _, node in _nodes(ast.FunctionDef):
+        kinds["ti.kernel" in map(ast.unparse, node.decorator_list)].append(node)
+    return kinds
 
 
-def test_the_package_has_at_most_18_entries():
-    """A stranger who lists the folder sees the rooms and little else."""
-    package = REPOSITORY / "tiswarm"
-    entries = {path.name for path in package.iterdir()} - {"__pycache__", "py.typed"}
+def _body_lines(node: ast.FunctionDef) -> int:
+    """Count the lines of a function after its signature and docstring."""
+    has_docstring = ast.get_docstring(node) is not None
+    return node.end_lineno - (node.body[0].end_lineno if has_docstring else node.body[0].lineno - 1)
 
-    assert len(entries) <= 18, sorted(entries)
+
+def _comments_per_100_lines() -> float:
+    """Count comments for readers, and lines of numerical code without docstrings."""
+    comments, code = 0, 0
+    for file, tree in MODULES.items():
+        if file.split("/")[1] not in NUMERICAL:
+            continue
+        texts = (node for node in ast.walk(tree) if isinstance(node, ast.Expr))
+        documented = {
+            line
+            for node in texts
+            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+            for line in range(node.lineno, node.end_lineno + 1)
+        }
+        lines: set[int] = set()
+        with (REPOSITORY / file).open(encoding="utf-8") as source:
+            for token in tokenize.generate_tokens(source.readline):
+                if token.type == tokenize.COMMENT:
+                    comments += not DIRECTIVE.match(token.string)
+                elif token.type not in LAYOUT:
+                    lines.update(range(token.start[0], token.end[0] + 1))
+        code += len(lines - documented)
+    return 100.0 * comments / code
+
+
+MEASURES: dict[str, Callable[[], float]] = {
+    "files of the tour": lambda: len(stops()),
+    "lines of these files": _tour_lines,
+    "optional parts that the spine imports": _parts_that_the_spine_imports,
+    "entries at the top of the package": _entries,
+    "names that modules import from other rooms": _names_that_cross_rooms,
+    "class names with two meanings": _names_with_two_meanings,
+    "arguments of a kernel": lambda: max(len(node.args.args) for node in _functions()[1]),
+    "lines of the body of a kernel": lambda: max(map(_body_lines, _functions()[1])),
+    "lines of the body of another function": lambda: max(map(_body_lines, _functions()[0])),
+    "comments per 100 lines of numerical code": _comments_per_100_lines,
+}
+"""By name on the page, what measures a quantity."""
+
+
+def _limits() -> dict[str, tuple[float, str, float]]:
+    """Read the table of limits: by quantity its value now, the side of the limit, the limit."""
+    table = PAGE.partition("## Limits that tests hold")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| ([^|]+) \| ([\d.,]+) \| (at \w+) ([\d.,]+) \|", table, re.MULTILINE)
+    number = [
+        (name, now.replace(",", ""), side, of.replace(",", "")) for name, now, side, of in rows
+    ]
+    return {name: (float(now), side, float(limit)) for name, now, side, limit in number}
+
+
+def test_each_limit_is_on_the_page():
+    """A reader of the table knows all that is measured."""
+    assert {*_limits()} == {*MEASURES}
+
+
+@pytest.mark.parametrize("quantity", MEASURES)
+def test_a_limit_is_held(quantity):
+    """The house stays as small as its page says, which is out by a twentieth at most."""
+    stated, side, limit = _limits()[quantity]
+
+    now = MEASURES[quantity]()
+
+    assert now <= limit if side == "at most" else now >= limit
+    np.testing.assert_allclose(stated, now, rtol=0.05)
 
 
 def test_settings_are_read_from_instances():

@@ -11,14 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.runs import REPOSITORY, call, environment
-from tests.test_architecture import PROJECT
+from tests.test_architecture import CONTRACT
 from tests.test_tour import stops
 
-[CONTRACT] = (
-    contract
-    for contract in PROJECT["tool"]["importlinter"]["contracts"]
-    if contract["name"] == "the spine imports no optional part"
-)
 PARTS = CONTRACT["forbidden_modules"]
 
 JOINT = "localization={method: joint, chains: 1, steps: 10, hold_steps: 5, refine: false}"
