@@ -188,6 +188,7 @@ class NeighborList:
         bits = self.own_bits
         entry = (np.concatenate([other, one]) << (bits + 1)) | (1 << bits) | own
         start = np.bincount(row, minlength=self.row_count).cumsum()
+        # One sort by row and then by entry: forces add up in the same order each time.
         by_row = np.sort((row << 32) | entry) & MOST_ITEMS
         return np.r_[0, start], by_row if len(by_row) else np.zeros(1, np.int64)
 

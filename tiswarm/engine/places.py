@@ -39,9 +39,11 @@ class Places:
         """Choose the unit for centers, shape (N, 3), and heights that robots are pulled toward."""
         known = height[np.isfinite(height)]
         z = np.concatenate([center[:, 2], known])
+        # Robots move to their heights: the box has to hold these, too.
         low, high = ([*edge(center[:, :2], axis=0), edge(z)] for edge in (np.min, np.max))
         half = np.subtract(high, low).max() / 2.0
         half = max(half + reach, 2.0 * reach, _SMALLEST * spacing)
+        # A power of two: lengths that are multiples of it convert without rounding.
         unit = 2.0 ** np.ceil(np.log2(half / _LARGEST))
         origin = np.floor(np.add(low, high) / 2.0 / unit) * unit
         return cls(origin=origin, unit=float(unit), spacing=spacing)

@@ -236,6 +236,7 @@ class PreparedSwarm:
         if steps == 0 or stepper is None:
             self.state = state
             return self._result(np.zeros(steps), 0, np.abs(state.position).max(initial=0.0))
+        # Arrays of a single thread are on the host, and outlast the device.
         if backend.current() is not self.running and not stepper.by_structure:
             raise InputError("another device started, which freed the swarm; prepare it again")
         ramps = np.broadcast_to(ramps, steps)
@@ -243,6 +244,7 @@ class PreparedSwarm:
             moves, builds = stepper.take_steps(state, gains, ramps)
             if not state.places.were_left(moves):
                 break
+            # Whole numbers ran out: take the same steps again, in a larger unit.
             state = state.coarser()
             if not state.places.is_resolved(state.position):
                 raise InputError(f"{_DIVERGED}, or use precision f64")
@@ -270,5 +272,6 @@ class PreparedSwarm:
 
 def _farthest(start: Reals, end: Reals, moves: Reals) -> float:
     """Bound the largest coordinate on the way from start to end, by the longest step of each."""
+    # No robot is farther from either end of the way than the steps between allow.
     way = np.concatenate([[0.0], np.cumsum(moves)])
     return float(np.minimum(np.abs(start).max() + way, np.abs(end).max() + way[-1] - way).max())

@@ -110,6 +110,7 @@ class Stepper:
         per_robot = _bytes_of_robot(running.dtype, docks, guided=self.is_guided)
         running.require_memory(robots * per_robot, robots)
         contacts = swarm.contacts.copy()
+        # The inverse of the order: from the caller's numbers to those on the device.
         contacts[:, [0, 2]] = np.argsort(order)[contacts[:, [0, 2]]]
         self.memory = memory = Allocator(running, on_host=by_structure)
         self.neighbors = NeighborList(
@@ -146,6 +147,7 @@ class Stepper:
             Longest step of any robot, shape (T,), and how often rows were made.
         """
         self.places = places = state.places
+        # Rows are searched in numbers, not in lengths.
         self.neighbors.cutoff = (1.0 + _SKIN) * self.spacing / places.scale
         robots, refill = self.robots, self.memory.refill
         start = state.position[self.order]
@@ -186,6 +188,7 @@ class Stepper:
         if self.moves.shape[0] != steps:
             self.moves, self.share = self.memory.reals(steps), self.memory.reals(steps, 2)
         self.memory.refill(self.share, share)
+        # Docks are held twice: a step reads one half and writes the other.
         taken, builds_before, half = 0, neighbors.builds, robots.dock.shape[0] // 2
         most, calls = (_STEPS_ON_CARD, 1) if neighbors.on_card else (_STEPS, _CALLS)
         control.fill(0)
@@ -202,6 +205,7 @@ class Stepper:
                             *neighbors.rows, *robots, control, self.moves,
                         )  # fmt: skip
                 before, taken = taken, int(control[kernels.TAKEN])
+                # Fresh rows always allow a step, unless the device did not run the kernel.
                 if taken == before:
                     raise backend.faulty_driver()
         moves = self.memory.download(self.moves).astype(np.float64)
@@ -211,6 +215,7 @@ class Stepper:
         """All steps of a structure on one thread; None if a row was too short, which is now not."""
         neighbors, structures = self.neighbors, len(self.start) - 1
         shares, moves = self.memory.upload(share), self.memory.reals(structures, len(share))
+        # Two robots that approach each other share the skin.
         stray_limit = 0.5 * ((1.0 + _SKIN) * self.spacing - self.spacing)
         with backend.fast_arithmetic():
             relax_structures(

@@ -102,6 +102,7 @@ def assess(
         found = _itself(rows, state, unknowns)
     else:
         found = _minimum(log, chosen, problem, rows, state, is_guess)
+    # Near 0 degrees of freedom, what the search leaves would look like a misfit.
     freedom = max(found.freedom, int(MIXTURE.spare * unknowns), 1)
     misfit_sd = float((found.chi_square - freedom) / np.sqrt(2.0 * freedom))
     is_consistent = misfit_sd <= MOST_MISFIT_SD
@@ -168,6 +169,7 @@ def _minimum(
     aside = np.cumsum(is_guess)[:, None] * np.array([_CLEARANCE, 0.0, 0.0])
     start = estimate[0] + is_guess[:, None] * aside, estimate[1]
     robust = cost(rows, ANNEALING.outlier_sd)
+    # The cost of the estimate itself: turns and yaws adapt to it, and positions stay.
     _, own = robust.refine(start, _ROUNDS, np.full(log.robot_count, _STAYS))
     state, least = robust.refine(start, _ROUNDS)
     missed = rows.residual(state.position, state.yaw) ** 2 / rows.variance()

@@ -81,6 +81,7 @@ class Linear:
         row = np.concatenate([t.row + a for t, a in zip(self.tables, first, strict=False)])
         column = self.column[np.concatenate([table.unknown for table in self.tables])]
         value = np.concatenate([table.value for table in self.tables])
+        # Unknowns that stay, such as the anchor's place, have no column.
         moves = column >= 0
         self.jacobian = csr_array(
             (value[moves], (row[moves], column[moves])), shape=(first[-1], len(self.precision))
@@ -94,6 +95,7 @@ class Linear:
         self.square = square[:measured] + self.excess
         """Part of the cost that each measurement carries [1], shape (E,)."""
         prior = self.precision * self.off**2
+        # Overlaps cost, but nothing measured them: they are in no chi-square.
         self._overlapping = slice(measured, measured + len(self.tables[1].residual))
         self.overlap = float(square[self._overlapping].sum())
         """Cost of overlaps [1]."""
@@ -113,6 +115,7 @@ class Linear:
     def information(self) -> csc_array:
         """J^T C^-1 J of all rows, shape (F, F)."""
         if isinstance(self.inverse, np.ndarray):
+            # Half of C^-1 on each side keeps the product symmetric, bit by bit.
             scaled = self.jacobian.copy()
             scaled.data *= np.repeat(np.sqrt(self.inverse), np.diff(scaled.indptr))
             return csc_array(scaled.T @ scaled)
@@ -121,6 +124,8 @@ class Linear:
     def _factored(self, further: Reals, information: csc_array | None = None) -> SuperLU:
         """Factor information with further precision of each free unknown, shape (F,)."""
         known = self.information if information is None else information
+        # Symmetric mode takes pivots from the diagonal: their signs count eigenvalues, and their
+        # product is the determinant.
         return splu(
             csc_array(known + diags_array(further)),
             permc_spec="MMD_AT_PLUS_A",
@@ -148,6 +153,8 @@ class Linear:
             damping[: self.shifts] += radius**-2.0
             factors = self._factored(damping)
         step = -factors.solve(self.slope)
+        # Turns of earlier stances are in the covariance, not among the unknowns: their likeliest
+        # values follow from the residuals that are left.
         left = self._weighted(self.residual + self.jacobian @ step)
         return step, -(self.noise.T @ left[: len(self.robot)])
 
@@ -162,6 +169,7 @@ class Linear:
         By Sylvester's law, a shifted matrix has as many negative pivots as eigenvalues below it.
         """
         says = self.precision > NOMINAL
+        # Priors of shifts bound steps; they know nothing of the swarm.
         says[: self.shifts] = False
         overlap = np.zeros(len(self.residual))
         overlap[self._overlapping] = 1.0 / self.own_variance[self._overlapping]
@@ -178,6 +186,7 @@ class Linear:
         """
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
+        # The inverse of a sparse matrix is dense; draws of all errors take one solve.
         draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
         own, turn, prior = np.split(draw, sizes[:-1])
         error = np.sqrt(self.own_variance)[:, None] * own
@@ -186,6 +195,7 @@ class Linear:
         shift = self.undamped.solve(pull)[: self.shifts]
         if free is not None:
             moved = free[3:]  # the anchor stays
+            # A motion that nothing measures is no error of the shape.
             shift -= moved @ (moved.T @ shift)
         square: Reals = (shift.reshape(-1, 3, _DRAWS) ** 2).sum(axis=1).mean(axis=1)
         return np.concatenate([[0.0], square])
@@ -207,6 +217,7 @@ def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | 
     is_shared = np.zeros(len(robot), np.bool_)
     is_shared[noise.indices] = True
     rows = np.flatnonzero(is_shared)
+    # Robot after robot, so that the rows of each are one block of the covariance.
     rows = rows[np.argsort(robot[rows], kind="stable")].astype(np.int64)
     _, first, count = np.unique(robot[rows], return_index=True, return_counts=True)
     shared = csr_array(noise)[rows, :]
@@ -214,6 +225,7 @@ def _inverse(noise: csc_array, own_variance: Reals, robot: Ints) -> csr_array | 
     block = np.repeat(np.arange(len(count)), count)
     place = np.arange(len(rows)) - first[block]
     most = int(count.max())
+    # Blocks are filled up to the largest size by the identity: one call inverts them all.
     dense = np.tile(np.eye(most), (len(count), 1, 1))
     i, j = covariance.coords
     dense[block[i], place[i], place[j]] = covariance.data

@@ -142,6 +142,7 @@ class Cost:
         self.precision = np.concatenate([0.0 * turns, turns, yaws, sources.astype(np.float64)])
         """Precision of the prior of each unknown, shape (U,)."""
         is_free = self.precision > 0.0
+        # Shifts have no prior of their own, and are free all the same.
         is_free[3 : 3 * robots] = True  # the anchor stays
         self.free = np.flatnonzero(is_free)
         self.column = np.where(is_free, np.cumsum(is_free) - 1, -1)
@@ -198,6 +199,7 @@ class Cost:
                 break
             trial = self._moved(state, linear, radius)
             there = self.linearized(trial, precision)
+            # The linear problem led uphill: trust it in a smaller region.
             if there.cost > linear.cost + SETTLED:
                 far = np.linalg.norm(trial.position - state.position, axis=1).max()
                 radius = _SMALLER * min(radius, float(far))
@@ -303,6 +305,7 @@ class Cost:
             return self.own_variance, np.zeros(len(residual))
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
+        # The three rows of a vector give way together: they are one measurement.
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)
         excess = square * (np.log1p(missed) - missed / (1.0 + missed))
@@ -371,6 +374,7 @@ class Cost:
         count = state.position.size
         shift, final, yaw, shared = np.split(step, [count, 2 * count, 2 * count + count // 3])
         final, wide = final.reshape(-1, 3), self.walks.wide
+        # Such turns are far from linear: a full step could lead to another minimum.
         angle = np.linalg.norm(final[wide] * self.walks.turn_sd[self.walks.final[wide], :1], axis=1)
         most = min(radius, _LONGEST_TURN)
         final[wide] *= np.minimum(1.0, most / np.maximum(angle, most))[:, None]

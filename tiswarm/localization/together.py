@@ -99,8 +99,10 @@ def _step(
     chosen = params.together
     start = np.cumsum([0, *(log.robot_count for log in logs)])
     first = np.concatenate([_chained(log, flat) for log, flat in zip(logs, planar, strict=True)])
+    # A robot of many contacts is pulled by all of them: shorter steps keep it from overshooting.
     mobility = chosen.gain / np.maximum(np.concatenate([contact_count(log) for log in logs]), 1)
     along = np.repeat(mobility[:, None], 3, axis=1)
+    # Anchors stay, and planar robots keep the anchor's y.
     along[start[:-1]] = 0.0
     along[np.concatenate(planar), 1] = 0.0
     swarm = PreparedSwarm(
@@ -167,6 +169,7 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
     part = parts(measure(log, ["contacts"]))
     contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
     hop = reach(log.contacts[:, [0, 2]].astype(np.int64), np.ones(len(log.contacts)), part)
+    # Only contacts that lead away from the anchor: each robot follows those nearer to it.
     contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
     nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
     shift = arm[nearer, dock] - arm[robot, own]
@@ -182,6 +185,7 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
         position[robot[begin + each]] = np.add.reduceat(met, each) / count[:, None]
     by_part = np.argsort(part, kind="stable")
     members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1)
+    # In join order: the robot that a part starts above may be of another such part.
     for robots in sorted(members, key=lambda robots: int(robots[0]))[1:]:
         place = position[robots[0] - 1] + SPACING * _UP
         position[robots] += place - position[robots[0]]

@@ -96,6 +96,7 @@ def localize_batch(
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
     placed = _robots(np.concatenate(offsets))
+    # The anchors are known; all others are NaN until the kernel places them.
     placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
     trace = Trace.allocate(len(frames), len(placed.position), np.float64)
     recent = rounds.recent or len(placed.position)
@@ -107,6 +108,7 @@ def localize_batch(
         *trace,
     )  # fmt: skip
     on_progress(1.0)
+    # The kernel places every robot: one that it did not says that it never ran.
     if np.isnan(placed.position).any():
         raise backend.faulty_driver()
     estimates = []
@@ -311,6 +313,7 @@ def _heights(log: SensingLog, params: VirtualForceParams) -> Reals:
     flips: Reals = log.flip_height / log.dock_radius
     height = flips if params.z_correction else np.full_like(flips, np.nan)
     rows = measure(log, ["ground"] if params.ground else [])
+    # Several docks of a robot may stand on the ground: its height is their mean.
     count = np.bincount(rows.robot, minlength=log.robot_count)
     total = np.bincount(rows.robot, rows.places.value - rows.arm[:, 2], log.robot_count)
     return np.where(count > 0, total / np.maximum(count, 1), height)

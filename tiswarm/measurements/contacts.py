@@ -71,7 +71,9 @@ def untied_directions(rows: Measurements) -> Reals:
     of_row = part[rows.robot[len(rows.other) :]]
     span = spans(of_row, rows.places.direction, part.max() + 1)
     square, axis = np.linalg.eigh(span)
+    # An eigenvalue that rounding explains counts as 0.
     is_open = square <= 3.0 * np.finfo(np.float64).eps * square[:, 2:]
+    # The anchor holds its part, whatever that part measures.
     is_open[part[0]] = False
     loose: Reals = (axis * is_open[:, None]) @ axis.swapaxes(1, 2)
     return loose[part]
@@ -127,6 +129,7 @@ def dock_pairs(point: Reals, within: float) -> Ints:
     docks = point.shape[1]
     pair = cKDTree(point.reshape(-1, 3)).query_pairs(within, output_type="ndarray").astype(np.int64)
     pair = pair[pair[:, 0] // docks != pair[:, 1] // docks]
+    # The tree lists pairs in an order of its own, in which sums would round differently.
     pair = pair[np.lexsort(pair.T)]
     return np.stack(np.divmod(pair, docks), axis=-1).reshape(-1, 4)
 
@@ -145,6 +148,8 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
         Length of the shortest chain of contacts [R], shape (N,); infinite where `part` is not
         connected by these contacts.
     """
+    # Sparse matrices add up entries at the same place: of each two robots only the shortest edge
+    # may enter.
     order = np.argsort(longest, kind="stable")
     low, high = np.sort(pair[order], axis=1).T
     ends, shortest = np.unique(low * len(part) + high, return_index=True)

@@ -80,6 +80,7 @@ class Posterior:
         i, j = rows.robot[:distances], rows.other[:distances]
         ends = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
         weight = np.tile(3.0 / np.maximum(rows.distances.length, SPACING) ** 2, 4)
+        # As in a Laplacian: a bond holds the difference of its two ends.
         weight[2 * len(i) :] *= -1.0
         extent = (center - center.mean(axis=0)).var(axis=0).sum()
         # Of robots that are very far apart, rounding would leave nothing but a singular matrix.
@@ -87,6 +88,7 @@ class Posterior:
         within = max(1.0 / max(extent, SPACING**2), resolved)
         bonds = coo_array((weight, ends), shape=(self.robots, self.robots))
         loose = bonds + within * eye_array(self.robots)
+        # Without a bias yaws are no unknowns, and `free` leaves this block out.
         yaws = eye_array(self.robots) / (yaw_bias**2 or 1.0)
         precision = csc_array(measured + block_diag([kron(loose, eye_array(3)), yaws]))
         self.covariance = np.linalg.inv(precision[self.free, self.free].toarray())
@@ -118,6 +120,7 @@ class Posterior:
             own = rows.toarray().reshape(spread.shape) @ spread.swapaxes(1, 2)
             own += variance[part].reshape(-1, size, 1) * np.eye(size)
             shift = spread[:, :, : self.coordinates]
+            # The trace of S^T W^-1 S is that of W^-1 S S^T, a matrix as small as a candidate.
             drop = np.linalg.solve(own, shift @ shift.swapaxes(1, 2))
             gone.append(np.trace(drop, axis1=1, axis2=2))
             off = (change[part] - rows @ self.difference).reshape(-1, size, 1)
@@ -139,6 +142,7 @@ class Posterior:
         off = change - rows @ self.difference
         self.apart_square += float(off @ np.linalg.solve(own, off))
         self.difference = self.difference + spread.T @ np.linalg.solve(own, off)
+        # Woodbury's formula, by which only a matrix of the few new rows is solved for.
         self.covariance -= spread.T @ np.linalg.solve(own, spread)
         square = np.trace(self.covariance[: self.coordinates, : self.coordinates])
         self.mean_square = float(square) / self.robots

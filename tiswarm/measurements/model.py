@@ -234,11 +234,13 @@ class Measurements:
         noise[: len(d.stance)] += self.odometry.arms(d.other_stance, d.other_dock)[1]
         if len(touch := self.touch):
             noise[touch] = sum(side[1].mean(axis=1) for side in self.touch_arms)
+        # The mean of n n^T over all directions n is a third of the identity.
         every = np.full((len(d.stance), _AXES), _AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
         of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
         of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)
+        # Rows of offsets stand between those of distances and those of places.
         of_turns = np.insert(variance, len(d.stance), of_offsets)
         return of_turns + self.own_variance + self.shared_variance
 
@@ -293,6 +295,7 @@ class Measurements:
         of_its = [turned(arm, None if yaw is None else yaw[..., j]) for arm in its.swapaxes(0, 1)]
         apart, pair = np.empty_like(between), np.zeros(between.shape[:-1], np.int64)
         least = np.full(pair.shape, np.inf)
+        # One pair of docks at a time: all at once would take docks^2 times the memory.
         for number, (arm, other) in enumerate(product(of_own, of_its)):
             vector = between + arm - other
             off = np.abs(np.linalg.norm(vector, axis=-1) - self.distances.length[touch])
@@ -323,6 +326,7 @@ class Measurements:
         missed = np.linalg.norm(apart, axis=-1)
         distance, offset = np.split(missed, [len(d.stance)], axis=-1)
         distance -= d.length
+        # A hinge is missed while it is too short: docks may be apart, but not overlap.
         distance[...] = np.where(d.is_hinge, np.minimum(distance, 0.0), distance)
         offset[...] = (apart[..., len(d.stance) :, :] * self.axes(yaw)).sum(axis=-1)
         away = (self.points(position, yaw) * self.places.direction).sum(axis=-1)
@@ -354,6 +358,7 @@ class Measurements:
         # A vector turns with its axes: the derivative is that of an arm to the other dock.
         offset = slice(len(self.distances.stance), count)
         arm[offset] = position[j[offset]] + its[offset] - position[i[offset]]
+        # A turn by 1 rad moves the end of an arm (x, y) by (-y, x).
         of_turn = direction[:, 1] * arm[:, 0] - direction[:, 0] * arm[:, 1]
         toward = direction[:count]
         of_its_turn = toward[:, 1] * its[:, 0] - toward[:, 0] * its[:, 1]
@@ -384,5 +389,6 @@ def turned(arm: Reals, yaw: Reals | None) -> Reals:
     if yaw is None:
         return arm
     x, y, z = arm.T
+    # A product of complex numbers turns all configurations in one broadcast.
     level = np.exp(1j * yaw) * (x + 1j * y)
     return np.stack([level.real, level.imag, np.broadcast_to(z, level.shape)], axis=-1)

@@ -36,6 +36,7 @@ class Odometry:
         noise = noise or log.noise or ASSUMED
         robots = log.robot_count
         owner = np.concatenate([_owners(stances), np.arange(robots)])
+        # Stable: a robot's stances stay in time order, and its final one, appended last, ends them.
         order = np.argsort(owner, kind="stable")
         self.owner: Ints = owner[order]
         """Robot of each stance, shape (S,)."""
@@ -96,6 +97,7 @@ class Odometry:
         """Sum the variances of all flips after each stance, of orientations that noisy."""
         summed = np.cumsum(_turned(turn_sd, self.reached)[::-1], axis=0)[::-1]
         later = np.concatenate([summed[1:], np.zeros((1, 3))])
+        # The sums run over all robots: take off what comes after the robot's own final stance.
         walked: Reals = later - later[self.final][self.owner]
         return walked
 
@@ -111,7 +113,9 @@ class Odometry:
         """
         offset = self._offset(stance, dock)
         at: Reals = self.shift[stance] + offset
+        # The dock that the robot holds by stays put: noise of the stance turns the way from there.
         variance = self.walked[stance] + _turned(self.turn_sd[stance], offset - self.held[stance])
+        # A bias of yaw turns the whole walk about the final center: (x, y) moves by (-y, x).
         x, y, _ = self.bias**2 * at.T**2
         return at, variance + np.column_stack([y, x, np.zeros(len(at))])
 
@@ -128,6 +132,7 @@ class Odometry:
 
     def _offset(self, stance: Ints, dock: Ints) -> Reals:
         """Vectors from centers to docks, 0 of CENTER and UNKNOWN [R], shape (n, 3)."""
+        # CENTER and UNKNOWN are no docks: any index serves, since their arm becomes 0.
         at_dock = self.arm[stance, np.maximum(dock, CENTER)]
         return np.where((dock < 0)[:, None], 0.0, at_dock)
 
@@ -146,6 +151,7 @@ class Odometry:
             Variance of each component [R^2], shape (n,).
         """
         which, of_part, part = self.noisy_arms(stance, dock, beyond)
+        # A turn w moves a part by w x part, whose component along the axis is w . (part x axis).
         turn = np.cross(part, axis[which]) * self.turn_sd[of_part][:, [0, 0, 1]]
         noise = np.bincount(which, (turn**2).sum(axis=1), len(stance))
         x, y, _ = (self.arms(stance, dock)[0] + beyond).T
@@ -172,9 +178,11 @@ class Odometry:
         count = last - stance + 1
         which = np.repeat(np.arange(len(stance)), count)
         start = np.cumsum(count) - count
+        # The parts of an arm are of the stances from its own to the final one, in this order.
         of_part = np.arange(len(which)) - (start - stance)[which]
         part = self.reached[of_part]
         offset = self._offset(stance, dock)
+        # The first part leads from the dock held by to the arm's own end.
         part[start] = offset + beyond - self.held[stance]
         return which, of_part, part
 
@@ -200,9 +208,11 @@ def displacements(log: SensingLog, stances: Stances) -> Reals:
     """
     row = np.arange(len(stances.pivot_dock))
     is_last = np.zeros(len(row), np.bool_)
+    # Robots that never walked list no earlier stance, hence no last one.
     is_last[stances.start[1:][np.diff(stances.start) > 0] - 1] = True
     before = dock_offsets(stances.orientation_wxyz, log.dock_offset_body)
     final = dock_offsets(log.orientation_wxyz, log.dock_offset_body)
+    # After the last earlier stance comes the final one, which another table has.
     after = np.where(
         is_last[:, None],
         final[_owners(stances), stances.pivot_dock],

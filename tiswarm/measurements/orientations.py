@@ -115,6 +115,7 @@ def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
     change: csc_array = csc_array((sign, (row, ends)), shape=(count, robots))
     hold = np.where(is_chained, 0.0, _HELD * weight)
     factor = splu(csc_array(weight * (change.T @ change) + diags_array(hold)))
+    # The matrix depends on the graph alone: one factorization serves all rounds.
     for _ in range(_ROUNDS):
         step = factor.solve(weight * (change.T @ connections_of(log).residual))
         step[~is_chained] = 0.0
@@ -123,6 +124,7 @@ def _averaged(log: SensingLog, is_chained: Bools) -> tuple[Reals, Reals]:
         )
         log = replace(log, orientation_wxyz=turned.as_quat(scalar_first=True))
     noise = log.noise or ASSUMED
+    # Variances are the diagonal of an inverse that is dense; draws take one solve for all.
     draw = normal(0, "orientations", np.arange(count + robots)[:, None], np.arange(_DRAWS))
     pull = change.T @ draw[:count] / links.sd
     errors = [
@@ -146,6 +148,7 @@ def _chained(log: SensingLog, is_missing: Bools) -> tuple[Reals, Bools]:
     world = np.full_like(with_compass, robots)  # leads to all compasses
     first, second = np.concatenate([pair, np.column_stack([world, with_compass])]).T
     graph = csr_array((np.ones(len(first)), (first, second)), shape=(robots + 1, robots + 1))
+    # Errors add up along a chain: breadth first, each robot gets the shortest one.
     order, before = breadth_first_order(graph, robots, directed=False)
     turns = Rotation.from_quat(log.connections[:, 4:], scalar_first=True)
     wxyz = np.where(is_missing[:, None], [1.0, 0.0, 0.0, 0.0], log.orientation_wxyz)

@@ -101,6 +101,7 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
         yaw_unknown: Whether yaw is unknown, one angle for all stances of a robot. What is known of
             such angles beforehand is no measurement: it is off by degrees.
     """
+    # The world is one more body, at the anchor: heights and places tie robots to it.
     center = np.concatenate([position - position[0], np.zeros((1, 3))])
     direction = _directions(rows, position, yaw_unknown=yaw_unknown)
     dof = direction.shape[1]
@@ -116,10 +117,13 @@ def weld(rows: Measurements, position: Reals, *, yaw_unknown: bool = False) -> B
         held = _summed(held, count)
         members = np.bincount(body, minlength=count)[:, None]
         mean = np.column_stack([np.bincount(body, axis) for axis in center.T]) / members
+        # Seen from the anchor's axis, eigenvalues would grow with the distance of bodies from it.
         seen = _seen_from(mean[held.first], held.stiffness)
         stiff = _rank(seen) == dof
         if not stiff.any():
             return Bodies(body, center - mean[body], mean, held)
+        # Joined bodies share the constraints of all their robots, by which further pairs may be
+        # stiff: hence the loop.
         graph = coo_array(
             (np.ones(stiff.sum()), (held.first[stiff], held.second[stiff])), shape=(count, count)
         )
@@ -144,6 +148,7 @@ def common_motions(
     direction = _directions(rows, position, yaw_unknown=yaw_unknown)
     moves = part == part[0]
     moves[0] = False
+    # A row resists where one of its ends moves with the body and the other does not.
     other = np.concatenate([moves[rows.other], np.zeros(len(rows.places.value), np.bool_)])
     resisted = direction[moves[rows.robot] != other]
     dof = direction.shape[1]
@@ -214,10 +219,12 @@ class FloppyMotions:
             rows = further.matrix
             held = self._unresisted(rows.T)
             resisted = rows @ held - _UNNOTICED**2 * np.eye(len(rows))
+            # Woodbury's formula with every term multiplied by -s, as `held` and `left` are.
             left = left - held @ np.linalg.solve(resisted, rows @ left)
         left = left.reshape(-1, bodies.dof, _PROBES)
         moved = np.insert(left, bodies.fixed, 0.0, axis=0)[bodies.of_robot[:-1]]
         if bodies.dof > _SHIFTS:
+            # A body turns about its own center and takes its robots along.
             moved[:, :2] += _swept(moved[:, _SHIFTS], bodies.lever[:-1])
         return np.asarray(moved)
 
@@ -270,6 +277,7 @@ def further_rows(bodies: Bodies, rows: Measurements, position: Reals) -> Further
 def _is_too_large(bodies: Bodies) -> bool:
     first, second, _ = bodies.constraints
     between = int(((first != bodies.fixed) & (second != bodies.fixed)).sum())
+    # A spanning tree of the bodies has no loop, and each further constraint closes one.
     return bodies.unknowns > MOST_UNKNOWNS or between - (bodies.size - 1) > MOST_LOOPS
 
 
@@ -346,6 +354,7 @@ def _peel(bodies: Bodies) -> tuple[int, Bodies]:
         held = _rank(
             _seen_from(center, _by_row(end, np.tile(constraints.stiffness, (2, 1, 1)), bodies.size))
         )
+        # Ranks that add up to that of the sum belong to constraints of which none repeats another.
         peels = rests & (total == held)
         peels[bodies.fixed] = False
         if not peels.any():
@@ -372,6 +381,7 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     first, second, stiffness = bodies.constraints
     row = np.concatenate([first, second, first, second])
     column = np.concatenate([first, second, second, first])
+    # As in a Laplacian: a constraint adds to both bodies, and couples them by its negative.
     block = np.concatenate([stiffness, stiffness, -stiffness, -stiffness])
     block = _seen_from(bodies.center[row], block, bodies.center[column])
     free = (row != bodies.fixed) & (column != bodies.fixed)
@@ -381,6 +391,7 @@ def _factors(bodies: Bodies) -> SuperLU | None:
     rows = np.broadcast_to(len(dof) * row[:, None, None] + dof[:, None], block.shape)
     columns = np.broadcast_to(len(dof) * column[:, None, None] + dof, block.shape)
     matrix = csc_array((block.ravel(), (rows.ravel(), columns.ravel())), shape=(unknowns, unknowns))
+    # Symmetric mode takes pivots from the diagonal: so theirs are the signs to count.
     return splu(
         csc_array(matrix - _UNNOTICED**2 * eye_array(unknowns)),
         permc_spec="MMD_AT_PLUS_A",

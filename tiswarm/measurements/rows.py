@@ -183,6 +183,7 @@ class Coordinates(NamedTuple):
 
 def _frames(along: Reals) -> Reals:
     """Complete unit vectors to orthonormal axes, they themselves first, shape (n, 3, 3)."""
+    # The coordinate axis that is least parallel: its cross product is never near 0.
     least = np.eye(_AXES)[np.abs(along).argmin(axis=1)]
     across = np.cross(along, least)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -225,6 +226,7 @@ def weighted_means(
     is_first = np.ones(len(keys), np.bool_)
     is_first[1:] = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
     start = np.flatnonzero(is_first)
+    # Where nothing repeats, values stay as they are, to the last bit.
     if len(start) == len(keys):
         return np.arange(len(keys)), value, variance
     weight = 1.0 / variance[order]

@@ -136,6 +136,7 @@ class _GrowthBatch:
         walks.join(self.arrays, movers, wants)
         for slot in movers:
             structure = self._climbed_by(slot)
+            # A walk that an earlier join disturbed goes on from its first stance that changed.
             self.moving[slot] = walks.joined[slot] < 0 < walks.disturbed[slot]
             if walks.joined[slot] >= 0:
                 structure.join(walks.walk(slot), self.arrays.dock[structure.number])
@@ -151,6 +152,7 @@ class _GrowthBatch:
             self.structures[number].note_loads()
             call = self.structures[number].call
             self.call[number, : len(call)] = call
+        # Structures share no contacts: one relay serves them all.
         relayed = relay(self.call.ravel(), self.frames.joints, docks=walks.docks)
         self.arrays.relay[:] = relayed.reshape(self.arrays.relay.shape)
         for slot in movers:
@@ -232,6 +234,7 @@ class GrowingStructure:
         settles = climb.settle > 0.0 and not params.plane
         settles = settles and bool(uniform(self.seed, "settle", index, 0) < climb.settle)
         for trial in range(_MAX_TRIES):
+            # Numbered by robot and trial: no draw depends on how many others were made.
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
             x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
             center, orientation = self._pose(x, y, np.pi * draw[2])
@@ -266,8 +269,10 @@ class GrowingStructure:
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
             self.rim[side] = min(behind) if self.leads else max(behind)
+        # Robots spawn on the ground: docks higher than they are stand in nobody's way.
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
         for dock in new[is_low]:
+            # A grid as wide as the clearance: whatever is near lies in one of nine squares.
             self.low_docks.setdefault(self._square(dock), []).append(dock)
 
     def _is_free(self, center: Reals) -> bool:
@@ -314,6 +319,7 @@ class GrowingStructure:
         if self.params.sides > 1:
             touched = {self.sides[i] for i in other}
             touched |= {int(x > 0.5 * self.terrain.right_edge) for x in docks[standing, 0]}
+            # A robot counts for the left side if it touches both; the gap is bridged then.
             self.sides.append(min(touched))
             if len(touched) > 1:
                 self.crossed = True

@@ -215,6 +215,7 @@ class Frames:
         """Add rigid robots: a node each."""
         self.frame.node_count[:] = self.robots
         self.frame.weight[of, robot, 2] = -arm.shape[1]
+        # Docks weigh, not the center: their weights turn the body about it.
         self.frame.weight[of, robot, 3:] = np.cross(arm.sum(axis=1), [0.0, 0.0, -1.0])
 
     def _add_links(self, of: AnyInts, robot: AnyInts, arm: Reals) -> None:
@@ -233,6 +234,7 @@ class Frames:
         span = target - self.dock.reshape(len(self.dock), -1, 3)[of, a]
         stiff = self._stiffness(span, self.params.contact_axial)
         if self.rigid:
+            # Ends of the contact move with the bodies' nodes: K becomes T^T K T.
             follow = np.zeros((len(of), 12, 12))
             follow[:, :6, :6] = _rigid_link(self.frame.arm[of, a])
             follow[:, 6:, 6:] = _rigid_link(self.frame.arm[of, b])
@@ -253,6 +255,7 @@ class Frames:
         order = np.argsort(of, kind="stable")
         of = of[order]
         frame, count = self.frame, self.frame.beam_count
+        # Several beams may go to one structure: each gets the next place behind those before it.
         place = count[of] + np.arange(len(of)) - np.searchsorted(of, of)
         if place.max(initial=-1) >= frame.ends.shape[1]:
             room = 2 * int(place.max())
@@ -281,6 +284,8 @@ class Frames:
                 int(self.rigid), self.params.beam_radius, self.robots, due,
                 *self.frame, *work, *self.found,
             )  # fmt: skip
+            # The kernel counted the blocks that fill-in needs: solve again what had too little
+            # room.
             due = due[work.block_count[due] > work.block.shape[1]]
             if len(due):
                 room = 2 * work.block.shape[1]

@@ -71,6 +71,7 @@ def _edge_angle(middle, across, onward, edge, side, limits):
     steps = 0
     if swing_z < _SETTLED_RISE and ti.abs(height) > limits.spacing - _RESTING_GAP:
         t = limits.full_turn  # it slides along the flat and never enters
+    # Each step ends before anything can be met: no contact is jumped over.
     while t < limits.full_turn and steps < _MAX_STEPS:
         steps += 1
         c = ti.cos(t)

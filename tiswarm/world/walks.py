@@ -169,6 +169,7 @@ class Walks:
         if stances.stay[slot] > last:
             order = np.append(order, last + 1)
             pivot = np.append(pivot, stances.pivot_dock[slot, last + 1])
+        # Docks are found cell by cell: sorted, contacts do not depend on the cells.
         touching = np.sort(stances.touching[slot, order], axis=2)
         stance, own, place = np.nonzero(touching >= 0)
         item = touching[stance, own, place]

@@ -190,6 +190,7 @@ class _HopByHopSwarm:
         while robots.size:
             self._try(robots)
             known = np.flatnonzero(~self.is_placed[:-1] & ~self.undetermined.any(axis=1))
+            # The sharpest first: what they are placed by is in the errors of all later ones.
             variance = np.trace(self.covariance[known], axis1=1, axis2=2)
             known = known[variance <= _SHARP**2 * variance.min(initial=np.inf)]
             if not known.size and len(robots) == len(waiting):
@@ -234,12 +235,14 @@ class _HopByHopSwarm:
         rows = self._rows(robots, sources)
         guess, prior, least = self._prior(rows, sources)
         can_cross = rows.rank() >= POINTS
+        # Two starts for each robot: three spheres meet at two points, mirror images of each other.
         start = np.repeat(guess[:, None], 2, axis=1)
         if can_cross.any():
             start = np.where(can_cross[:, None, None], rows.crossings(), start)
         point, misfit = rows.descend(start)
         apart = point[:, 1] - point[:, 0]
         differs = np.abs(apart) > _OVERLAP_SD
+        # Where both starts lead to one point, nothing can prefer either.
         favor = np.zeros_like(misfit)
         if differs.any():
             misfit += self._overlap(robots, point)

@@ -117,6 +117,7 @@ class Trilateration:
         """Center of the partner [R], shape (E, 3)."""
         self.middle = self.partner + ties.shift
         """Middle of the sphere, or origin of the plane [R], shape (E, 3)."""
+        # A partner's own error is in what its robots measure from it.
         of_partner = covariance[ties.partner]
         along = (ties.normal[:, None] @ of_partner @ ties.normal[:, :, None])[:, 0, 0]
         mean = np.trace(of_partner, axis1=1, axis2=2) / 3.0
@@ -177,6 +178,7 @@ class Trilateration:
         b = 2.0 * (foot[:, :3] * along[:, :3]).sum(axis=1) - SPACING * along[:, 3]
         c = (foot[:, :3] ** 2).sum(axis=1) - SPACING * foot[:, 3]
         square = b**2 - 4.0 * a * c
+        # The usual formula would subtract nearly equal numbers where a or c is small.
         half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
         near = np.divide(c, half, out=np.zeros_like(c), where=square > 0.0)
         far = np.divide(half, a, out=near.copy(), where=a > _DAMPING)
@@ -254,6 +256,7 @@ class Trilateration:
         least = np.maximum(prior, _LEAST * np.trace(information, axis1=1, axis2=2))
         of_prior = least[:, None, None] * np.eye(3)
         inverse = np.linalg.inv(information + of_prior)
+        # Rows of infinite variance have no weight; 0 times infinity would be NaN.
         own = np.where(self.precision > 0.0, self.ties.variance, 0.0) * self.precision
         noise = self.sum(own[:, None, None] * weighted) + of_prior
         is_tied = self.ties.partner < len(shared) - 1

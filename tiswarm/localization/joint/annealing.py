@@ -172,10 +172,12 @@ class Annealer:
                 heat.append(self.temperatures(frame - 1))
         last = self.by_robot(self.swarm.position)
         moves = last.shape[1] > len(self.size)  # anchors do not
+        # Drivers of some cards report success and compute nothing.
         if not np.isfinite(last).all() or (moves and np.array_equal(trace[0], trace[-1])):
             raise backend.faulty_driver()
         total = self.by_robot(self.swarm.total)
         mean, square = total[..., :SQUARE] / holding, total[..., SQUARE] / holding
+        # The difference of two sums may round to less than 0.
         within = np.maximum(square - (mean**2).sum(axis=2), 0.0)
         heading = self.by_robot(self.swarm.heading)
         temperature = np.mean(heat, axis=0)
@@ -205,6 +207,7 @@ class Annealer:
             if not self.by_block and self.blocks.progress[0, AGE] == STALE:
                 self._build_rows()
             self._take_steps(until)
+            # A kernel counts entries that found no room and takes no step with them.
             if self.by_block and (entries := rows.fullest()) > rows.capacity:
                 rows.make_room(entries)
                 self.forget_rows()

@@ -82,6 +82,7 @@ class Annealed:
             )
             for name in _BY_CHAIN
         }
+        # Traces are those of the first chain.
         if chosen[0]:
             arrays |= {"trace": other.trace, "yaw_trace": other.yaw_trace}
         return replace(self, **arrays)
@@ -93,6 +94,7 @@ def failed(problem: Problem, annealed: Annealed) -> Bools:
     # A wrong contact bounds no distance; most chains tear it.
     torn = (missed > CONVERGENCE.outlier_sd**2).mean(axis=0) >= CONVERGENCE.most_chains
     torn = problem.any_of_link(torn)[problem.link]
+    # Nothing measures how far a part without the anchor is away: count from its own first robot.
     first = np.unique(problem.part, return_index=True)[1][problem.part]
     distance = np.linalg.norm(annealed.last - annealed.last[:, first], axis=2)
     beyond = (distance > problem.reach(annealed.sigma, ~torn)).any(axis=1)
@@ -131,10 +133,12 @@ def deviation(
     """
     fit = SD_CALIBRATION
     between = between_chains(mean, weight)
+    # Displacements that a robot shares with all others: few chains show them, so they weigh more.
     between += fit.shared * between_chains(_others(mean), weight)
     square = weight @ within + between
     noise = _noise_share(problem.variance)
     thermal = fit.thermal_variance * (1.0 - noise) * sigma**2
+    # Where little more is found than the temperature alone causes, it counts for little.
     square *= square / np.maximum(square + thermal, np.finfo(np.float64).tiny)
     power = fit.shared_noise_power * noise
     related = np.sqrt(square) ** (1.0 - power) * (fit.shared_noise_at * sigma) ** power

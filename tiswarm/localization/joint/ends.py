@@ -57,6 +57,7 @@ def ranked(
     position, yaw = annealed.last.copy(), annealed.last_yaw.copy()
     cost = np.full(len(position), np.inf)
     rounds = MIXTURE.rounds if params.refines(log.robot_count) else 0
+    # Where every chain failed, the least bad one has to do; the verdict says so.
     for k in np.flatnonzero(has_failed.all() | ~has_failed).tolist():
         position[k], yaw[k], cost[k] = _descended(
             log, params, problem, (position[k], yaw[k]), annealed.sigma, rounds
@@ -73,6 +74,7 @@ def _descended(
     rounds: int,
 ) -> tuple[Reals, Reals, float]:
     """Move a configuration to a minimum of the cost nearby: positions, yaw, and the cost."""
+    # Many ends are compared: independent errors are quicker, and do for a ranking.
     cost = Cost(
         log,
         problem.rows.associated(*start),
@@ -156,6 +158,7 @@ def further_starts(log: SensingLog, params: ChiSquareParams, problem: Problem) -
     for start in scaled_distances(problem, anchor):
         position, _, cost = settled(log, params, problem, start, ANNEALING.warmest, rounds)
         found.append((cost, position))
+    # By the cost alone: of equal costs, arrays would be compared, which fails.
     found.sort(key=lambda pair: pair[0])
     chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(problem.rows))
     return [position for cost, position in found if cost <= found[0][0] + chance]
@@ -207,6 +210,7 @@ def _solutions(position: Reals, weight: Reals) -> Ints:
     """
     number = np.full(len(position), -1)
     firsts: list[int] = []
+    # The weightiest first, so that each solution is named by its best end.
     for k in np.argsort(-weight, kind="stable").tolist():
         for solution, first in enumerate(firsts):
             if np.linalg.norm(position[k] - position[first], axis=1).max() <= SPACING:

@@ -36,6 +36,7 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     place, is_measured = problem.sensed_place()
     guess[:, 0] = log.anchor_position / log.dock_radius
     is_placed = robot == 0
+    # Nearest first along the contacts: each robot then finds neighbors that are placed.
     for i in np.argsort(problem.reach(), kind="stable").tolist():
         if is_placed[i]:
             continue
@@ -75,9 +76,11 @@ def reinitialize_lost(problem: Problem, position: Reals, yaw: Reals) -> int:
     sd = np.sqrt(problem.by_link(problem.variance))
     far = np.maximum(ANNEALING.lost, ANNEALING.lost_sd * sd)
     for here, missed in zip(position, gap > far, strict=True):
+        # A single lost contact may be wrong; the majority of them is not.
         lost = np.bincount(problem.robot[missed], minlength=len(count)) > 0.5 * count
         for i in np.flatnonzero(lost).tolist():
             mine = rows[i]
+            # The median: one wrong contact does not take the robot away from all others.
             met = np.median(here[problem.other[mine]] - across[mine], axis=0)
             here[i] = np.where(is_measured[i], here[i], met)
             moved += 1

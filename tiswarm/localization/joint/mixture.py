@@ -133,6 +133,7 @@ def mix(
         open_sd = np.sqrt((1.0 - part) * open_sd**2 + part * hinged)
     minima, share = _minima(log, params, problem, annealed, ends, ~outlier, open_sd)
     best = minima[0]
+    # A robot that some solution leaves open has no mean over all: chains say where it is.
     is_held = np.all([each.is_held for each in minima], axis=0)
     at = np.array([each.position for each in minima])
     position = np.where(
@@ -142,6 +143,7 @@ def mix(
     whole = [position, *(each.configuration for each in minima)]
     placed, loose = place_disconnected(np.array(whole), problem)
     within = share @ np.array([each.sd**2 for each in minima])
+    # The variance of a mixture: the mean within its parts, and that between their means.
     between = share @ ((at - np.tensordot(share, at, 1)) ** 2).sum(axis=2)
     sd = np.where(is_held, np.sqrt(within + between), open_sd)
     verdict = _convergence(problem, ends, outlier, best, has_failed)
@@ -248,6 +250,7 @@ def _weighed(minima: list[Minimum], share: Reals) -> tuple[list[Minimum], Reals]
     cost = np.array([each.cost for each in minima])
     chance = CONVERGENCE.chance_sd * np.sqrt(2.0 * len(minima[0].square))
     share = np.where(cost <= cost.min() + chance, share, 0.0)
+    # Laplace's approximation needs a minimum that is curved along every coordinate.
     if all(each.is_held[1:].all() for each in minima):
         minima, cost = _distinct(minima, cost)
         height = np.array([each.log_volume for each in minima]) - 0.5 * cost
@@ -278,10 +281,9 @@ def _outliers(problem: Problem, ends: Ends) -> Bools:
 
     A single chain tears contacts that are right.
     """
-    test = CONVERGENCE
     order = np.argsort(np.argsort(ends.cost, kind="stable"))
-    jury = (ends.weight > 0.0) | ((order < test.jury) & np.isfinite(ends.cost))
-    outlier: Bools = (ends.missed[jury] > test.outlier_sd**2).all(axis=0)
+    jury = (ends.weight > 0.0) | ((order < CONVERGENCE.jury) & np.isfinite(ends.cost))
+    outlier: Bools = (ends.missed[jury] > CONVERGENCE.outlier_sd**2).all(axis=0)
     links = len(problem.variance)
     outlier[:links] = problem.any_of_link(outlier[:links])
     return outlier

@@ -158,6 +158,7 @@ def _next(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit | None:
     predicted[fit.robots] = 0.0
     best, most = None, OUTLIER_ROBOTS.least
     for robot in np.argsort(-predicted, kind="stable")[: OUTLIER_ROBOTS.tried].tolist():
+        # Sorted: no later robot is more promising.
         if predicted[robot] < OUTLIER_ROBOTS.promising:
             break
         further = _without(log, params, fit, np.append(fit.robots, robot))
@@ -178,10 +179,12 @@ def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
     found = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = fit.state.turn.copy()
+        # States hold turns in standard deviations.
         turn[final] += axis * _TRIAL_TURN / OUTLIER_ROBOTS.turn_sd
         start = fit.state.position, fit.state.yaw
         found.append(_fitted(log, params, posed, start, turn, sd=_TRIAL_SD))
     _, _, state, _ = min(found, key=lambda each: each.linear.cost)
+    # Costs of the search let contacts be missed: only those without that can be compared.
     again = _fitted(log, params, posed, (state.position, state.yaw), state.turn)
     return min(fit, again, key=lambda each: each.linear.cost)
 
@@ -213,6 +216,7 @@ def _significance(gain: Reals, freed: Ints, fit: _Fit) -> Reals:
     """
     square = fit.linear.square
     spare = len(square) / max(fit.linear.freedom(), 1)
+    # Where noise is stated too small, all squares are large, and the gain of one robot says little.
     noise = max(1.0, float(np.median(square) / chdtri(1, 0.5)) * spare)
     with np.errstate(divide="ignore"):  # a gain beyond any chance is infinitely significant
         significance = -np.log10(chdtrc(np.maximum(freed, 1), np.maximum(gain, 0.0) / noise))
@@ -259,6 +263,7 @@ def _gain(linear: Linear, rows: Ints, columns: Ints) -> tuple[float, int]:
     value, vector = np.linalg.eigh(left * scale[:, None] * scale)
     residual = np.concatenate([linear.residual[rows], linear.off[columns]])
     part = vector.T @ (residual * scale)
+    # A row that nothing else checks fits anything: leaving it out gains nothing.
     is_checked = value > _DETERMINED
     return float((part[is_checked] ** 2 / value[is_checked]).sum()), int(is_checked.sum())
 

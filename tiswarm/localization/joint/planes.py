@@ -65,6 +65,7 @@ class Planes(NamedTuple):
         """
         of_plane = part[self.robot]
         span = spans(of_plane, self.direction, part.max() + 1)
+        # The anchor holds its own part as three measured coordinates would.
         span[part[0]] += np.eye(3)
         inverse = np.asarray(np.linalg.pinv(span, rcond=_FLAT, hermitian=True), np.float64)
         return self._square(inverse[of_plane]) < 1.0 - _PERPENDICULAR
@@ -105,6 +106,7 @@ def measured_planes(rows: Measurements, variance: Reals, *, is_solved: bool) -> 
     """
     links, direction = len(rows.other), rows.places.direction
     arm = rows.arm[links:]
+    # A turn about the vertical changes no height: walks of heights need not turn.
     is_level = np.any(direction[:, :2] != 0.0, axis=1, keepdims=True)
     level = arm * np.array([1.0, 1.0, 0.0]) * (is_level & is_solved)
     value = rows.places.value - (direction * arm).sum(axis=1) + (direction * level).sum(axis=1)

@@ -250,6 +250,7 @@ def pose_problem(
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
+    # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
     fixed = measured.rows({*params.cues} & {"fixes"})
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
@@ -280,6 +281,7 @@ def _most_precise(rows: Measurements) -> Bools:
     contacts = len(rows.other)
     coordinate = np.column_stack([rows.robot[contacts:], rows.places.direction])
     _, group = np.unique(coordinate, axis=0, return_inverse=True)
+    # By group, then by variance: the first of each group is the most precise.
     order = np.lexsort((rows.variance()[contacts:], group))
     _, first = np.unique(group[order], return_index=True)
     chosen = np.arange(len(rows)) < contacts
@@ -299,12 +301,14 @@ def _separating(problem: Problem, anchor: Reals, sd: float) -> Planes:
     size = np.zeros(len(first))
     np.maximum.at(size, part, problem.reach())
     first = np.sort(first[problem.untied[first]])
+    # As wide as the longest chain of contacts from the first robot, in either direction.
     width = size[part[np.r_[0, first]]] + _CLEARANCE
     is_loose, axis = np.linalg.eigh(problem.loose[first])
     along_x = problem.loose[first][:, 0]
     way = np.where(along_x[:, :1] > _MOSTLY, along_x, axis[:, :, 2])
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     target = anchor + np.cumsum(width[1:] + width[:-1])[:, None] * way
+    # Eigenvalues of a projector are 0 and 1, but for rounding.
     which, column = np.nonzero(np.rint(is_loose))
     direction = axis[which, :, column]
     return Planes(

@@ -42,6 +42,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
             problem.length,
         ),
     )
+    # Sparse matrices add up entries at the same place: keep the shortest of each pair.
     order = np.argsort(length, kind="stable")
     low, high = np.sort(problem.pair[order], axis=1).T
     ends, shortest = np.unique(low * robots + high, return_index=True)
@@ -49,6 +50,7 @@ def scaled_distances(problem: Problem, anchor: Reals) -> list[Reals]:
     away = dijkstra(graph, directed=False)
     farthest = away[np.isfinite(away)].max()
     square: Reals = -0.5 * np.where(np.isfinite(away), away, farthest) ** 2
+    # Double centering turns squared distances into products of arms from the mean.
     square -= square.mean(axis=0)
     square -= square.mean(axis=1)[:, None]
     value, vector = eigh(square, subset_by_index=(robots - _AXES, robots - 1))
@@ -67,6 +69,7 @@ def _fitted(shape: Reals, problem: Problem, anchor: Reals) -> Reals:
     ridge = _RIDGE * max(float((matrix**2).sum()), 1.0) * np.eye(_AXES**2)
     affine = np.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ value).reshape(_AXES, _AXES)
     u, _, vt = np.linalg.svd(affine)
+    # The nearest proper rotation to the map (Kabsch 1976): no mirror image.
     turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     fitted: Reals = anchor + shape @ turn.T
     return fitted

@@ -88,6 +88,7 @@ def subtree_arrays(
         [t.parent + a for t, a in zip(trees, np.cumsum(count) - count, strict=True)]
     )
     last = end.copy()
+    # Parents stand before what grows out of them: backward, each is whole when it is added.
     for subtree in range(len(own) - 1, -1, -1):
         last[parent[subtree]] = max(last[parent[subtree]], last[subtree])
     ordinal = np.concatenate([np.arange(n) for n in count])
@@ -144,6 +145,7 @@ def _grown(level: Ints, pair: Ints) -> tuple[Ints, Ints]:
     nearer = level[pair].min(axis=1)
     joined = DisjointSet(range(len(level)))
     tops: dict[int, list[int]] = {}  # subtrees of each set that have no parent yet
+    # From the tips inward: robots of a level that farther ones connect are in one subtree.
     for hops in range(level.max(), 0, -1):
         for i, j in pair[nearer == hops].tolist():
             parts = {joined[i], joined[j]}
