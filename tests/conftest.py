@@ -29,7 +29,13 @@ def towers() -> list[History]:
 
 @pytest.fixture(scope="session")
 def tiswarm() -> runs.Command:
-    """Call `tiswarm` with some arguments, in a process of its own."""
+    """Call `tiswarm` with some arguments, in this process."""
+    return runs.call_here
+
+
+@pytest.fixture(scope="session")
+def process() -> runs.Command:
+    """Call `tiswarm` with some arguments and variables, in a process of its own."""
     return runs.call
 
 

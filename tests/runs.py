@@ -1,13 +1,18 @@
-"""The command line as a user calls it, in a process of its own, and comparisons of its results."""
+"""The command line, in a process of its own or in this one, and comparisons of its results."""
 
 import filecmp
+import io
 import os
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import patch
+
+from tiswarm.cli import main
 
 REPOSITORY = Path(__file__).parents[1]
 MEASURED = {"manifest.json", "cost.json", "report.html"}
@@ -35,7 +40,7 @@ def interruptible() -> Iterator[None]:
 
 
 def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
-    """Call `tiswarm` with some arguments."""
+    """Call `tiswarm` with some arguments, as a user does: in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "tiswarm", *map(str, arguments)],
         cwd=cwd,
@@ -45,6 +50,34 @@ def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
         check=False,
         timeout=300,
     )
+
+
+def call_here(*arguments: object, cwd: Path = REPOSITORY):
+    """Call `tiswarm` with some arguments in this process, which has compiled its kernels.
+
+    A process of its own takes seconds to import libraries and to compile. Here kernels also check
+    the bounds of their arrays. What children write themselves is not in the result.
+    """
+    command = ["tiswarm", *map(str, arguments)]
+    out, err = io.StringIO(), io.StringIO()
+    before = Path.cwd(), signal.getsignal(signal.SIGTERM)
+    with (
+        patch.object(sys, "argv", command),
+        patch.dict(os.environ),
+        warnings.catch_warnings(),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        warnings.simplefilter("default")
+        os.chdir(cwd)
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+        finally:
+            os.chdir(before[0])
+            signal.signal(signal.SIGTERM, before[1])
+    return subprocess.CompletedProcess(command, status, out.getvalue(), err.getvalue())
 
 
 def assert_same_results(a: Path, b: Path) -> None:

@@ -43,14 +43,14 @@ def test_no_packages_are_named_off_linux(bare_machine, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="wheels for other systems contain the library")
-def test_a_machine_without_the_library_of_taichi_gets_the_name_of_its_package(tmp_path, tiswarm):
+def test_a_machine_without_the_library_of_taichi_gets_the_name_of_its_package(tmp_path, process):
     """A file that is no library stands for it: what to install is said, and nothing else runs."""
     pytest.importorskip("taichi")
     (tmp_path / "libX11.so.6").write_text("broken")
     broken = {"LD_LIBRARY_PATH": str(tmp_path), "TISWARM_BACKEND": "taichi"}
 
-    asked = tiswarm("doctor", "--missing-packages", **broken)
-    planned = tiswarm("run", "tests/tower.yaml", "--plan", **broken)
+    asked = process("doctor", "--missing-packages", **broken)
+    planned = process("run", "tests/tower.yaml", "--plan", **broken)
 
     assert (asked.returncode, asked.stderr) == (0, "")
     assert asked.stdout.split()[0] == "libx11-6"  # other libraries that load this one follow

@@ -75,11 +75,11 @@ def test_what_is_no_path_is_refused(name):
         getattr(library, name)({"name": "tower"})
 
 
-def test_the_command_writes_the_same(run, tiswarm, tmp_path):
+def test_the_command_writes_the_same(run, process, tmp_path):
     """Same scenario, same folder, same bytes."""
     settings = [f"--set={key}={value}" for key, value in SMALL.items()]
 
-    done = tiswarm("run", "tests/tower.yaml", *settings, "--out", tmp_path)
+    done = process("run", "tests/tower.yaml", *settings, "--out", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert_same_results(run.folder, tmp_path / run.folder.name)

@@ -110,7 +110,7 @@ def test_a_mistake_in_a_scenario_is_reported_with_its_line(tiswarm, tmp_path):
     text = "name: bad\nstructure:\n  kind: tower\n  goal_heigth: 3\nlocalization: {method: joint}\n"
     scenario.write_text(text)
 
-    done = tiswarm("run", scenario, cwd=tmp_path, PYTHONPATH=str(REPOSITORY))
+    done = tiswarm("run", scenario, cwd=tmp_path)
 
     assert done.returncode == 2
     line = _only_line(done)

@@ -305,7 +305,7 @@ def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject):
+def test_a_killed_run_goes_on_to_the_same_bytes(process, whole, tmp_path, inject):
     """After kill -9 within the fourth case, three cases are found and five computed."""
     inject("""
         import os, pathlib, signal
@@ -323,7 +323,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(tiswarm, whole, tmp_path, inject
     """)
     settings = [part for text in SMALL for part in ("--set", text)]
 
-    killed = tiswarm("run", "tests/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
+    killed = process("run", "tests/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
     resumed = _run(tmp_path)
 
     assert killed.returncode == -signal.SIGKILL
