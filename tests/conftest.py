@@ -1,5 +1,6 @@
 """Fixtures of all tests: kernels with bounds checks, a small structure, a small run."""
 
+import fcntl
 import os
 from pathlib import Path
 
@@ -13,6 +14,26 @@ from tiswarm.compute import backend
 from tiswarm.world.growth import grow
 from tiswarm.world.history import History
 from tiswarm.world.params import TowerParams
+
+BOUNDS = "TISWARM_DEBUG"
+"""Variable by which kernels check the bounds of arrays; read when the backend starts."""
+
+ROOMS_WITH_KERNELS = {"compute", "engine", "localization", "world"}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _bounds(request: pytest.FixtureRequest) -> None:
+    """Let kernels check bounds in tests of their own rooms, but not in those that are `unchecked`.
+
+    Annealing takes two and a half times as long with checks, and whole runs would find nothing that
+    tests of kernels do not.
+    """
+    room = request.path.parent.name
+    checks = room in ROOMS_WITH_KERNELS and request.node.get_closest_marker("unchecked") is None
+    if os.environ[BOUNDS] != str(int(checks)):
+        os.environ[BOUNDS] = str(int(checks))
+        backend.start(precision="f32")  # another program, so that the next one starts anew
+    backend.start()  # fixtures of the module come before the first test
 
 
 @pytest.fixture(autouse=True)
@@ -41,10 +62,15 @@ def process() -> runs.Command:
 
 @pytest.fixture(scope="session")
 def small_run(tiswarm: runs.Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a small run of the tower scenario, drawn."""
-    out = tmp_path_factory.mktemp("runs")
-    done = tiswarm(
-        "run", "tests/tower.yaml", "--set", "robots=12", "--set", "seeds=2", "--out", out
-    )
-    assert done.returncode == 0, done.stderr
-    return next(out.iterdir())
+    """Folder of a small run of the tower scenario, drawn; all workers of pytest read the same."""
+    base = tmp_path_factory.getbasetemp()
+    out = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "small-run"
+    out.mkdir(exist_ok=True)
+    with (out / ".making").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not [*out.glob("tower-*")]:
+            settings = ("--set", "robots=12", "--set", "seeds=2", "--out", out)
+            done = tiswarm("run", "tests/tower.yaml", *settings)
+            assert done.returncode == 0, done.stderr
+    [run] = out.glob("tower-*")
+    return run

@@ -39,6 +39,21 @@ ASKED = {
 }
 """By part, a command that needs it."""
 
+ASK = f"""
+from tiswarm.scenario.model import scenario_schema
+scenario_schema()
+import tiswarm
+assert not tiswarm.check("tower").mistakes
+assert not tiswarm.check("sensing.jsonl").mistakes
+missing = sys.argv.pop(1)
+for part in {PARTS}:
+    if part != missing:
+        __import__(part)
+from tiswarm.cli import main
+main()
+"""
+"""Loads what lists methods, senses and formats, and all other parts; then asks for the part."""
+
 
 ALONE = """
 import sys
@@ -71,37 +86,32 @@ def case(tmp_path_factory):
     return found
 
 
-@pytest.fixture(params=PARTS)
-def part(request) -> str:
-    """Name of an optional part."""
-    return request.param
-
-
-@pytest.fixture
-def copy(part, tmp_path, case) -> Path:
-    """Folder with a copy of the package that lacks a part, and with a log and its estimate."""
+def _copy_without(parts, folder, case) -> Path:
+    """Copy the package without some parts, and a log and its estimate, into a folder."""
     ignored = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(REPOSITORY / "tiswarm", tmp_path / "tiswarm", ignore=ignored)
-    place = tmp_path.joinpath(*part.split("."))
-    if place.is_dir():
-        shutil.rmtree(place)
-    else:
-        place.with_suffix(".py").unlink()
+    shutil.copytree(REPOSITORY / "tiswarm", folder / "tiswarm", ignore=ignored)
+    for part in parts:
+        place = folder.joinpath(*part.split("."))
+        if place.is_dir():
+            shutil.rmtree(place)
+        else:
+            place.with_suffix(".py").unlink()
     for name in ("sensing.jsonl", "estimate.csv"):
-        shutil.copy(case / name, tmp_path)
-    return tmp_path
+        shutil.copy(case / name, folder)
+    return folder
 
 
-def test_the_spine_works_without_a_part(copy):
-    """It imports, runs a study by `joint` and localizes a log."""
-    done = _call(copy, SPINE)
+def test_the_spine_works_without_any_part(tmp_path, case):
+    """It imports, runs a study by `joint` and localizes a log; so it needs none of the parts."""
+    done = _call(_copy_without(PARTS, tmp_path, case), SPINE)
 
     assert done.returncode == 0, done.stderr
 
 
-def test_who_asks_for_a_missing_part_gets_a_line(copy, part):
-    """The line names the module that this copy lacks, and there is no traceback."""
-    done = _call(copy, "from tiswarm.cli import main; main()", *ASKED[part].split())
+@pytest.mark.parametrize("part", PARTS)
+def test_without_a_part_all_others_are_there_and_it_is_named(tmp_path, case, part):
+    """Who asks for it gets a line that names the module; no other part needs it to be loaded."""
+    done = _call(_copy_without([part], tmp_path, case), ASK, part, *ASKED[part].split())
 
     assert done.returncode == 1
     [line] = done.stderr.splitlines()

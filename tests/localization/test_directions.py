@@ -12,6 +12,8 @@ from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
+pytestmark = pytest.mark.unchecked
+
 QUICK = JointParams(chains=3, steps=600, hold_steps=200)
 METHODS = [QUICK, LeastSquaresParams(non_overlap=False)]
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)

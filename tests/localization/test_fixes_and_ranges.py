@@ -20,6 +20,8 @@ from tiswarm.measurements.observability import observability
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams, observe
 
+pytestmark = pytest.mark.unchecked
+
 METHODS = [
     JointParams(chains=2, steps=600, hold_steps=200, non_overlap=False),
     LeastSquaresParams(non_overlap=False),

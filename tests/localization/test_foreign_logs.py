@@ -8,6 +8,8 @@ from tests import foreign
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 
+pytestmark = pytest.mark.unchecked
+
 SEEDS = [0, 1]
 NEAR = 0.05
 """Error of tags where many distances measure them, or exact ones [m]."""

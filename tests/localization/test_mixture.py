@@ -23,6 +23,8 @@ from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
+pytestmark = pytest.mark.unchecked
+
 ALL = JointParams()
 AS_ENDED = JointParams(refine=False, robust=False)
 """Chains are ranked by their squares where they ended."""

@@ -20,6 +20,8 @@ from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
+pytestmark = pytest.mark.unchecked
+
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 DRIFT = np.radians([0.0, 6.0, 0.0])
 """Error that an orientation gains at each stance, about a horizontal axis."""

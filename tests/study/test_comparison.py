@@ -18,14 +18,20 @@ def other_run(tmp_path_factory):
     return run(other, tmp_path_factory.mktemp("other"), progress=Progress()).folder
 
 
-def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_run, tmp_path):
-    """Both runs have seed 1 alone; equal conditions differ by zero."""
-    done = tiswarm("compare", small_run, other_run, "--out", tmp_path / "both")
-
+@pytest.fixture(scope="module")
+def both(tiswarm, small_run, other_run, tmp_path_factory):
+    """Folder of their comparison."""
+    out = tmp_path_factory.mktemp("compared") / "both"
+    done = tiswarm("compare", small_run, other_run, "--out", out)
     assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_differences_are_those_of_shared_structures(small_run, both):
+    """Both runs have seed 1 alone; equal conditions differ by zero."""
     summary = pd.read_csv(small_run / "summary.csv").set_index("case")["rmse_R"]
     keys = ["against_series", "series", "measure"]
-    paired = pd.read_csv(tmp_path / "both" / "paired.csv").set_index(keys)
+    paired = pd.read_csv(both / "paired.csv").set_index(keys)
     assert (paired["structures"] == 1).all()
     assert paired.loc[("baseline", "baseline", "rmse_R"), "difference_mean"] == 0.0
     assert paired.loc[("baseline", "no-z", "rmse_R"), "difference_mean"] == pytest.approx(
@@ -33,16 +39,15 @@ def test_differences_are_those_of_shared_structures(tiswarm, small_run, other_ru
     )
 
 
-def test_every_row_of_every_run_is_kept(tiswarm, small_run, other_run, tmp_path):
+def test_every_row_of_every_run_is_kept(small_run, other_run, both):
     """Rows keep their numbers under the name of their run, and there is a figure."""
-    tiswarm("compare", small_run, other_run, "--out", tmp_path)
+    compared = pd.read_csv(both / "comparison.csv")
 
-    both = pd.read_csv(tmp_path / "comparison.csv")
     for folder in (small_run, other_run):
         table = pd.read_csv(folder / "table.csv")
-        rows = both[both["run"] == folder.name].reset_index(drop=True)
+        rows = compared[compared["run"] == folder.name].reset_index(drop=True)
         pd.testing.assert_frame_equal(rows[table.columns], table)
-    assert (tmp_path / "comparison.png").stat().st_size > 10_000
+    assert (both / "comparison.png").stat().st_size > 10_000
 
 
 def test_comparing_needs_two_runs(small_run, tmp_path):

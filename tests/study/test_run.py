@@ -26,6 +26,7 @@ SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
 def test_every_shipped_scenario_runs(tmp_path, scenario):
     """Each scenario finishes every case at small size."""
+    briefly = ["localization.steps=200", "localization.chains=3"]
     sizes = {
         "scaling": ["sweep={robots: [6, 7, 8]}"],
         "large-swarm": [
@@ -40,8 +41,11 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             f"sweep={{robot.shape: {[*SHAPES]}}}",
             "conditions.joint.localization.steps=200",
         ],
-        "rungs": ["robots=8", "localization.steps=200"],
-        "sensor-sweep": ["robots=8", "localization.steps=200"],
+        "ablation": ["robots=8", *briefly],
+        "fireant2d": ["robots=8", *briefly],
+        "rungs": ["robots=8", *briefly],
+        "sensor-sweep": ["robots=8", *briefly],
+        "table-1": ["robots=8", *briefly],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
     small = load_scenario(scenario, [*sizes, "seeds=1"])
