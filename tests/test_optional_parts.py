@@ -39,6 +39,9 @@ ASKED = {
 }
 """By part, a command that needs it."""
 
+ALSO_LACKING = {"tiswarm.localization.hop_by_hop": ["tiswarm.localization.least_squares"]}
+"""By part, others that begin where it ends, and cannot do without it."""
+
 ASK = f"""
 from tiswarm.scenario.model import scenario_schema
 scenario_schema()
@@ -47,7 +50,7 @@ assert not tiswarm.check("tower").mistakes
 assert not tiswarm.check("sensing.jsonl").mistakes
 missing = sys.argv.pop(1)
 for part in {PARTS}:
-    if part != missing:
+    if part not in [missing, *{ALSO_LACKING}.get(missing, [])]:
         __import__(part)
 from tiswarm.cli import main
 main()

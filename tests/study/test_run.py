@@ -138,9 +138,10 @@ def test_every_picture_shows_something(small_run):
 
     assert len(pictures) >= 5
     for path in pictures:
-        pixels = np.asarray(Image.open(path).convert("RGB"))
-        assert min(pixels.shape[:2]) >= 300
-        assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 50
+        with Image.open(path) as picture:
+            assert min(picture.size) >= 300
+            colors = picture.convert("RGB").getcolors(maxcolors=50)
+        assert colors is None  # more than that
 
 
 def test_threads_and_repetition_do_not_change_a_byte(tiswarm, process, tmp_path):

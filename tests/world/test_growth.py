@@ -293,14 +293,28 @@ def test_one_mover_is_what_robots_one_at_a_time_are():
     assert _same(one, default)
 
 
-@pytest.mark.parametrize("kind", ["tower", "cantilever"])
-def test_several_movers_grow_one_sound_structure(kind):
-    """Three at a time: the same on one thread, on two, and again; none joins into another."""
-    params = dataclasses.replace(KINDS[kind], movers=3)
-    grown = []
-    for threads in (1, 2, 2):
+@pytest.fixture(scope="module")
+def repeated():
+    """By kind and movers, structures grown on one thread, on two, and again."""
+    crowds = {
+        (kind, 3): (dataclasses.replace(KINDS[kind], movers=3), 25, [0, 1])
+        for kind in ("tower", "cantilever")
+    }
+    edges = {(kind, 1): (KINDS[kind], 15, [1, 3, 4]) for kind in ("cantilever", "bridge", "chain")}
+    found: dict = {}
+    for threads in (1, 2):
         backend.start(threads=threads)
-        grown.append(grow(params, robots=25, seeds=[0, 1], robot=FIREANT))
+        for _ in range(threads):
+            for key, (params, robots, seeds) in {**crowds, **edges}.items():
+                histories = grow(params, robots=robots, seeds=seeds, robot=FIREANT)
+                found.setdefault(key, []).append(histories)
+    return found
+
+
+@pytest.mark.parametrize("kind", ["tower", "cantilever"])
+def test_several_movers_grow_one_sound_structure(kind, repeated):
+    """Three at a time: the same on one thread, on two, and again; none joins into another."""
+    grown = repeated[kind, 3]
 
     for first, *others in zip(*grown, strict=True):
         assert first.robot_count == 25
@@ -311,17 +325,13 @@ def test_several_movers_grow_one_sound_structure(kind):
 
 
 @pytest.mark.parametrize("kind", ["cantilever", "bridge", "chain"])
-def test_threads_do_not_change_a_structure_at_an_edge(kind):
+def test_threads_do_not_change_a_structure_at_an_edge(kind, repeated):
     """One thread and two, several structures at once: the same, bit by bit, forces included."""
-    histories = []
-    for threads in (1, 2):
-        backend.start(threads=threads)
-        histories.append(grow(KINDS[kind], robots=15, seeds=[1, 3, 4], robot=FIREANT))
-
-    for one, two in zip(*histories, strict=True):
-        assert _same(one, two)
-        assert np.array_equal(one.sensed, two.sensed)
-        assert repr(one.loads) == repr(two.loads)
+    for one, *others in zip(*repeated[kind, 1], strict=True):
+        for other in others:
+            assert _same(one, other)
+            assert np.array_equal(one.sensed, other.sensed)
+            assert repr(one.loads) == repr(other.loads)
 
 
 def _settling(share: float, robots: int = 40) -> History:
