@@ -7,10 +7,14 @@ SCENARIO = scenarios/tower.yaml
 # make gpu ARCH=vulkan GPU_OPTIONS='--brief --sizes 1e3 --joint-sizes 20 40'
 ARCH = cuda
 GPU_OPTIONS =
+# Rooms whose tests `make check` runs: those without kernels and whole runs.
+ROOMS = base evaluation measurements records scenario sensing
 # `make run SYSTEM_LIBRARIES=no` leaves the machine's own packages alone.
 SYSTEM_LIBRARIES = yes
 
 bin = .venv/bin
+# Workers begin with tests in a row, which share fixtures, and take over some of a slower one's.
+tests = $(bin)/python -m pytest -n auto --dist worksteal
 inputs = pyproject.toml constraints.txt tiswarm/base/version.py
 # Each of these files stands for a step that was done; a step is done again once they are older
 # than its inputs.
@@ -22,7 +26,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test docs gpu lint format clean unusable
+.PHONY: help run test check docs gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -31,7 +35,11 @@ run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=sc
 	$(bin)/tiswarm run "$(SCENARIO)"
 
 test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
-	$(bin)/python -m pytest -n auto --durations=25
+	$(tests) --durations=25
+
+check: lint  ## Check style, types and contracts, and run quick tests (ROOMS='world study')
+	$(tests) --quiet tests/test_architecture.py tests/test_language.py tests/test_pages.py \
+		tests/test_tour.py $(ROOMS:%=tests/%)
 
 docs: $(installed_dev)  ## Build the site of the documentation, build/docs/index.html
 	$(bin)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
