@@ -18,6 +18,9 @@ REPOSITORY = Path(__file__).parents[1]
 MEASURED = {"manifest.json", "cost.json", "report.html"}
 """Files of a run that depend on the machine and the clock."""
 
+_SILENT = DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning
+"""Warnings that Python itself does not show to users; pytest does."""
+
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
@@ -69,6 +72,8 @@ def call_here(*arguments: object, cwd: Path = REPOSITORY):
         redirect_stderr(err),
     ):
         warnings.simplefilter("default")
+        for kind in _SILENT:
+            warnings.simplefilter("ignore", kind)
         os.chdir(cwd)
         try:
             main()

@@ -176,18 +176,27 @@ def test_an_exception_leaves_its_traceback_in_the_case(tiswarm, files, workers):
     """The case fails with a line that names the file, all others are done; --debug prints it."""
     (files / "own.py").write_text(FAILS)
 
-    command = ("run", "own.yaml", "--plugin", "own.py", "--no-pictures", *workers)
+    command = (
+        "run",
+        "own.yaml",
+        "--plugin",
+        "own.py",
+        "--no-pictures",
+        "--set",
+        "seeds=1",
+        *workers,
+    )
     done = tiswarm(*command, cwd=files)
-    debugged = tiswarm(*command[:5], "--debug", cwd=files)
+    debugged = tiswarm(*command[:7], "--debug", cwd=files)
 
     [run] = files.glob("reports/*")
-    record = json.loads((run / "cases" / "1-own" / "case.json").read_text())
-    traceback = (run / "cases" / "1-own" / "traceback.txt").read_text()
-    hops = json.loads((run / "cases" / "1-hops" / "case.json").read_text())
+    record = json.loads((run / "cases" / "0-own" / "case.json").read_text())
+    traceback = (run / "cases" / "0-own" / "traceback.txt").read_text()
+    hops = json.loads((run / "cases" / "0-hops" / "case.json").read_text())
     assert done.returncode == debugged.returncode == 3
     assert record["status"] == "failed"
     assert f"{files / 'own.py'}:7: origin failed: NameError" in record["reason"]
-    assert record["reason"].endswith("cases/1-own/traceback.txt has the traceback")
+    assert record["reason"].endswith("cases/0-own/traceback.txt has the traceback")
     assert "Traceback (most recent call last)" in traceback
     assert hops["status"] == "done"
     assert "Traceback" not in done.stderr
