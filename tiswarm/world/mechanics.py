@@ -54,8 +54,8 @@ _SIDE = 6
 """Unknowns of a node."""
 
 
-class _Joining(NamedTuple):
-    """A robot that joins; see `Frames.join`."""
+class _Waiting(NamedTuple):
+    """A robot that has joined since the last solve; see `Frames.join`."""
 
     structure: int
     center: Reals
@@ -125,7 +125,7 @@ class Frames:
         self.rigid = params.model == "rigid"
         self.robots = np.zeros(structures, np.int32)
         self.dock = np.zeros((structures, robots, docks, 3))
-        self.waiting: list[_Joining] = []
+        self.waiting: list[_Waiting] = []
         nodes = robots if self.rigid else (docks + 1) * robots
         beams = 3 * robots if self.rigid else (docks + 3) * robots
         self.frame = FrameArrays(
@@ -171,7 +171,7 @@ class Frames:
             standing: Own docks that stand on the ground, shape (g,).
             foot: Where each of them touches it [R], shape (g, 3).
         """
-        self.waiting.append(_Joining(structure, center, docks, contacts, standing, foot))
+        self.waiting.append(_Waiting(structure, center, docks, contacts, standing, foot))
 
     @property
     def joints(self) -> AnyInts:
