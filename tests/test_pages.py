@@ -39,6 +39,24 @@ def test_the_readme_names_the_folder_of_the_first_run():
     assert f"open {folder}/report.html" in (REPOSITORY / "README.md").read_text()
 
 
+def test_the_readme_is_read_in_a_minute():
+    """It has at most 110 lines: what tiswarm is, two commands, results; pages have the rest."""
+    lines = (REPOSITORY / "README.md").read_text().splitlines()
+
+    assert len(lines) <= 110
+
+
+def test_the_list_of_pages_is_complete():
+    """The README names a few pages; the list at the end of the site's front has all but notes."""
+    docs = REPOSITORY / "docs"
+    listed = set(re.findall(r"\]\(([\w/-]+\.md)\)", (docs / "index.md").read_text()))
+
+    pages = {
+        str(page.relative_to(docs)) for page in docs.rglob("*.md") if "notes/" not in str(page)
+    }
+    assert pages - listed == {"index.md", "contributing.md", "changelog.md"}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_rows_of_tables_have_the_cells_of_their_header(page):
     """A lost bar shifts all numbers of its row to a wrong column."""

@@ -16,6 +16,9 @@ REPOSITORY = Path(__file__).parents[1]
 DOCS = REPOSITORY / "docs"
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.rglob("*.md"))]
+RUNNING = [*NOTEBOOKS, REPOSITORY / "README.md", DOCS / "guides" / "engine.md"]
+"""Pages with cells that run as they stand."""
+
 SHELL = re.compile(r"^ *```sh\n(.*?)^ *```|^((?: {4}.*\n)+)", re.MULTILINE | re.DOTALL)
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -51,7 +54,7 @@ def test_every_call_is_on_its_page():
     assert listed == set(tiswarm.__all__) - {"__version__"}
 
 
-@pytest.mark.parametrize("page", [*NOTEBOOKS, REPOSITORY / "README.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", RUNNING, ids=lambda page: str(page.relative_to(REPOSITORY)))
 def test_python_examples_run(page, tmp_path, monkeypatch):
     """The cells of a page run from top to bottom in a copy of the repository's root."""
     (tmp_path / "scenarios").symlink_to(REPOSITORY / "scenarios")
