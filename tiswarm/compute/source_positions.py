@@ -19,7 +19,8 @@ from typing import Any
 def remember_positions(library: str) -> None:
     """Let a kernel library write each position, and look for each line, once.
 
-    What it writes and finds stays what it was. A library that is arranged otherwise is left as it is.
+    What it writes and finds stays what it was. A library that is arranged otherwise is left as it
+    is.
     """
     with suppress(ImportError, AttributeError):
         kernels: Any = import_module(f"{library}.lang.kernel_impl")

@@ -14,6 +14,7 @@ from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.figure import Figure
 
 TRUE_BLUE = "#0072B2"
@@ -254,23 +255,35 @@ def legend_columns(names: Sequence[str], width: float, most: int = 4) -> int:
 
 def png(figure: "Figure") -> bytes:
     """Encode a figure as PNG; equal figures give equal bytes."""
-    return _encoded(figure, "png", {"Software": None})
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    return _encoded(figure, FigureCanvasAgg, "png", {"Software": None})
 
 
 def pdf(figure: "Figure") -> bytes:
     """Encode a figure as vectors (PDF); equal figures give equal bytes."""
-    return _encoded(figure, "pdf", {"CreationDate": None, "Creator": None, "Producer": None})
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+    unset = {"CreationDate": None, "Creator": None, "Producer": None}
+    return _encoded(figure, FigureCanvasPdf, "pdf", unset)
 
 
 def svg(figure: "Figure") -> bytes:
     """Encode a figure as SVG whose letters are text; equal figures give equal bytes."""
-    return _encoded(figure, "svg", dict.fromkeys(["Creator", "Date", "Format", "Type"]))
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    unset = dict.fromkeys(["Creator", "Date", "Format", "Type"])
+    return _encoded(figure, FigureCanvasSVG, "svg", unset)
 
 
-def _encoded(figure: "Figure", form: str, metadata: dict[str, None]) -> bytes:
+def _encoded(
+    figure: "Figure", canvas: "type[FigureCanvasBase]", form: str, metadata: dict[str, None]
+) -> bytes:
+    """Lay out a figure once, and encode it; `savefig` would draw it once more before."""
     engine: Any = figure.get_layout_engine()
-    engine.execute(figure)  # saving would lay it out twice
+    engine.execute(figure)
     figure.set_layout_engine("none")
-    stream = io.BytesIO()
-    figure.savefig(stream, format=form, metadata=metadata)
+    stream, before = io.BytesIO(), figure.canvas
+    getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
+    figure.set_canvas(before)
     return stream.getvalue()

@@ -45,8 +45,8 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     painters = _painters(run) if run.series else {}
     if not painters:
         progress.info("no figures: no case is done")
-    for name, draw in painters.items():
-        with style.context(["default", figure_style.STYLE]):
+    with style.context(["default", figure_style.STYLE]):
+        for name, draw in painters.items():
             figure = draw(run)
             for suffix, encode in (("png", png), ("pdf", pdf), ("svg", svg)):
                 path = run.subfolder("figures") / f"{name}.{suffix}"

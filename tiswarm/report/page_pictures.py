@@ -34,7 +34,7 @@ _FIRST = (
 """Beginnings of the names of the first pictures; others follow by name."""
 
 _SUFFIXES = {".png", ".gif", ".webp", ".mp4"}
-_RENDER_SHARE = 0.36  # width on the page over that of the file
+_RENDER_SHARE = 0.5  # width on the page over that of the file
 _MOVIE_WIDTH = 420  # of an animation on the page
 _FIGURE_SHARE = 0.42  # of a figure without SVG, as runs of earlier versions have
 _PIXELS = 96.0 / 72.0  # of a point of an SVG

@@ -34,7 +34,7 @@ _MOST_FRAMES = 60
 _SIZES = {"mp4": (1920, 1080), "webp": (960, 720), "gif": (960, 720)}
 """Most columns and rows of a frame without its legend, by file format [pixels]."""
 
-_LEGEND_WIDTH = 900  # of a frame for which the letters of a legend are made [pixels]
+_LEGEND_WIDTH = 600  # of a frame for which the letters of a legend are made [pixels]
 _QUALITY = 80  # of a WebP
 _GRAYS = np.array([*range(0, 200, 8), *range(200, 256)], np.uint8)  # of a GIF, for the ground
 _GRAY = 8  # range of red, green and blue up to which a pixel is gray
@@ -121,15 +121,8 @@ def draw_joins(
 def _with_legend(picture: Image.Image, count: int, robots: int) -> Image.Image:
     """Add a legend to a frame, and make its size even, as MP4 requires."""
     legend = Scale(JOIN_COLORS, "join index  0", f"{robots - 1}    {count} of {robots} robots")
-    shrink = max(1.0, _LEGEND_WIDTH / picture.width)
-    band = add_legend(Image.new("RGB", (round(shrink * picture.width), 0)), legend)
-    small = (picture.width, round(band.height / shrink))
-    band = band.resize(small, Image.Resampling.LANCZOS)
-    height = picture.height + band.height
-    frame = Image.new("RGB", (picture.width // 2 * 2, height // 2 * 2), "white")
-    frame.paste(band, (0, 0))
-    frame.paste(picture, (0, band.height))
-    return frame
+    whole = add_legend(picture, legend, picture.width / _LEGEND_WIDTH)
+    return whole.crop((0, 0, whole.width // 2 * 2, whole.height // 2 * 2))
 
 
 def _webp(frames: Sequence[Image.Image]) -> bytes:

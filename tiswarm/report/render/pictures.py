@@ -34,7 +34,7 @@ _NODE = Look(0.3, 0.3, 0.6)  # a robot as a node of a graph: one ball
 _SEEN_ERROR = 0.3  # error from which a true robot is seen beside its estimate [R]
 _MOST_GHOSTS = 0.5  # share of robots above which translucent ones would hide each other
 
-_LEGEND_HEIGHT, _BAR_LENGTH = 62, 200  # of a legend, and of its bar of colors [pixels]
+_LETTERS, _LEGEND_HEIGHT, _BAR_LENGTH = 19, 44, 144  # of a legend, with its bar of colors [pixels]
 _INK = (40, 40, 40)
 
 
@@ -126,25 +126,25 @@ def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     return Picture(scene, Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}"))
 
 
-def add_legend(picture: Image.Image, legend: Keys | Scale) -> Image.Image:
-    """Add a white band with a legend above a picture."""
-    whole = Image.new("RGB", (picture.width, picture.height + _LEGEND_HEIGHT), "white")
-    whole.paste(picture, (0, _LEGEND_HEIGHT))
-    pen = ImageDraw.Draw(whole)
-    font = ImageFont.load_default(26)
-    left, top = 18.0, 18
+def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) -> Image.Image:
+    """Add a white band with a legend above a picture; `size` scales its letters and bar."""
+    high, long = round(size * _LEGEND_HEIGHT), round(size * _BAR_LENGTH)
+    whole = Image.new("RGB", (picture.width, picture.height + high), "white")
+    whole.paste(picture, (0, high))
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(size * _LETTERS)
+    left, line = size * 13.0, high / 2.0
     if isinstance(legend, Scale):
-        pen.text((left, top), legend.low, _INK, font)
-        left += pen.textlength(f"{legend.low} ", font)
-        bar = colors_along(np.linspace(0.0, 1.0, _BAR_LENGTH), legend.colors)
+        pen.text((left, line), legend.low, _INK, font, anchor="lm")
+        left += pen.textlength(f"{legend.low}  ", font)
+        bar = colors_along(np.linspace(0.0, 1.0, long), legend.colors)
         for x, color in enumerate((255.0 * bar).round().astype(int).tolist()):
-            pen.line((left + x, top + 6, left + x, top + 26), tuple(color))
-        pen.text((left + _BAR_LENGTH, top), f" {legend.high}", _INK, font)
+            pen.line((left + x, line - size * 7, left + x, line + size * 7), tuple(color))
+        pen.text((left + long, line), f" {legend.high}", _INK, font, anchor="lm")
         return whole
     for key, text in legend:
-        pen.ellipse((left, top, left + 24, top + 24), fill=key)
-        pen.text((left + 34, top + 12), text, _INK, font, anchor="lm")
-        left += 70 + pen.textlength(text, font)
+        pen.ellipse((left, line - size * 9, left + size * 18, line + size * 9), fill=key)
+        pen.text((left + size * 25, line), text, _INK, font, anchor="lm")
+        left += size * 50 + pen.textlength(text, font)
     return whole
 
 

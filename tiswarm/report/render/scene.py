@@ -27,7 +27,7 @@ _OBLIQUE = math.radians(20.0)  # angle between the view and the normal of the lo
 _LENS = math.tan(math.radians(12.0))  # half of the longer side of the picture at distance 1
 _ASPECTS = (0.45, 2.4)  # least and greatest width over height
 _MARGIN = 1.06  # size of the picture over the size of what it shows
-_PIXELS = 1_100_000  # pixels of a picture, approximately
+_PIXELS = 570_000  # of a picture, approximately: two in a row for each of the page's
 
 # --- light ---
 
@@ -92,8 +92,8 @@ class Scene:
     ghost: "Scene | None" = None  # translucent capsules before the same camera
 
     def within(self, width: int, height: int) -> "Scene":
-        """Return the same scene before a camera with at most so many columns and rows [pixels]."""
-        share = min(width / self.camera.width, height / self.camera.height, 1.0)
+        """Return the same scene before a camera that fills so many columns or rows [pixels]."""
+        share = min(width / self.camera.width, height / self.camera.height)
         columns, rows = round(share * self.camera.width), round(share * self.camera.height)
         return self.seen_by(replace(self.camera, width=columns, height=rows))
 

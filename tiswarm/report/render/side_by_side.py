@@ -17,10 +17,10 @@ from tiswarm.report.run_data import RunData, StoredCase
 from tiswarm.report.swarm_view import SwarmView, read_case_view
 
 _MOST_SIZES = 8
-_WIDTH, _HEIGHT = 2600, 1400  # of the picture at most, approximately [pixels]
+_WIDTH, _HEIGHT = 1870, 1000  # of the picture at most, approximately [pixels]
 _AROUND = 10.0  # room around a structure, where its ground fades [R]
-_LEAST_WIDTH = 260  # for a label [pixels]
-_LABEL_HEIGHT = 90
+_LEAST_WIDTH = 187  # for a label [pixels]
+_LETTERS, _LABEL_HEIGHT = 19, 65  # of labels [pixels]
 _INK = (40, 40, 40)
 
 
@@ -111,7 +111,7 @@ def _lay_out(
         whole = ImageChops.multiply(whole, tile)
     content = ImageChops.invert(whole).getbbox() or (0, 0, *size)
     whole = whole.crop((0, content[1], size[0], content[3] + _LABEL_HEIGHT))
-    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(26)
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(_LETTERS)
     pen.rectangle((0, whole.height - _LABEL_HEIGHT, *whole.size), "white")
     for middle, label in zip(middles, labels, strict=True):
         place = (middle, whole.height - _LABEL_HEIGHT // 2)
