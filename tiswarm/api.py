@@ -14,7 +14,7 @@ run.table, run.frame("estimate", case="0-baseline"), run.figures["convergence"]
 run.export("ply")
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from tiswarm.app.results import (
     as_path,
     as_texts,
     choose,
+    plain,
 )
 from tiswarm.app.showing import export as export  # noqa: PLC0414 - a call of this module, too
 from tiswarm.app.showing import render as render  # noqa: PLC0414
@@ -104,7 +105,7 @@ def localize(
 
 
 def run(
-    scenario: File,
+    scenario: File | Mapping[str, object],
     overrides: Overrides | None = None,
     *,
     out: File = "reports",
@@ -123,7 +124,7 @@ def run(
     Cases that an earlier call finished are not computed again. A warning names failed cases.
 
     Args:
-        scenario: YAML file, or the name of a shipped scenario.
+        scenario: YAML file, the name of a shipped scenario, or a dictionary as such a file has.
         overrides: Values by dotted key that replace the file's, or texts `KEY=VALUE`.
         out: Parent of the run folder.
         arch: Compute device, as for `localize`.
@@ -160,7 +161,10 @@ def run(
 
 
 def forecast(
-    scenario: File, overrides: Overrides | None = None, *, plugins: Sequence[File] = ()
+    scenario: File | Mapping[str, object],
+    overrides: Overrides | None = None,
+    *,
+    plugins: Sequence[File] = (),
 ) -> "Forecast":
     """Estimate time and memory of the run of a scenario, and compute nothing."""
     from tiswarm import study  # noqa: PLC0415 - slow to import
@@ -321,7 +325,8 @@ def advise(
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
 
 
-def _load(scenario: File, overrides: Overrides | None) -> "Scenario":
+def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) -> "Scenario":
     from tiswarm.scenario.expansion import load_scenario  # noqa: PLC0415 - slow to import
 
-    return load_scenario(as_path(scenario, "scenario"), as_texts(overrides or ()))
+    given = plain(scenario) if isinstance(scenario, Mapping) else as_path(scenario, "scenario")
+    return load_scenario(given, as_texts(overrides or ()))

@@ -1,16 +1,19 @@
 """`tiswarm.run` gives a notebook what the command writes."""
 
+import html
 import re
 import subprocess
 import sys
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 import tiswarm as library
-from tests.runs import assert_same_results
+from tests.runs import REPOSITORY, assert_same_results
 from tiswarm.base.errors import InputError
 
 SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
@@ -68,7 +71,7 @@ def test_a_figure_can_be_changed_and_saved(run, tmp_path):
         run.figure("error")
 
 
-@pytest.mark.parametrize("name", ["run", "read_log", "check", "open_run", "localize", "view"])
+@pytest.mark.parametrize("name", ["read_log", "check", "open_run", "localize", "view"])
 def test_what_is_no_path_is_refused(name):
     """A dictionary in place of a file is a mistake of the caller, not of `pathlib`."""
     with pytest.raises(InputError, match="a value of type dict is no file; give the path of one"):
@@ -214,6 +217,56 @@ def test_methods_write_what_calls_write(run, tmp_path):
     assert_same_results(by_call, by_method)
     assert estimate.log is log
     assert library.view(run) == run.view() == run.folder / "report.html"
+
+
+def test_a_notebook_shows_the_page_that_view_returns(run, tmp_path):
+    """The page stands within the cell, whole, so that a saved notebook has it too."""
+    page = library.view(run)
+
+    shown = page._repr_html_()
+
+    assert html.unescape(re.search(r'srcdoc="([^"]*)"', shown)[1]) == page.read_text()
+    assert page.parent._repr_html_() is None  # a folder is shown as any path
+
+
+def test_a_dictionary_runs_as_its_file_does(run, tmp_path):
+    """Same checks, same folder and same bytes; the caller's dictionary stays as it is."""
+    scenario = yaml.safe_load((REPOSITORY / "tests" / "tower.yaml").read_text())
+    given = deepcopy(scenario)
+
+    again = library.run(given, SMALL, out=tmp_path, pictures=False, quiet=True)
+
+    assert again.folder.name == run.folder.name
+    assert (again.folder / "summary.csv").read_bytes() == (run.folder / "summary.csv").read_bytes()
+    assert given == scenario
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"robotss": 3}, "^robotss: .*did you mean robots"),
+        ({"structure": {"kind": "towr"}}, "^structure.kind: .*towr"),
+        ({"robots": object()}, "^robots: .*give numbers, strings, lists or dictionaries"),
+    ],
+)
+def test_a_mistake_in_a_dictionary_names_its_key(changes, problem):
+    """In the words that a file gets, without a line."""
+    scenario = yaml.safe_load((REPOSITORY / "tests" / "tower.yaml").read_text())
+
+    with pytest.raises(InputError, match=problem):
+        library.run(scenario | changes)
+
+
+def test_a_comparison_prints_its_table(run, small_run, tmp_path):
+    """A row for each run and condition; the whole tables stand in files."""
+    found = library.compare([run, small_run], out=tmp_path)
+
+    printed = str(found).splitlines()
+    assert printed[0].split()[:2] == ["run", "condition"]
+    assert sum(run.folder.name in line for line in printed) == len(run.table)
+    assert max(map(len, printed)) < 120
+    assert "comparison.csv" in printed[-1]
+    assert found._repr_html_().count("<tr") == 1 + len(found.table)
 
 
 @pytest.mark.filterwarnings("ignore:not converged")  # so few steps

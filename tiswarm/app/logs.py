@@ -14,7 +14,7 @@ import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
 from tiswarm.app.inspection import AdviceTable, Findings
-from tiswarm.app.results import Figures, File, Overrides, as_path, as_texts, plain
+from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyPrecision
@@ -95,7 +95,7 @@ class Log(SensingLog):
         *,
         out: File = "view.html",
         quiet: bool = True,
-    ) -> Path:
+    ) -> PageFile:
         """Write a page with a 3D view of an estimate; `joint` localizes the log if None."""
         true = self.positions(truth)  # a mistake in it is found before the log is localized
         return self.with_estimate(estimate, quiet=quiet).view(true, out=out)
@@ -176,7 +176,7 @@ class Localized(Estimate):
         write_estimate(path, self)
         return path
 
-    def view(self, truth: Truth = None, *, out: File = "view.html") -> Path:
+    def view(self, truth: Truth = None, *, out: File = "view.html") -> PageFile:
         """Write a page with a 3D view, the uncertainty, and what the log leaves open.
 
         Args:
@@ -184,7 +184,7 @@ class Localized(Estimate):
             out: Page to write.
 
         Returns:
-            The page.
+            The page, which a notebook shows.
         """
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
 
@@ -194,7 +194,7 @@ class Localized(Estimate):
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
             advice=findings.advice,
         )  # fmt: skip
-        return page
+        return PageFile(page)
 
     def render(
         self,

@@ -21,11 +21,22 @@ if TYPE_CHECKING:
     import matplotlib.figure
     import pandas as pd
 
+if TYPE_CHECKING:
+    _Path = Path
+else:
+    _Path = type(Path())  # before Python 3.12, `Path` itself has no subclasses
+
 File = str | PathLike[str]
 """Path of a file or folder."""
 
 Overrides = Mapping[str, object] | Sequence[str]
 """Values by dotted key, or as texts `KEY=VALUE`."""
+
+_ERRORS = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
+"""Columns of errors that a table shows by default; `frame` has all."""
+
+_FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888"'
+"""Look of a page within a notebook."""
 
 _MOST_NAMED = 9
 """Names that an error lists."""
@@ -39,6 +50,16 @@ class Figure:
 
     def _repr_png_(self) -> bytes:
         return self.path.read_bytes()
+
+
+class PageFile(_Path):
+    """The path of a page; notebooks show the page itself."""
+
+    def _repr_html_(self) -> str | None:
+        if self.suffix != ".html" or not self.is_file():  # such as the folder of a page
+            return None
+        page = html.escape(self.read_text(encoding="utf-8"))
+        return f'<iframe srcdoc="{page}" {_FRAME}></iframe>'
 
 
 class Figures(dict[str, Figure]):
@@ -112,7 +133,7 @@ class Run:
 
         return draw_figure(load_run(self.folder), name)
 
-    def view(self, *, quiet: bool = False) -> Path:
+    def view(self, *, quiet: bool = False) -> PageFile:
         """Return the run's page, `report.html`; write it if there is none."""
         from tiswarm.app.drawing import PAGE, draw  # noqa: PLC0415 - slow to import
         from tiswarm.report.run_data import load_run  # noqa: PLC0415 - slow to import
@@ -120,7 +141,7 @@ class Run:
         page = self.folder / PAGE
         if not page.exists():
             draw(load_run(self.folder), ConsoleProgress(quiet=quiet))
-        return page
+        return PageFile(page)
 
     def redraw(self, *, pdf: bool = False, quiet: bool = False) -> None:
         """Write tables, figures and page again from the stored cases; arguments as `api.report`."""
@@ -200,8 +221,7 @@ class Run:
         page, table = self.page, self.table
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
-        errors = table.filter(["rmse_R_mean", "procrustes_disparity_mean"])
-        return link + table.loc[:, :"cases"].join(errors).to_html(index=False)
+        return link + _short(table).to_html(index=False, na_rep="")
 
 
 @dataclass(frozen=True)
@@ -226,13 +246,27 @@ class Comparison:
         return Figure(self.folder / "comparison.png")
 
     def __str__(self) -> str:
-        """Name the files."""
-        return f"comparison.csv, paired.csv and comparison.png in {self.folder}"
+        """Write the results of each run by condition, and name the files."""
+        files = f"comparison.csv, paired.csv and comparison.png in {self.folder}"
+        return f"{_short(self.table).to_string(index=False, na_rep='')}\n{files}"
+
+    def _repr_html_(self) -> str:
+        return _short(self.table).to_html(index=False, na_rep="")
 
     def _frame(self, name: str) -> "pd.DataFrame":
         from tiswarm.records.frames import read_frame  # noqa: PLC0415 - slow to import
 
         return read_frame(self.folder / f"{name}.csv", empty=True)
+
+
+def _short(table: "pd.DataFrame") -> "pd.DataFrame":
+    """Return what stands before the cases of a table, their number, and the errors that it has.
+
+    Numbers have three digits, and a column that no row fills is left out.
+    """
+    head = table.loc[:, :"cases"]
+    errors = table.filter(_ERRORS).map(lambda value: float(f"{value:.3g}"))
+    return head.dropna(axis="columns", how="all").join(errors)
 
 
 def open_run(folder: File) -> Run:
@@ -274,7 +308,7 @@ def plain(values: Mapping[str, object]) -> dict[str, object]:
     for key, value in values.items():
         try:
             found[key] = json.loads(json.dumps(value, default=_from_numpy))
-        except TypeError as error:
+        except (TypeError, ValueError) as error:
             problem = f"{error}; give numbers, strings, lists or dictionaries"
             raise InputError(problem, key=key) from error
     return found

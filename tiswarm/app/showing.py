@@ -5,7 +5,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from tiswarm.app.logs import Log, Truth, open_log
-from tiswarm.app.results import Figures, File, Run, as_path, open_run
+from tiswarm.app.results import Figures, File, PageFile, Run, as_path, open_run
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.plugins import load_plugins
@@ -50,7 +50,7 @@ def view(
     *,
     out: File | None = None,
     quiet: bool = True,
-) -> Path:
+) -> PageFile:
     """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open.
 
     Args:
@@ -61,7 +61,7 @@ def view(
         quiet: Whether to hide progress.
 
     Returns:
-        The page; that of a run is its `report.html`.
+        The page, which a notebook shows; that of a run is its `report.html`.
 
     Raises:
         InputError: a file is malformed, or a table has other robots than the log.

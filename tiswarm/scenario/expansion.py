@@ -31,7 +31,7 @@ from tiswarm.scenario.validation import (
     parse_setting,
     set_key,
 )
-from tiswarm.scenario.yaml_source import YamlSource, read_yaml
+from tiswarm.scenario.yaml_source import NOWHERE, YamlSource, read_yaml
 
 _MAX_VARIANTS = 10_000
 
@@ -55,17 +55,17 @@ class Variant:
     settings: Scenario  # the scenario at this point and condition, without conditions and sweep
 
 
-def load_scenario(path: Path, overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(given: Path | Plain, overrides: Sequence[str] = ()) -> Scenario:
     """Read and check a scenario with all its conditions and swept values.
 
     Args:
-        path: YAML file, or the name of a shipped scenario.
+        given: YAML file, the name of a shipped scenario, or plain data as such a file has.
         overrides: Texts `KEY=VALUE`: a dotted key and a YAML value that replaces the file's.
 
     Raises:
         InputError: for the first mistake in the file, with the number of further mistakes.
     """
-    scenario, mistakes = _examine(path, overrides)
+    scenario, mistakes = _examine(given, overrides)
     if scenario is not None and not mistakes:
         return scenario
     first, more = mistakes[0], len(mistakes) - 1
@@ -97,10 +97,12 @@ def variants(scenario: Scenario) -> list[Variant]:
     return found
 
 
-def _examine(path: Path, overrides: Sequence[str]) -> tuple[Scenario | None, list[InputError]]:
+def _examine(
+    given: Path | Plain, overrides: Sequence[str]
+) -> tuple[Scenario | None, list[InputError]]:
     load_plugins()
-    path = find_scenario(path)
-    source = read_yaml(path)
+    path = find_scenario(given) if isinstance(given, Path) else None
+    source = read_yaml(path) if path else YamlSource(deepcopy(given), {(): NOWHERE})
     data = source.data
     if not isinstance(data, dict):
         problem = "a scenario is a mapping of keys to values; start it with `name:`"
@@ -202,8 +204,9 @@ def _missing_keys(
         return ""
     parts = [part for part in (section, "conditions", "sweep") if kept.get(part) != data.get(part)]
     options = " ".join(_option(part, kept[part]) for part in parts)
-    place = f"line{'s' * (len(lines) > 1)} {', '.join(map(str, sorted(lines)))}"
-    return f"{name} has no {', '.join(dict.fromkeys(missing))} ({place}); add {options}"
+    place = f" (line{'s' * (len(lines) > 1)} {', '.join(map(str, sorted(lines)))})"
+    where = "" if lines == {NOWHERE.line} else place
+    return f"{name} has no {', '.join(dict.fromkeys(missing))}{where}; add {options}"
 
 
 def _keys(mistake: Mistake, section: str) -> list[str]:
@@ -240,10 +243,12 @@ def _mistakes(data: Plain) -> list[Mistake]:
 
 
 def _placed(
-    mistake: Mistake, path: Path, source: YamlSource, settings: Sequence[Setting]
+    mistake: Mistake, path: Path | None, source: YamlSource, settings: Sequence[Setting]
 ) -> InputError:
     if culprit := find_culprit(mistake, settings):
         return culprit.error(mistake.problem)
+    if path is None:
+        return InputError(mistake.problem, key=dotted(mistake.path))
     place = source.place_of(mistake.path)
     column = place.column if mistake.about_key else place.value_column
     return InputError(

@@ -39,6 +39,10 @@ class Place(NamedTuple):
     value_column: int  # of the key if the value starts on another line
 
 
+NOWHERE = Place(0, 0, 0)
+"""Place of data that comes from no file."""
+
+
 @dataclass(frozen=True)
 class YamlSource:
     """Plain data and the places it comes from."""
