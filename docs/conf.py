@@ -1,9 +1,15 @@
 """Settings of the site, which `make docs` builds from these pages."""
 
+import ast
+import base64
+import contextlib
+import html
+import io
 import re
 import shutil
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
 
@@ -15,6 +21,9 @@ IN_ROOT = {"index": "README.md", "contributing": "CONTRIBUTING.md", "changelog":
 
 EXAMPLE = {"seeds": 1, "robots": 60}
 """Settings of the run whose page the site shows."""
+
+CELL = re.compile(r"^```python\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
+"""A cell of a notebook."""
 
 project = "tiswarm"
 version = release = tiswarm.__version__
@@ -39,9 +48,45 @@ def read_page(_app: Sphinx, page: str, source: list[str]) -> None:
         _, first, last = [*source[0].split("\n---\n"), "", ""][:3]
         text = text.replace("](../docs/", "](")
         source[0] = (text.replace("\n## ", f"{first}\n## ", 1) if first else text) + last
+    if page.startswith("notebooks/"):
+        source[0] = add_outputs(source[0])
     for target, name in IN_ROOT.items():
         source[0] = re.sub(rf"\]\((\.\./)*{name}", f"](/{target}.md", source[0])
     source[0] = re.sub(r"(?<=[\d)]) (?=± [\d.])|(?<=±) (?=[\d.])", "\N{NO-BREAK SPACE}", source[0])
+
+
+def add_outputs(text: str) -> str:
+    """Run the cells of a notebook in a copy of the root, and write below each what it shows."""
+    names: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        Path("scenarios").symlink_to(ROOT / "scenarios")
+        return CELL.sub(lambda cell: cell[0] + run_cell(cell[1], names), text)
+
+
+def run_cell(code: str, names: dict[str, Any]) -> str:
+    """Run a cell, and return what it prints and the value of its last line, as a notebook does."""
+    *lines, last = ast.parse(code).body
+    shows = isinstance(last, ast.Expr)
+    before = ast.Module(lines if shows else [*lines, last], type_ignores=[])
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(before, "cell", "exec"), names)  # noqa: S102 - pages of this repository
+        value = eval(compile(ast.Expression(last.value), "cell", "eval"), names) if shows else None  # noqa: S307
+    shown = [f"<pre>{html.escape(printed.getvalue())}</pre>"] if printed.getvalue() else []
+    shown += [] if value is None else [as_html(value)]
+    inner = "\n".join(line for each in shown for line in each.splitlines() if line.strip())
+    return f'\n```{{raw}} html\n<div class="output">\n{inner}\n</div>\n```\n' if shown else ""
+
+
+def as_html(value: Any) -> str:  # noqa: ANN401 - whatever a cell ends with
+    """Return a value as a notebook shows it."""
+    if hasattr(value, "savefig"):
+        stream = io.BytesIO()
+        value.savefig(stream, format="png", dpi=150)
+        data = base64.b64encode(stream.getvalue()).decode()
+        wide = f"{72 * value.get_figwidth():.0f}"
+        return f'<img alt="figure" width="{wide}" src="data:image/png;base64,{data}">'
+    shown = value._repr_html_() if hasattr(value, "_repr_html_") else None
+    return str(shown or f"<pre>{html.escape(repr(value))}</pre>")
 
 
 def add_example(app: Sphinx, failed: Exception | None) -> None:

@@ -45,6 +45,10 @@ def test_the_site_can_be_built(tmp_path):
     assert front.index("growing.webp") < front.index('id="start"')
     assert 'id="view"' in (tmp_path / "site/example.html").read_text()
     assert 'id="tiswarm.localize"' in (tmp_path / "site/api.html").read_text()
+    grow, study = ((tmp_path / f"site/notebooks/{n}.html").read_text() for n in ("grow", "study"))
+    assert "<iframe srcdoc=" in grow  # the page of a log, within the page
+    assert "data:image/png;base64" in study
+    assert "<td>no-heights</td>" in study
 
 
 def test_every_call_is_on_its_page():
