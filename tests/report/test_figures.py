@@ -22,6 +22,7 @@ from tiswarm.report.curve_figures import (
 from tiswarm.report.error_figures import draw_convergence, draw_errors
 from tiswarm.report.figure_style import png
 from tiswarm.report.figures import draw_figures
+from tiswarm.report.grade_figure import grade_painters
 from tiswarm.report.run_data import load_run
 from tiswarm.report.table_figures import draw_accuracy
 
@@ -229,8 +230,12 @@ def test_many_points_and_conditions_have_room(tmp_path):
         "tower, settle=0.0", "tower, settle=1.0",
         "cantilever, settle=0.0", "cantilever, settle=1.0",
     ]  # fmt: skip
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == conditions
-    assert all(len(axes.lines) == 8 for axes in figure.axes)
+    texts = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert texts == {"others", "condition-0", "condition-7"}  # all are equally good here
+    for axes in figure.axes:
+        colors = [line.get_color() for line in axes.lines]
+        assert len(colors) == 8
+        assert len({color for color in colors if color != "0.75"}) <= 3
 
 
 def test_of_many_series_the_first_conditions_of_all_points_are_drawn(tmp_path):
@@ -394,6 +399,75 @@ def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
     (corners,) = [path.vertices for path in band.get_paths()]
     assert (corners[:, 1].min(), corners[:, 1].max()) == (0.1, 3.0)
     assert not any(axes.collections for axes in figure.axes[1:])
+
+
+@pytest.mark.parametrize(
+    ("points", "conditions", "panels", "lines"),
+    [(12, 2, 12, 2), (1, 9, 9, 1), (5, 9, 32, 1)],
+)
+def test_profiles_of_more_series_than_colors_are_small_multiples(
+    run_folder, points, conditions, panels, lines
+):
+    """A reader tells a few lines of a panel apart, never twenty; gray ones repeat the first."""
+    rows = [
+        [f"c{condition}", point, by, low, low + 1, 9, 0.5, 1.0 + condition + low, "", ""]
+        for condition in range(conditions)
+        for point in range(points)
+        for by in PROFILED
+        for low in (1, 2, 4)
+    ]
+    header = "condition,swept,by,low,high,count,mean_error_R,rmse_R,p10_R,p90_R"
+    write_table(run_folder / "profiles.csv", header, rows)
+
+    painters = profile_painters(load_run(run_folder))
+    figure = next(iter(painters.values()))(load_run(run_folder))
+
+    shown = [axes for axes in figure.axes if axes.axison]
+    assert len(shown) == panels
+    colored = [[line for line in axes.lines if line.get_color() != "0.8"] for axes in shown]
+    assert {len(each) for each in colored} == {lines}
+    assert png(figure)
+
+
+def test_grades_of_a_sensor_are_a_curve(run_folder):
+    """The error is drawn against the number that conditions differ in, not a row for each name."""
+    grades = ("0.3", "1", "10")
+    rows = [
+        [name, kind, 4, error, 0.1, error, 0.1]
+        for kind in ("tower", "cantilever")
+        for name, error in [
+            ("neither", 2.0),
+            *((f"range-{grade}", float(grade)) for grade in grades),
+            *((f"tilt-{grade}", 2.0 * float(grade)) for grade in reversed(grades)),
+        ]
+    ]
+    measures = "rmse_R_mean,rmse_R_ci95,procrustes_disparity_mean,procrustes_disparity_ci95"
+    write_table(run_folder / "table.csv", f"condition,structure.kind,cases,{measures}", rows)
+    (run_folder / "scenario.yaml").write_text(
+        "conditions:\n"
+        + "".join(f"  tilt-{g}: {{sensing.tilt_noise_deg: {g}}}\n" for g in grades)
+        + "".join(f"  range-{g}: {{sensing.range_reach: 8, sensing.range: {g}}}\n" for g in grades)
+    )
+
+    figure = grade_painters(load_run(run_folder))["grades"](load_run(run_folder))
+
+    first, second = (axes for axes in figure.axes if axes.axison)
+    assert [first.get_title(), second.get_title()] == ["range", "tilt"]
+    assert [first.get_xlabel(), second.get_xlabel()] == ["range", "tilt noise [deg]"]
+    curves = [line for line in second.lines if len(line.get_xdata()) == 3]
+    assert len(curves) == 2  # tower and cantilever
+    np.testing.assert_allclose(curves[0].get_xydata(), [[0.3, 0.6], [1.0, 2.0], [10.0, 20.0]])
+    assert sum(line.get_linestyle() == "--" for line in second.lines) == 2
+    assert png(figure)
+
+
+def test_two_numbered_conditions_are_no_grades(run_folder):
+    """Names such as `algorithm-1` have numbers, too."""
+    measures = "rmse_R_mean,rmse_R_ci95"
+    rows = [[name, 4, 1.0, 0.1] for name in ("algorithm-1", "algorithm-2", "joint")]
+    write_table(run_folder / "table.csv", f"condition,cases,{measures}", rows)
+
+    assert grade_painters(load_run(run_folder)) == {}
 
 
 def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):

@@ -9,7 +9,8 @@ CAPTIONS = {
     "equally many robots. Horizontal lines are conditions without rounds. Bars and bands are 95 % "
     "CI.",
     "convergence": "RMSE against iteration of the method: mean over the structures, with a band of "
-    "one standard deviation where there are few lines. A flat end shows that more iterations would "
+    "one standard deviation where there are few lines. Of many, the first, best and worst have a "
+    "color. A flat end shows that more iterations would "
     "not help. Iterations of different methods do not cost the same.",
     "error-against-height": "Error of each robot against its true height, a panel for each "
     "condition. A dot is a robot; its color is its join index, the order in which robots joined. "
@@ -17,6 +18,9 @@ CAPTIONS = {
     "error-along-growth": "Error of each robot against its place along the structure, a panel for "
     "each kind of structure or condition. A dot is a robot; its color is its join index, the order "
     "in which robots joined. Dots on the lower edge of a logarithmic axis have this error or less.",
+    "grades": "RMSE by grade: conditions whose names end in a number share a panel, and each point "
+    "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
+    "95 % CI.",
     "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
     "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
     "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "
@@ -25,7 +29,7 @@ CAPTIONS = {
     "hops (contacts on the shortest way to the anchor) and number of contacts. Bands cover the "
     "errors of 80 % of these robots. Numbers above count "
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
-    "between two robots.",
+    "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
     "sd": "True structure, each robot colored by the standard deviation of its position that the "
     "method reports. It should resemble the errors.",
     "scaling": "Accuracy and cost against the number of robots N, on logarithmic axes. The legends "

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _FEWEST_ROBOTS = 5  # robots below which a point of a profile is open
 _MOST_POINTS = 4  # most points of a sweep that have a figure or panel each
+_SMALL = "hops_from_anchor"  # what small panels show
+_SMALL_COLUMNS, _MOST_SMALL = 4, 32  # panels in a row and in all, of many series
 
 PROFILED = {
     "join": "Join index",
@@ -158,10 +160,11 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     connected.
     """
     swept = swept_columns(table, before="by")
-    height = 3.6 + 0.28 * max(0, len(table[swept].drop_duplicates()) - 10)
-    figure, panels = new_panels(PAGE_WIDTH, height, len(PROFILED), 3)
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
+    if len(table[swept].drop_duplicates()) > len(figure_style.PALETTE):
+        return _draw_small_profiles(run, table, swept)
+    figure, panels = new_panels(PAGE_WIDTH, 3.6, len(PROFILED), 3)
     bands = len(table[swept].drop_duplicates()) <= MOST_BANDS
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
@@ -191,6 +194,44 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
     opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
     figure_style.add_note(figure, "above: robots or pairs of a point", opened, run.note)
+    return figure
+
+
+def _draw_small_profiles(run: RunData, table: pd.DataFrame, swept: list[str]) -> "Figure":
+    """Draw RMSE against hops for more series than colors: a panel for each.
+
+    Series of a sweep point share its panel, if there are few. In gray behind each panel are the
+    series of the first, to compare with.
+    """
+    _, *keys = swept
+    points = table[keys].astype(str).agg(", ".join, axis=1) if keys else table["condition"]
+    if len(set(points)) == 1 or table["condition"].nunique() > len(figure_style.PALETTE):
+        points = table[[*keys, "condition"]].astype(str).agg(", ".join, axis=1)
+        table = table.assign(condition="RMSE")
+    part = table[table["by"] == _SMALL].assign(point=points)
+    part = part[part["many"]]
+    panels_of = dict(list(part.groupby("point", sort=False)))
+    shown = dict(list(panels_of.items())[:_MOST_SMALL])
+    figure, panels = new_panels(
+        PAGE_WIDTH, 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS), len(shown), _SMALL_COLUMNS,
+        share="xy",
+    )  # fmt: skip
+    first = next(iter(shown.values()))
+    for axes, (point, rows) in zip(panels, shown.items(), strict=True):
+        for _, line in first.groupby("condition", sort=False):
+            axes.plot(line["at"], line["rmse_R"], color="0.8", linewidth=1.0)
+        for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
+            look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
+            axes.plot(line["at"], line["rmse_R"], "o-", linewidth=1.0, label=condition, **look)
+        axes.set_title(shortened(str(point)), fontsize=6.5, pad=2.0)
+    fit_axis(panels[0], "y", part["rmse_R"].to_numpy(float))
+    figure.supxlabel(PROFILED[_SMALL], fontsize=8.0)
+    figure.supylabel("RMSE [R]", fontsize=8.0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    more = figure_style.left_out(len(panels_of) - len(shown), "profiles.csv")
+    figure_style.add_note(figure, "gray: first panel", more, run.note)
     return figure
 
 

@@ -30,6 +30,7 @@ _MAX_POINTS = 20_000  # points drawn in one panel: a fixed random choice where t
 _MOST_VECTORS = 2_000  # points in all panels that an SVG has one by one
 _MAX_KINDS = 4
 _LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
+_OTHERS = {"color": "0.75", "linewidth": 0.7}  # look of lines beyond the colors that there are
 _LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
 
 _HEIGHT = ("z_R", "True height [R]")
@@ -58,9 +59,10 @@ def draw_convergence(run: RunData) -> "Figure":
     """
     points = _by_point(run.series)
     shown = dict(list(points.items())[:_MAX_PANELS])
-    names = list(dict.fromkeys(name for of_point in shown.values() for name in of_point))
+    names = _legible(shown)
     seeds = max(map(len, run.series.values()))
-    bands = len(names) <= MOST_BANDS and seeds > 1
+    drawn = {name for of_point in shown.values() for name in of_point}
+    bands = len(drawn) <= MOST_BANDS and seeds > 1
     columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
     rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
@@ -87,6 +89,24 @@ def draw_convergence(run: RunData) -> "Figure":
     return figure
 
 
+def _legible(points: dict[str, Series]) -> list[str]:
+    """List the conditions that have a color each: all, or of too many the first, best and worst.
+
+    Best and worst are the means of the last RMSE over all points.
+    """
+    names = list(dict.fromkeys(name for of_point in points.values() for name in of_point))
+    if len(names) <= len(figure_style.PALETTE):
+        return names
+    ends: dict[str, list[float]] = {}
+    for of_point in points.values():
+        for name, cases in of_point.items():
+            rmse = _traces(cases)[1]
+            ends.setdefault(name, []).extend(rmse[:, -1] if rmse.size else [])
+    order = sorted((float(np.mean(each)), name) for name, each in ends.items() if each)
+    chosen = {names[0], *(name for _, name in [*order[:1], *order[-1:]])}
+    return [name for name in names if name in chosen]
+
+
 def _by_point(series: Series) -> dict[str, Series]:
     """Group series by sweep point; a single group if each point has one condition."""
     points: dict[str, Series] = {}
@@ -98,15 +118,19 @@ def _by_point(series: Series) -> dict[str, Series]:
 
 
 def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: bool) -> float:
-    """Draw mean and band of each series, colored by its place in `names`; returns the top [R]."""
+    """Draw mean and band of each series, colored by its place in `names`; returns the top [R].
+
+    Others are thin and gray, and have one entry in a legend.
+    """
     top = 0.0
-    for name, cases in series.items():
-        look = line_style(names.index(name))
+    for name, cases in sorted(series.items(), key=lambda item: item[0] in names):
+        is_named = name in names
+        look = line_style(names.index(name)) if is_named else dict(_OTHERS)
         iteration, rmse = _traces(cases)
         if not iteration.size:
             continue
         mean, sd = rmse.mean(axis=0), rmse.std(axis=0) * bands
-        axes.plot(iteration, mean, label=name, **look)
+        axes.plot(iteration, mean, label=name if is_named else "others", **look)
         if bands:
             axes.fill_between(
                 iteration, mean - sd, mean + sd, color=look["color"], alpha=0.2, linewidth=0.0

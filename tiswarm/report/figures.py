@@ -21,6 +21,7 @@ _FORMS = ("png", "pdf", "svg")
 FIGURES = (
     "tiswarm.report.error_figures:error_painters",
     "tiswarm.report.curve_figures:scaling_painters",
+    "tiswarm.report.grade_figure:grade_painters",
     "tiswarm.report.table_figures:table_painters",
     "tiswarm.report.suite_figure:suite_painters",
     "tiswarm.report.curve_figures:round_painters",

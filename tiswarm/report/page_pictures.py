@@ -23,6 +23,7 @@ LARGEST = 7_900_000
 
 _FIRST = (
     "price",
+    "grades",
     "accuracy",
     "convergence",
     "structure",

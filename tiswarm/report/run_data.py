@@ -180,21 +180,19 @@ def load_run(folder: Path) -> RunData:
         problem = "contains no summary of a run; name a folder that `tiswarm run` made"
         raise InputError(problem, path=folder)
     check_folders(folder)
-    summary, labels = read_frame(path, _WORDS, ["seed"], numbers_after="reason"), _labels(folder)
+    summary = read_frame(path, _WORDS, ["seed"], numbers_after="reason")
+    each = stated_conditions(folder).items()
+    labels = {name: str(entries[LABEL]) for name, entries in each if LABEL in entries}
     return RunData(folder, relabeled(summary, labels), labels)
 
 
-def _labels(folder: Path) -> dict[str, str]:
-    """Read the labels of conditions; none where a run has no scenario."""
+def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read what each condition of a run sets, by its name; empty where a run has no scenario."""
     path = folder / "scenario.yaml"
     stated: Any = read_yaml(run_file(path)).data if path.exists() else {}
     conditions = stated.get("conditions") if isinstance(stated, dict) else {}
     each = conditions.items() if isinstance(conditions, dict) else ()
-    return {
-        name: str(entries[LABEL])
-        for name, entries in each
-        if isinstance(entries, dict) and LABEL in entries
-    }
+    return {name: entries for name, entries in each if isinstance(entries, dict)}
 
 
 def relabeled(table: pd.DataFrame, labels: Mapping[str, str]) -> pd.DataFrame:
