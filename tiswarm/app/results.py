@@ -35,7 +35,7 @@ Overrides = Mapping[str, object] | Sequence[str]
 _ERRORS = ["rmse_R_mean", "rmse_R_ci95", "procrustes_disparity_mean"]
 """Columns of errors that a table shows by default; `frame` has all."""
 
-_FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888"'
+_FRAME = 'style="width: 100%; height: 720px; border: 1px solid #8888; box-sizing: border-box"'
 """Look of a page within a notebook."""
 
 _MOST_NAMED = 9

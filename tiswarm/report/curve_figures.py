@@ -209,7 +209,7 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, swept: list[str]) ->
         points = table[[*keys, "condition"]].astype(str).agg(", ".join, axis=1)
         table = table.assign(condition="RMSE")
     part = table[table["by"] == _SMALL].assign(point=points)
-    part = part[part["many"]]
+    part = part[part["many"] | ~part.groupby("point")["many"].transform("any")]
     panels_of = dict(list(part.groupby("point", sort=False)))
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
     figure, panels = new_panels(
