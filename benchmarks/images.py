@@ -121,7 +121,7 @@ def main() -> None:
     """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("runs", type=Path, nargs="+", help="run folders; the first is the tower")
-    parser.add_argument("--renderer", default="taichi", choices=["taichi", "open3d"])
+    parser.add_argument("--renderer", default="open3d", choices=["open3d", "taichi"])
     arguments = parser.parse_args()
     backend.start("cpu")
     runs = [load_run(folder) for folder in arguments.runs]

@@ -102,6 +102,6 @@ def test_figures_never_meet_a_half_imported_library(result, monkeypatch):
     monkeypatch.setattr(pictures, "render_run", lambda *_, **__: order.append("renders") or [])
     monkeypatch.setattr(drawing, "draw_figures", lambda *_, **__: [])
 
-    drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True, renderer="open3d")
+    drawing.draw(load_run(result.folder), Progress(), figures=True, renders=True)
 
     assert order == ["IPython", "renders"]

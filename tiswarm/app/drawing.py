@@ -84,18 +84,20 @@ def draw(
     manifest = read_manifest(run.folder)
     render_run = load(f"{_PICTURES}:render_run", "a picture") if renders else None
     animate_run = load(_ANIMATION, "an animation") if movie else None
-    if renders and renderer == "open3d":  # it imports IPython; meanwhile matplotlib would fail
+    if renders:  # matplotlib looks at IPython, and fails while open3d imports it
         with contextlib.suppress(ImportError):
             importlib.import_module("IPython")
     with ThreadPoolExecutor(1) as pool:  # renders leave the interpreter to figures for long
-        drawing = pool.submit(draw_figures, run, progress, vector=pdf) if figures else None
-        rendered = (
-            render_run(run, progress=progress, renderer=renderer, case=case) if render_run else []
+        rendering = (
+            pool.submit(render_run, run, progress=progress, renderer=renderer, case=case)
+            if render_run
+            else None
         )
-        written = drawing.result() if drawing else []
-    if render_run:
-        written += [picture.path for picture in rendered]
-        origins = {p.path.name: Origin(renderer=p.renderer, reason=p.reason) for p in rendered}
+        written = draw_figures(run, progress, vector=pdf) if figures else []
+    if rendering:
+        pictures = rendering.result()
+        written += [picture.path for picture in pictures]
+        origins = {p.path.name: Origin(renderer=p.renderer, reason=p.reason) for p in pictures}
         manifest = replace(manifest, renders=origins)
         write_manifest(run.folder, manifest)  # for the page
     if animate_run:

@@ -208,7 +208,7 @@ class Localized(Estimate):
 
         Args:
             truth: Table of true positions, or true centers [log unit], shape (N, 3).
-            renderer: "taichi" or "open3d"; the first that works if None.
+            renderer: "open3d" or "taichi"; the first that works if None.
             out: Folder to write to.
             quiet: Whether to hide progress.
 

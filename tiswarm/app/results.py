@@ -164,7 +164,7 @@ class Run:
         """Draw 3D pictures of a case, which the run's page shows too.
 
         Args:
-            renderer: "taichi" or "open3d"; the first that works if None.
+            renderer: "open3d" or "taichi"; the first that works if None.
             case: Case; the largest if None.
             movie: File format of an animation of the growth; none if None.
             quiet: Whether to hide progress.

@@ -90,7 +90,7 @@ def render(
         source: Run or its folder, or a sensing log or its file.
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
         truth: True positions of a log, or their table, if there are any.
-        renderer: "taichi" or "open3d"; the first that works if None.
+        renderer: "open3d" or "taichi"; the first that works if None.
         case: Case of a run; the largest if None.
         movie: File format of an animation of a run's growth; none if None.
         out: Folder for pictures of a log; `renders` if None.

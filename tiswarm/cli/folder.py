@@ -50,7 +50,7 @@ def render(
     estimate: EstimateTable = None,
     truth: Truth = None,
     renderer: Annotated[
-        str | None, Option(help="taichi or open3d (default: the first that works).")
+        str | None, Option(help="open3d or taichi (default: the first that works).")
     ] = None,
     case: Annotated[str | None, Option(help="Case to draw (default: the largest).")] = None,
     out: Annotated[

@@ -1,8 +1,8 @@
 """Draws scenes by casting a ray through each pixel.
 
-A renderer finds the first capsule along each ray: `taichi` with a kernel of our own on exact
-capsules, `open3d` with Embree on a mesh. Rays, ground, color and soft edges are shared. Pixels on
-an edge are averaged over several rays.
+A renderer finds the first capsule along each ray: `open3d` with Embree on a mesh, `taichi` with a
+kernel of our own on exact capsules. Rays, ground, color and soft edges are shared. Pixels on an
+edge are averaged over several rays.
 """
 
 import contextlib
@@ -374,5 +374,5 @@ def _sort_into_tiles(
     return starts.astype(np.int32), order[item[by_tile]].astype(np.int32)
 
 
-TRACERS: dict[str, Callable[[Scene], Trace]] = {"taichi": taichi_tracer, "open3d": _open3d_tracer}
-"""The renderers by name, quickest first; `taichi` needs no library beyond the engine's."""
+TRACERS: dict[str, Callable[[Scene], Trace]] = {"open3d": _open3d_tracer, "taichi": taichi_tracer}
+"""The renderers by name, best first; `taichi` needs no library beyond the engine's."""
