@@ -31,6 +31,7 @@ ASKED = {
     "tiswarm.interop": "export sensing.jsonl estimate.csv",
     "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
+    "tiswarm.localization.online": "localize sensing.jsonl --method online",
     "tiswarm.localization.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
     "tiswarm.measurements.advice": "advise sensing.jsonl estimate.csv",

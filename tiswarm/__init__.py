@@ -15,6 +15,7 @@
     sensor(name, fills=...)          make a function of yours a sensor suite
     export_format(name, suffix)      make a function of yours a format to export to
     Localizer(header)                Algorithm 1 of the paper, one robot at a time
+    Tracker(header)                  estimates of all robots as they join, one robot at a time
     relax(...)                       the step that moves a whole swarm
 
 A run, a log and an estimate have `view`, `render` and `export` of their own, and what a call
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from tiswarm.base.robot import RobotGeometry
     from tiswarm.engine.relax import RelaxResult, relax
     from tiswarm.interop.exports import export_format
+    from tiswarm.localization.online.tracker import Tracker
     from tiswarm.localization.plugins import method
     from tiswarm.localization.virtual_force import Localizer
     from tiswarm.sensing.plugins import sensor
@@ -57,6 +59,7 @@ __all__ = [
     "RelaxResult",
     "RobotGeometry",
     "Run",
+    "Tracker",
     "__version__",
     "advise",
     "check",
@@ -83,6 +86,7 @@ _HOME = {
     "RelaxResult": "tiswarm.engine.relax",
     "RobotGeometry": "tiswarm.base.robot",
     "Run": "tiswarm.app.results",
+    "Tracker": "tiswarm.localization.online.tracker",
     "export_format": "tiswarm.interop.exports",
     "method": "tiswarm.localization.plugins",
     "open_run": "tiswarm.app.results",

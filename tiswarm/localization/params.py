@@ -350,6 +350,37 @@ class JointParams(ChiSquareParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class OnlineParams(ChiSquareParams):
+    """What a tracker does at a join, beside solving for the robots near the one that joined."""
+
+    method: Literal["online"] = "online"
+    """Name of the method."""
+
+    touches: Literal[False] = False
+    """Touches do not count: only `joint` finds their docks."""
+
+    solve_yaw: Literal[False] = False
+    """No bias of yaw is solved for."""
+
+    anneal_growth: Annotated[float, Field(gt=0.0)] = 0.1
+    """Growth of the structure after which it is annealed again, in its size at the last time
+    [1]."""
+
+    chains: Annotated[int, Field(ge=1, le=1000)] = 4
+    """Annealings then, each from the present estimate."""
+
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 500
+    """Steps of each of them."""
+
+    hold_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 200
+    """Steps at the end temperature, over which positions are averaged."""
+
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
+    """Square root of the temperature at which annealing begins [R]: so warm that mirror images
+    of single robots are tried, and the structure keeps its shape."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class HopByHopParams(CueParams):
     """Order in which robots solve for their own positions, each once.
 
@@ -370,7 +401,7 @@ class HopByHopParams(CueParams):
 
 LocalizationParams = Annotated[
     # | the settings of each further method
-    VirtualForceParams | LeastSquaresParams | JointParams | HopByHopParams,
+    VirtualForceParams | LeastSquaresParams | JointParams | HopByHopParams | OnlineParams,
     Field(discriminator="method"),
 ]
 """Settings of any method."""

@@ -24,6 +24,7 @@ METHODS = {
     "virtual-force": "tiswarm.localization.virtual_force",
     "least-squares": "tiswarm.localization.least_squares",
     "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
+    "online": "tiswarm.localization.online.method",
 }
 OWN = "tiswarm.localization.plugins"
 """Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`
@@ -155,7 +156,7 @@ def localize_many(
     for members in batches.values():
         method = module_of(params[members[0]].method)
         start_for(params[members[0]])
-        centered = [_centered(logs[n]) for n in members]
+        centered = [centered(logs[n]) for n in members]
         report = by_share(on_progress, len(members))
         batch = method.localize_batch(centered, [params[n] for n in members], report)
         for n, relative in zip(members, batch, strict=True):
@@ -172,7 +173,7 @@ def localize_many(
     return [estimates[n] for n in range(len(logs))]
 
 
-def _centered(log: SensingLog) -> SensingLog:
+def centered(log: SensingLog) -> SensingLog:
     """Put the anchor at the origin: far from it, numbers lose the digits that robots differ by."""
     anchor = log.anchor_position
     stances = log.stances

@@ -1,0 +1,1 @@
+"""Optional: estimates while robots join, by the class `Tracker` and the method `online`."""
