@@ -15,8 +15,9 @@ from tiswarm.compute.math import normal
 from tiswarm.localization.hop_by_hop.method import place
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.ends import further_starts, settled
+from tiswarm.localization.joint.initialization import set_apart
 from tiswarm.localization.joint.method import mixed
-from tiswarm.localization.joint.problem import Problem, pose_problem
+from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.rows import SPACING
@@ -56,7 +57,7 @@ def _localize(log: SensingLog, params: LeastSquaresParams) -> Estimate:
     precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
     rows = measure(log, [cue for cue in params.cues if cue != "touches"], precision=precision)
     placed = place(log, rows, non_overlap=params.non_overlap)
-    position = _apart(problem, placed.position)
+    position = set_apart(problem, placed.position)
     ends = [
         settled(log, params, problem, start, 0.0, params.rounds)
         for start in [*_starts(position, placed.sd, params), *further_starts(log, params, problem)]
@@ -78,14 +79,6 @@ def _localize(log: SensingLog, params: LeastSquaresParams) -> Estimate:
     extent = float(np.sqrt(position.var(axis=0).sum() + SPACING**2))
     prior_sd = np.where(placed.is_located, extent, placed.sd)
     return mixed(log, params, problem, still, np.zeros(len(end), np.bool_), prior_sd=prior_sd)
-
-
-def _apart(problem: Problem, position: Reals) -> Reals:
-    """Move parts that nothing ties to the world to where no other part can be, shape (N, 3)."""
-    first = np.unique(problem.part, return_index=True)[1][problem.part]
-    away = (problem.sensed_place()[0] - position)[first]
-    moved: Reals = position + (problem.loose @ away[:, :, None])[:, :, 0]
-    return moved
 
 
 def _starts(position: Reals, sd: Reals, params: LeastSquaresParams) -> Reals:

@@ -160,7 +160,7 @@ def localize_many(
         report = by_share(on_progress, len(members))
         batch = method.localize_batch(centered, [params[n] for n in members], report)
         for n, relative in zip(members, batch, strict=True):
-            estimate = _moved(relative, logs[n])
+            estimate = uncentered(relative, logs[n])
             if with_observability:
                 # Half way between two images, measurements may resist less than at either.
                 at = estimate.solutions[0] if estimate.solutions else estimate
@@ -195,7 +195,7 @@ def _moved_fixes(fixes: Reals, by: Reals) -> Reals:
     return moved
 
 
-def _moved(estimate: Estimate, log: SensingLog) -> Estimate:
+def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
     """Put an estimate relative to the anchor where the anchor of its log is."""
     by = log.anchor_position
     return replace(

@@ -184,7 +184,7 @@ class Localizer:
             raise InputError(
                 "back_propagation moves robots that have been placed; switch it off to join"
             )
-        head = parse_header(_text(header))
+        head = parse_header(line_text(header))
         self._params = chosen
         self._unit = head.dock_radius
         self._builder = SensingLogBuilder(head)
@@ -228,7 +228,7 @@ class Localizer:
             raise InputError(
                 f"capacity is {counted(self._count, 'robot')}; make a Localizer with more"
             )
-        line = parse_robot(_text(robot))
+        line = parse_robot(line_text(robot))
         if line.orientation_wxyz is None:
             problem = "null follows from the lines of later robots, too; localize the whole log"
             raise InputError(problem, key="orientation_wxyz")
@@ -343,5 +343,6 @@ def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], N
     return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
 
 
-def _text(line: Line) -> str:
+def line_text(line: Line) -> str:
+    """Write a line of a sensing file."""
     return line if isinstance(line, str) else json.dumps(line)

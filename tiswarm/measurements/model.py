@@ -333,15 +333,19 @@ class Measurements:
         return np.concatenate([missed, away - self.places.value], axis=-1)
 
     def directions(self, position: Reals, yaw: Reals | None = None) -> Reals:
-        """Compute the derivative of each residual by its robot's center, shape (E, 3).
+        """Compute the derivative of each residual by its robot's center, shape (..., E, 3).
 
-        It is a unit vector, or 0 where docks coincide or a hinge is open.
+        It is a unit vector, or 0 where docks coincide or a hinge is open. Arguments as in
+        `vectors`.
         """
-        apart = self.vectors(position, yaw)[: len(self.distances.stance)]
-        length = np.linalg.norm(apart, axis=1)
+        apart = self.vectors(position, yaw)[..., : len(self.distances.stance), :]
+        length = np.linalg.norm(apart, axis=-1)
         counts = (length > 0.0) & ~(self.distances.is_hinge & (length >= self.distances.length))
         slope = np.divide(counts, length, out=np.zeros_like(length), where=counts)
-        return np.concatenate([slope[:, None] * apart, self.axes(yaw), self.places.direction])
+        fixed = [self.axes(yaw), self.places.direction]
+        shape = position.shape[:-2]
+        axes = [np.broadcast_to(axis, (*shape, *axis.shape[-2:])) for axis in fixed]
+        return np.concatenate([slope[..., None] * apart, *axes], axis=-2)
 
     def jacobian(self, position: Reals, yaw: Reals | None = None) -> csc_array:
         """Compute the derivatives of the residuals by arms that are known: see `associated`.

@@ -118,6 +118,14 @@ def place_disconnected(mean: Reals, problem: Problem) -> tuple[Reals, Reals]:
     return placed, square
 
 
+def set_apart(problem: Problem, position: Reals) -> Reals:
+    """Move parts that nothing ties to the world to where no other part can be, shape (N, 3)."""
+    first = np.unique(problem.part, return_index=True)[1][problem.part]
+    away = (problem.sensed_place()[0] - position)[first]
+    moved: Reals = position + (problem.loose @ away[:, :, None])[:, :, 0]
+    return moved
+
+
 def _rows(robot: Ints, robots: int) -> list[NDArray[np.intp]]:
     """List for each robot where it stands in an array of robots."""
     order = np.argsort(robot, kind="stable")

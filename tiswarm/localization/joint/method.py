@@ -51,11 +51,11 @@ def localize_batch(
     for log, p, problem, chains in zip(logs, params, problems, annealed, strict=True):
         ended, has_failed, restarted = _further(log, p, problem, chains)
         estimate = mixed(log, p, problem, ended, has_failed, restarted=restarted)
-        estimates.append(_without_outlier_robots(log, p, problem, ended, estimate))
+        estimates.append(without_outlier_robots(log, p, problem, ended, estimate))
     return estimates
 
 
-def _without_outlier_robots(
+def without_outlier_robots(
     log: SensingLog,
     params: JointParams,
     problem: Problem,

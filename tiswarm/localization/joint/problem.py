@@ -241,21 +241,7 @@ def pose_problem(
     odometry = Odometry(log, replace(noise, yaw_bias_deg=0.0) if is_solved else noise)
     if len(disregarded):
         odometry = odometry.widened(disregarded, OUTLIER_ROBOTS.turn_sd)
-    precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
-    cues = [cue for cue in params.cues if cue != "fixes"]
-    measured = Measured(log, odometry, precision)
-    rows = measured.rows(cues)
-    if len(disregarded):
-        rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
-    is_wrong = inconsistent_places(rows) & params.robust
-    inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
-    rows = rows.select(_most_precise(rows))
-    # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
-    fixed = measured.rows({*params.cues} & {"fixes"})
-    fixed = fixed.select(fixed.robot > 0)
-    every_place = [rows.places, fixed.places]
-    tables = [rows.distances], every_place, [rows.offsets]
-    rows = Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd)
+    rows, inconsistent = chosen_rows(log, params, odometry, disregarded)
     variance = rows.variance()
     problem = Problem(
         rows=rows,
@@ -270,6 +256,32 @@ def pose_problem(
     apart = _separating(problem, log.anchor_position / log.dock_radius, params.height_sd)
     every = zip(problem.planes, apart, strict=True)
     return replace(problem, planes=Planes._make(map(np.concatenate, every)))
+
+
+def chosen_rows(
+    log: SensingLog, params: ChiSquareParams, odometry: Odometry, disregarded: Ints = NO_ROBOTS
+) -> tuple[Measurements, Measurements]:
+    """Measure a log, and choose the rows that count; arguments as for `pose_problem`.
+
+    Which rows of a robot count depends on its own rows alone.
+
+    Returns:
+        Rows that count, and coordinates that most others of the same robot contradict.
+    """
+    precision = Precision(params.contact_sd, params.height_sd, params.spawn_sd)
+    cues = [cue for cue in params.cues if cue != "fixes"]
+    measured = Measured(log, odometry, precision)
+    rows = measured.rows(cues)
+    if len(disregarded):
+        rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
+    is_wrong = inconsistent_places(rows) & params.robust
+    inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
+    rows = rows.select(_most_precise(rows))
+    fixed = measured.rows({*params.cues} & {"fixes"})
+    fixed = fixed.select(fixed.robot > 0)
+    every_place = [rows.places, fixed.places]
+    tables = [rows.distances], every_place, [rows.offsets]
+    return Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd), inconsistent
 
 
 def _most_precise(rows: Measurements) -> Bools:

@@ -1,16 +1,43 @@
 """Estimates the positions of all robots while they join.
 
-A join measures the rows of the new robot alone, places it, and solves for the robots near it. The
-whole structure is annealed once it has grown by a tenth. Lengths inside are in R.
+A join measures the rows of the new robot alone, places it where they fit best, and solves for the
+robots near it. If its rows still miss, robots nearby try other places that their own rows allow.
+The whole structure is annealed, from where it is, once it has grown by a tenth. Lengths inside are
+in R, and relative to the anchor.
 """
 
+from dataclasses import fields, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.params import LocalizationParams
-from tiswarm.localization.virtual_force import Line
+from tiswarm.base.errors import InputError
+from tiswarm.compute import backend, program
+from tiswarm.localization.assessment import assess, rms
+from tiswarm.localization.joint.initialization import place_disconnected
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.online.annealing import annealed_estimate, reannealed
+from tiswarm.localization.online.blocks import Block, block_of
+from tiswarm.localization.online.candidates import candidates
+from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Placed, Shapes
+from tiswarm.localization.online.settings import (
+    AnnealSettings,
+    CandidateSettings,
+    NeighborhoodSettings,
+)
+from tiswarm.localization.params import LocalizationParams, OnlineParams
+from tiswarm.localization.registry import centered, uncentered
+from tiswarm.localization.virtual_force import Line, line_text
+from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_format import HeaderLine, RobotLine, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
+
+_AXES = 3
+_MOVED = 1e-3
+"""Shift from which on a robot has moved [R]."""
 
 
 class Change(NamedTuple):
@@ -48,28 +75,57 @@ class Tracker:
         Raises:
             InputError: the header is malformed, or it states what a tracker cannot solve for.
         """
-        raise NotImplementedError
+        chosen = OnlineParams() if params is None else params
+        if not isinstance(chosen, OnlineParams):
+            raise InputError(
+                f"{chosen.method} needs the log of all robots; localize it once they have joined"
+            )
+        head = parse_header(line_text(header))
+        _refuse_header(head)
+        self._params, self._head = chosen, head
+        self._unit, self._anchor = head.dock_radius, np.array(head.anchor_position)
+        self._lines: dict[int, RobotLine] = {}
+        self._start()
+
+    def _start(self) -> None:
+        """Begin without robots."""
+        docks = len(self._head.dock_offsets)
+        self._builder = SensingLogBuilder(self._head)
+        self._index: dict[int, int] = {}
+        self._blocks: list[Block] = []
+        self._sharing: list[set[int]] = []
+        self._places: list[Reals] = []
+        self._touching: dict[int, set[tuple[int, int, int]]] = {}
+        self._state = Placed(np.empty((0, _AXES)), np.empty((0, _AXES)))
+        self._sd = np.empty(0)
+        self._shapes = Shapes(
+            np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching
+        )
+        self._annealed_at = 1
 
     @property
     def log(self) -> SensingLog:
         """The sensing log of the robots so far."""
-        raise NotImplementedError
+        return self._builder.log()
 
     @property
     def names(self) -> Ints:
         """Names of the robots, in join order, shape (n,)."""
-        raise NotImplementedError
+        return np.array(list(self._index), np.int64)
 
     @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-        raise NotImplementedError
+        moved: Reals = self._state.position * self._unit + self._anchor
+        return moved
 
     @property
     def sd(self) -> Reals:
         """Standard deviation of each position [log unit], shape (n,)."""
-        raise NotImplementedError
+        scaled: Reals = self._sd * self._unit
+        return scaled
 
+    @program.exclusive()
     def join(self, robot: Line) -> Change:
         """Add the next robot; the first one is the anchor.
 
@@ -80,7 +136,12 @@ class Tracker:
             InputError: the line is malformed, or says what a tracker cannot use. The robot leaves
                 no trace then.
         """
-        raise NotImplementedError
+        line = parse_robot(line_text(robot))
+        _refuse_line(line)
+        before = self._state.position
+        annealed = self._join(line)
+        self._lines[line.robot] = line
+        return self._change(before, annealed=annealed)
 
     def update(self, robot: Line) -> Change:
         """Replace the line of a robot that has joined, as after it has sensed more.
@@ -104,12 +165,220 @@ class Tracker:
         """
         raise NotImplementedError
 
+    @program.exclusive()
     def estimate(self, *, final: bool = False) -> Estimate:
         """Return the estimate of all robots, with verdicts.
 
+        Later joins do not depend on this call.
+
         Args:
             final: Whether to anneal the structure first and to look for several solutions, as
-                `joint` does; else it is the present state, and later joins do not depend on the
-                call.
+                `joint` does; else it is the present state.
+
+        Raises:
+            InputError: no robot has joined.
         """
-        raise NotImplementedError
+        if not self._index:
+            raise InputError("no robot has joined; join the anchor first")
+        backend.processor()
+        whole = self.log
+        log = centered(whole)
+        found = annealed_estimate(log, self._params, self._state) if final else self._present(log)
+        return uncentered(found, whole)
+
+    def _present(self, log: SensingLog) -> Estimate:
+        """Make an estimate of the present state, relative to the anchor."""
+        problem = pose_problem(log, self._params)
+        position = self._state.position
+        verdicts = assess(
+            log, self._params.cues, position, is_guess=problem.untied, sd=self._sd
+        )
+        gap = problem.residual(position, np.zeros(len(position)))
+        return Estimate(
+            robot_id=log.robot_id,
+            position=position * self._unit,
+            disconnected=problem.untied,
+            sd=self._sd * self._unit,
+            **verdicts._asdict(),
+            iteration=np.array([len(position)]),
+            trace=position[None] * self._unit,
+            residual=rms(gap[None]) * self._unit,
+        )
+
+    def _join(self, line: RobotLine) -> bool:
+        """Add a checked robot, and solve for what is near; return whether all was annealed."""
+        block = self._measured(line)
+        number = len(self._index)
+        self._builder.add(line)
+        backend.processor()
+        self._index[line.robot] = number
+        self._append(block, line)
+        if number == 0:
+            return False
+        surprised = True
+        if len(block.rows.other):
+            surprised = self._solve_near(number)
+        else:
+            self._guess(number, block)
+        grown = len(self._index) / self._annealed_at - 1.0
+        least = AnnealSettings.surprised_growth if surprised else self._params.anneal_growth
+        if len(self._index) < AnnealSettings.fewest or grown < least:
+            return False
+        self._anneal()
+        return True
+
+    def _measured(self, line: RobotLine) -> Block:
+        """Measure the rows of a robot, in a log where all others only stand."""
+        entries = [line, *(line.stances or [])]
+        named = {item[1] for entry in entries for item in entry.contacts}
+        named |= {item[1] for entry in entries for item in entry.directions or []}
+        named |= {item[0] for entry in entries for item in entry.ranges or []}
+        earlier = sorted(self._index[name] for name in named if name in self._index)
+        members = sorted({*earlier, *([0] if self._index else [])})
+        names = list(self._index)
+        builder = SensingLogBuilder(self._head)
+        for member in members:
+            builder.add(_standing(self._lines[names[member]]))
+        builder.add(line)
+        every = np.array([*members, len(self._index)], np.int64)
+        return block_of(centered(builder.log()), self._params, every)
+
+    def _append(self, block: Block, line: RobotLine) -> None:
+        """Make room for a robot that is nowhere yet."""
+        number = len(self._blocks)
+        self._blocks.append(block)
+        self._sharing.append(set())
+        self._places.append(np.empty((0, _AXES)))
+        self._touching[number] = {
+            (dock, self._index[other], its) for dock, other, its in line.contacts
+        }
+        for partner in block.partners.tolist():
+            self._sharing[partner].add(number)
+            self._sharing[number].add(partner)
+        zero = np.zeros((1, _AXES))
+        self._state = Placed(*(np.concatenate([each, zero]) for each in self._state))
+        self._sd = np.append(self._sd, 0.0)
+        arm, turn_sd, touching = self._shapes
+        self._shapes = Shapes(
+            np.concatenate([arm, block.arm[None]]),
+            np.concatenate([turn_sd, block.turn_sd[None]]),
+            touching,
+        )
+
+    def _solve_near(self, number: int) -> bool:
+        """Place a robot, and solve for those near it; return whether its rows still surprise."""
+        block = self._blocks[number]
+        found, _ = candidates(
+            block, self._state, self._shapes, non_overlap=self._params.non_overlap
+        )
+        touched = self._state.position[block.partners].mean(axis=0)
+        self._places[number] = found - touched
+        self._state.position[number] = found[0]
+        near = self._near(number)
+        problem = self._neighborhood(near)
+        state, linear = problem.solved(self._state)
+        if self._is_surprise(problem, linear, number):
+            state, linear = self._exchanged(problem, state, linear, number)
+        self._state = state
+        self._sd[near] = problem.sd(linear)
+        return self._is_surprise(problem, linear, number)
+
+    def _near(self, number: int) -> Ints:
+        """List robots within two steps of sharing rows, as many as may move, ascending."""
+        near, ring = {number: None}, [number]
+        for _ in range(2):
+            further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
+            ring = sorted(further, reverse=True)  # the last that joined are the least known
+            near |= dict.fromkeys(ring)
+        return np.sort([*near][: NeighborhoodSettings.most])
+
+    def _neighborhood(self, near: Ints) -> Neighborhood:
+        """Gather the blocks with rows about some robots."""
+        chosen = {*near.tolist()}
+        chosen |= {later for robot in near.tolist() for later in self._sharing[robot] if later > robot}
+        blocks = [self._blocks[robot] for robot in sorted(chosen) if len(self._blocks[robot])]
+        return Neighborhood(
+            near, blocks, self._shapes, robust=self._params.robust,
+            non_overlap=self._params.non_overlap, sd=self._sd,
+        )  # fmt: skip
+
+    def _is_surprise(self, problem: Neighborhood, linear: Linearized, number: int) -> bool:
+        """Judge whether chance explains the rows and the overlaps of a robot."""
+        square, overlap = problem.missed(linear, number)
+        rows = len(self._blocks[number])
+        chance = rows + NeighborhoodSettings.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
+        return bool(square > chance or overlap > NeighborhoodSettings.overlap_sd)
+
+    def _exchanged(
+        self, problem: Neighborhood, state: Placed, linear: Linearized, number: int
+    ) -> tuple[Placed, Linearized]:
+        """Try other places of the robot and of those it shares rows with, one after the other."""
+        tried = 0
+        for robot in [number, *sorted(self._sharing[number], reverse=True)]:
+            if not len(self._places[robot]):
+                continue
+            touched = state.position[self._blocks[robot].partners].mean(axis=0)
+            for place in self._places[robot]:
+                if tried == NeighborhoodSettings.tried:
+                    return state, linear
+                position, turn = state.position.copy(), state.turn.copy()
+                if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
+                    continue
+                position[robot], turn[robot] = touched + place, 0.0
+                other, there = problem.solved(Placed(position, turn))
+                tried += 1
+                if there.cost < linear.cost - NeighborhoodSettings.gain:
+                    state, linear = other, there
+                    break
+        return state, linear
+
+    def _guess(self, number: int, block: Block) -> None:
+        """Put a robot that measured no other one where the last one joined, to its own height."""
+        self._state.position[number] = self._state.position[number - 1]
+        self._sd[number] = float(np.linalg.norm(self._state.position, axis=1).max()) + SPACING
+
+    def _anneal(self) -> None:
+        """Anneal the whole structure from where it is."""
+        self._annealed_at = len(self._index)
+        self._state, self._sd = reannealed(centered(self.log), self._params, self._state)
+
+    def _change(self, before: Reals, *, annealed: bool) -> Change:
+        """Say who moved since these positions, shape (n, 3)."""
+        known = len(before)
+        moved = np.full(len(self._sd), np.nan)
+        moved[:known] = np.linalg.norm(self._state.position[:known] - before, axis=1)
+        chosen = ~(moved <= _MOVED)
+        return Change(
+            robot=self.names[chosen],
+            position=self.positions[chosen],
+            moved=moved[chosen] * self._unit,
+            sd=self.sd[chosen],
+            annealed=annealed,
+        )
+
+
+def _standing(line: RobotLine) -> RobotLine:
+    """Leave of a robot that it stands, and whether it is planar."""
+    return RobotLine.model_construct(
+        robot=line.robot, orientation_wxyz=line.orientation_wxyz, contacts=[], fixes=line.fixes
+    )
+
+
+def _refuse_header(head: HeaderLine) -> None:
+    """Raise InputError where all robots share an error that a tracker cannot solve for."""
+    if head.noise is not None and head.noise.yaw_bias_deg:
+        problem = "online solves for no bias of yaw; choose method joint for the whole log"
+        raise InputError(problem, key="noise.yaw_bias_deg")
+    if any(source.shared_sd > 0.0 for source in (head.sources or {}).values()):
+        problem = "online knows no errors that measurements share; choose method joint"
+        raise InputError(problem, key="sources")
+
+
+def _refuse_line(line: RobotLine) -> None:
+    """Raise InputError where a robot sensed what a tracker cannot use."""
+    if line.orientation_wxyz is None:
+        problem = "null follows from the lines of later robots, too; choose method joint"
+        raise InputError(problem, key="orientation_wxyz")
+    if any(entry.touches for entry in [line, *(line.stances or [])]):
+        problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
+        raise InputError(problem, key="touches")

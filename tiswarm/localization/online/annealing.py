@@ -1,0 +1,78 @@
+"""The chains of `joint`, from where the structure is. Lengths in R."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.localization.joint.annealing import anneal
+from tiswarm.localization.joint.chains import Annealed, failed
+from tiswarm.localization.joint.ends import ranked
+from tiswarm.localization.joint.initialization import place_disconnected, set_apart
+from tiswarm.localization.joint.method import mixed, without_outlier_robots
+from tiswarm.localization.joint.problem import Problem, pose_problem
+from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.online.neighborhood import Placed
+from tiswarm.localization.online.settings import AnnealSettings
+from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
+from tiswarm.localization.refinement import Cost
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+_ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
+
+
+def reannealed(log: SensingLog, params: OnlineParams, state: Placed) -> tuple[Placed, Reals]:
+    """Anneal a structure of N robots from where it is, and keep the best minimum.
+
+    Args:
+        log: What was sensed; the anchor is at the origin.
+        params: Settings.
+        state: Where robots are.
+
+    Returns:
+        The state, which is near the present one if no chain found a better one, and the standard
+        deviation of each position [R], shape (N,).
+    """
+    warm = _as_joint(params)
+    problem, chains = _chains(log, warm, state)
+    ends = ranked(log, warm, problem, chains, failed(problem, chains))
+    cost = Cost(
+        log,
+        problem.rows,
+        robust_sd=AnnealSchedule.outlier_sd if params.robust else None,
+        non_overlap=params.non_overlap,
+    )
+    walks = problem.rows.odometry
+    turn = np.zeros((len(walks.owner), 3))
+    turn[walks.final] = state.turn
+    yaw = np.zeros(log.robot_count)
+    best = int(ends.cost.argmin())
+    found = [
+        cost.refine((set_apart(problem, state.position), yaw), AnnealSettings.rounds, turn=turn),
+        cost.refine((ends.position[best], yaw), AnnealSettings.rounds),
+    ]
+    there, linear = min(found, key=lambda each: each[1].cost)
+    placed, square = place_disconnected(there.position[None], problem)
+    sd = np.sqrt(linear.variance() + square[0])
+    return Placed(placed[0], there.turn[walks.final]), sd
+
+
+def annealed_estimate(log: SensingLog, params: OnlineParams, state: Placed) -> Estimate:
+    """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`."""
+    warm = _as_joint(params)
+    problem, chains = _chains(log, warm, state)
+    estimate = mixed(log, warm, problem, chains, failed(problem, chains))
+    return without_outlier_robots(log, warm, problem, chains, estimate)
+
+
+def _chains(log: SensingLog, warm: JointParams, state: Placed) -> tuple[Problem, Annealed]:
+    problem = pose_problem(log, warm)
+    start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
+    return problem, anneal([log], [warm], [problem], start=[start])[0]
+
+
+def _as_joint(params: OnlineParams) -> JointParams:
+    """Return the settings of `joint` with the same cues and chains."""
+    names = [*(field.name for field in fields(ChiSquareParams)), *_ANNEALER]
+    return JointParams(**{name: getattr(params, name) for name in names})

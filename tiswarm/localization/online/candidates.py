@@ -1,0 +1,120 @@
+"""Where a robot that joins may be: minima of its own rows, all other robots as they are.
+
+Two distances leave a circle and three leave two mirror images, so that rows of one robot often fit
+at several places. Steps begin at points all over the sphere of its sharpest distance. Turns of the
+robot's final orientation are noise here, which is in several of its rows. Lengths in R.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.localization.online.blocks import Block
+from tiswarm.localization.online.neighborhood import Placed, Shapes, turned_arms, turned_docks
+from tiswarm.localization.online.settings import CandidateSettings
+from tiswarm.localization.refinement import OVERLAP_SD
+from tiswarm.measurements.model import Measurements
+from tiswarm.measurements.rows import SPACING
+
+_AXES = 3
+_GOLDEN = np.pi * (1.0 + 5.0**0.5)
+
+
+def candidates(
+    block: Block, state: Placed, shapes: Shapes, *, non_overlap: bool
+) -> tuple[Reals, Reals]:
+    """Find the places of the last robot of a structure, the most likely one first.
+
+    Args:
+        block: Its rows, at least one of them about another robot.
+        state: Where the robots before it are, and it itself anywhere.
+        shapes: All robots.
+        non_overlap: Whether docks that do not touch must not overlap.
+
+    Returns:
+        Centers [R], shape (k, 3), and their costs less what extension gains [1], shape (k,).
+    """
+    rows, members = block.rows, block.members
+    other = members[rows.other]
+    its = turned_arms(rows.other_arm, state.turn[other], shapes.turn_sd[other])
+    rows = replace(rows, other_arm=its)
+    noise = block.with_final_noise()
+    position = np.tile(state.position[members], (CandidateSettings.starts, 1, 1))
+    position[:, -1] = _starts(block, rows, state.position[members])
+    for _ in range(CandidateSettings.rounds):
+        residual, direction = rows.residual(position), rows.directions(position)
+        inverse = np.linalg.inv(_covariance(noise, direction, rows.own_variance))
+        weighted = inverse @ direction
+        known = direction.swapaxes(1, 2) @ weighted
+        slope = (weighted * residual[:, :, None]).sum(axis=1)
+        damped = known + CandidateSettings.damping * np.eye(_AXES)
+        step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
+        far, most = np.linalg.norm(step, axis=1), CandidateSettings.longest_step
+        position[:, -1] += step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
+    residual, direction = rows.residual(position), rows.directions(position)
+    covariance = _covariance(noise, direction, rows.own_variance)
+    square = (residual * np.linalg.solve(covariance, residual[:, :, None])[:, :, 0]).sum(axis=1)
+    place = position[:, -1]
+    touched = state.position[block.partners]
+    apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
+    cost = square - CandidateSettings.extension * apart
+    if non_overlap:
+        cost += _overlap(block, place, state, shapes)
+    return _distinct(place, cost)
+
+
+def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
+    """Spread starts over the sphere that the sharpest distance leaves, shape (starts, 3).
+
+    Where only vectors are measured, the sphere is that of the sharpest of them.
+    """
+    pairs = len(rows.other)
+    sharpest = int(block.variance[:pairs].argmin())
+    center = at[rows.other[sharpest]] + rows.other_arm[sharpest] - rows.arm[sharpest]
+    is_distance = sharpest < len(rows.distances.length)
+    radius = rows.distances.length[sharpest] if is_distance else SPACING
+    number = np.arange(CandidateSettings.starts) + 0.5
+    z, angle = 1.0 - 2.0 * number / CandidateSettings.starts, _GOLDEN * number
+    level = np.sqrt(1.0 - z**2)
+    sphere = np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
+    start: Reals = center + radius * sphere
+    return start
+
+
+def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
+    """Covariance of the rows of a block at some states, (n, m, m), by derivatives (n, m, 3)."""
+    half = np.matmul(noise, direction[:, None, :, :, None])[..., 0]
+    covariance: Reals = (half * direction[:, :, None]).sum(axis=3) + np.diag(own_variance)
+    return covariance
+
+
+def _overlap(block: Block, place: Reals, state: Placed, shapes: Shapes) -> Reals:
+    """Compute the cost of overlaps with robots that the robot does not touch there, (n,)."""
+    last = len(shapes.arm) - 1
+    reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING
+    center = place.mean(axis=0)
+    spread = float(np.linalg.norm(place - center, axis=1).max())
+    away = np.linalg.norm(state.position[:last] - center, axis=1)
+    near = np.flatnonzero(away < reach + spread)
+    point = state.position[near, None] + turned_docks(state, shapes, near)
+    mine = place[:, None] + shapes.arm[last]
+    gap = np.linalg.norm(mine[:, :, None, None] - point, axis=4) - SPACING
+    for dock, robot, its in shapes.touching[last]:
+        gap[:, dock, near == robot, its] = 0.0
+    cost: Reals = (np.minimum(gap, 0.0) ** 2).sum(axis=(1, 2, 3)) / OVERLAP_SD**2
+    return cost
+
+
+def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
+    """Keep the best of ends that are close, as far as their costs let them be candidates."""
+    kept: list[int] = []
+    for n in np.argsort(cost, kind="stable").tolist():
+        if kept and cost[n] > cost[kept[0]] + CandidateSettings.worst:
+            break
+        apart = np.linalg.norm(place[kept] - place[n], axis=1)
+        if (apart > CandidateSettings.distinct).all():
+            kept.append(n)
+        if len(kept) == CandidateSettings.most:
+            break
+    return place[kept], cost[kept]
