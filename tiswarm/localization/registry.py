@@ -156,9 +156,9 @@ def localize_many(
     for members in batches.values():
         method = module_of(params[members[0]].method)
         start_for(params[members[0]])
-        centered = [centered(logs[n]) for n in members]
+        about_anchor = [centered(logs[n]) for n in members]
         report = by_share(on_progress, len(members))
-        batch = method.localize_batch(centered, [params[n] for n in members], report)
+        batch = method.localize_batch(about_anchor, [params[n] for n in members], report)
         for n, relative in zip(members, batch, strict=True):
             estimate = uncentered(relative, logs[n])
             if with_observability:

@@ -126,6 +126,12 @@ class Gathered(NamedTuple):
     noise: Reals
     """As in `Block`, 0 beyond the rows of a block, shape (B, m, m, 3, 3)."""
 
+    members: Ints
+    """The robot of each block, then its partners, then itself again, shape (B, k)."""
+
+    member: Ints
+    """Place among these of the other robot of each pair, shape (P,)."""
+
 
 def gather(blocks: list[Block]) -> Gathered:
     """Put the rows of blocks side by side; none may be without rows."""
@@ -145,6 +151,14 @@ def gather(blocks: list[Block]) -> Gathered:
     noise = np.zeros((len(blocks), most, most, _AXES, _AXES))
     for k, block in enumerate(blocks):
         noise[k, : len(block), : len(block)] = block.noise
+    partners = [block.partners for block in blocks]
+    count = 1 + max(map(len, partners))
+    members = np.array(
+        [
+            [int(b.members[-1]), *k.tolist(), *[int(b.members[-1])] * (count - 1 - len(k))]
+            for b, k in zip(blocks, partners, strict=True)
+        ]
+    )
     distances, offsets, places = (
         [np.concatenate(column) for column in zip(*kind, strict=True)]
         for kind in zip(*table, strict=True)
@@ -166,4 +180,11 @@ def gather(blocks: list[Block]) -> Gathered:
         variance=by_table([block.variance for block in blocks]),
         slot=by_table([most * k + np.arange(len(block)) for k, block in enumerate(blocks)]),
         noise=noise,
+        members=members,
+        member=by_table(
+            [
+                1 + np.searchsorted(k, b.members[b.rows.other])
+                for b, k in zip(blocks, partners, strict=True)
+            ]
+        ),
     )

@@ -40,9 +40,10 @@ def candidates(
     its = turned_arms(rows.other_arm, state.turn[other], shapes.turn_sd[other])
     rows = replace(rows, other_arm=its)
     noise = block.with_final_noise()
-    position = np.tile(state.position[members], (CandidateSettings.starts, 1, 1))
-    position[:, -1] = _starts(block, rows, state.position[members])
-    for _ in range(CandidateSettings.rounds):
+    at = state.position[members]
+    place = _starts(block, rows, at)
+    for count in range(CandidateSettings.rounds):
+        position = _with_last(at, place)
         residual, direction = rows.residual(position), rows.directions(position)
         inverse = np.linalg.inv(_covariance(noise, direction, rows.own_variance))
         weighted = inverse @ direction
@@ -51,17 +52,33 @@ def candidates(
         damped = known + CandidateSettings.damping * np.eye(_AXES)
         step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
         far, most = np.linalg.norm(step, axis=1), CandidateSettings.longest_step
-        position[:, -1] += step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
+        place = place + step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
+        if count % CandidateSettings.merge_every == CandidateSettings.merge_every - 1:
+            place = _merged(place)
+    position = _with_last(at, place)
     residual, direction = rows.residual(position), rows.directions(position)
     covariance = _covariance(noise, direction, rows.own_variance)
     square = (residual * np.linalg.solve(covariance, residual[:, :, None])[:, :, 0]).sum(axis=1)
-    place = position[:, -1]
     touched = state.position[block.partners]
     apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
     cost = square - CandidateSettings.extension * apart
     if non_overlap:
         cost += _overlap(block, place, state, shapes)
     return _distinct(place, cost)
+
+
+def _with_last(at: Reals, place: Reals) -> Reals:
+    """Put the last of some robots (M, 3) at places (n, 3), the others where they are, (n, M, 3)."""
+    position = np.tile(at, (len(place), 1, 1))
+    position[:, -1] = place
+    return position
+
+
+def _merged(place: Reals) -> Reals:
+    """Keep the first of places that are close to each other."""
+    apart = np.linalg.norm(place[:, None] - place, axis=2)
+    is_close = np.tril(apart < CandidateSettings.alike, -1)
+    return place[~is_close.any(axis=1)]
 
 
 def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
@@ -84,8 +101,11 @@ def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
 
 def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
     """Covariance of the rows of a block at some states, (n, m, m), by derivatives (n, m, 3)."""
-    half = np.matmul(noise, direction[:, None, :, :, None])[..., 0]
-    covariance: Reals = (half * direction[:, :, None]).sum(axis=3) + np.diag(own_variance)
+    rows = len(noise)
+    way = direction.swapaxes(0, 1)
+    half = way @ noise.transpose(1, 3, 0, 2).reshape(rows, _AXES, rows * _AXES)
+    half = half.reshape(rows, -1, rows, _AXES)
+    covariance: Reals = np.einsum("bnai,nai->nab", half, direction) + np.diag(own_variance)
     return covariance
 
 

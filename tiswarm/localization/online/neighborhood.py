@@ -6,8 +6,7 @@ by the noise of earlier stances. Lengths in R.
 """
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,8 @@ from tiswarm.localization.refinement import OVERLAP_SD
 from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
+_PARTS = 6
+"""Columns of a robot: its shift and its turn."""
 
 class Placed(NamedTuple):
     """Where N robots are, and by how much their final orientations are off."""
@@ -45,44 +46,36 @@ class Shapes(NamedTuple):
     """By robot, its docks in contact: its own, an earlier robot, and the dock of that one."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Linearized:
-    """The cost of K robots near a state; n rows are in standard deviations and independent."""
+class Linearized(NamedTuple):
+    """The cost near a state: cost + 2 slope . step + step . information . step.
 
-    residual: Reals
-    """Residuals of rows, block after block, and of overlaps, shape (n,)."""
+    Steps are those of K robots, all shifts [R] and then all turns [1].
+    """
 
-    jacobian: Reals
-    """Derivatives by all shifts [R^-1] and then all turns [1], shape (n, 6 K)."""
+    cost: float
+    """Squares of rows and overlaps, priors of turns, and the loss of robust rows beyond that."""
 
-    off: Reals
-    """Turns, which have priors, shape (3 K,)."""
+    information: Reals
+    """Shape (6 K, 6 K)."""
 
-    excess: float
-    """Loss of rows beyond their squares [1]."""
+    slope: Reals
+    """Shape (6 K,)."""
 
-    fixed: Reals
-    """Derivatives by a common shift of all other robots, weighed by their sd [1], shape (n, 3)."""
+    of_others: Reals
+    """Change of the slope by a common shift of all other robots, weighed by their sd, (6 K, 3)."""
 
-    @property
-    def cost(self) -> float:
-        """Squares of rows and overlaps, priors, and the loss of rows beyond that [1]."""
-        return float(self.residual @ self.residual + self.off @ self.off) + self.excess
+    square: Reals
+    """Chi-square of the rows of each block [1], shape (B,)."""
 
-    @cached_property
-    def information(self) -> Reals:
-        """Half the second derivative of the cost, priors included, shape (6 K, 6 K)."""
-        known: Reals = self.jacobian.T @ self.jacobian
-        turns = np.arange(len(self.off), len(known))
-        known[turns, turns] += 1.0
-        return known
+    overlap: Reals
+    """Greatest overlap of each robot [standard deviations], shape (K,)."""
 
-    @property
-    def slope(self) -> Reals:
-        """Half the derivative of the cost, shape (6 K,)."""
-        slope: Reals = self.jacobian.T @ self.residual
-        slope[len(self.off) :] += self.off
-        return slope
+
+class _Overlaps(NamedTuple):
+    """Overlaps of n docks that do not touch, as `Neighborhood._summed` takes them."""
+
+    values: Reals
+    robots: Ints
 
 
 class Neighborhood:
@@ -111,7 +104,6 @@ class Neighborhood:
         self.moving, self.shapes = moving, shapes
         self.robust, self.non_overlap = robust, non_overlap
         self.gathered = gather(blocks)
-        self.blocks = len(blocks)
         self.number = {int(block.members[-1]): k for k, block in enumerate(blocks)}
         rows, robots = self.gathered.rows, len(shapes.arm)
         self._column = np.full(robots, -1)
@@ -129,46 +121,80 @@ class Neighborhood:
         turned = replace(rows, arm=rows.arm + (tail - found.tail), other_arm=its)
         residual, direction = turned.residual(state.position), turned.directions(state.position)
         own_variance, excess = self._robust(residual)
-        own, other = self._column[rows.robot], self._column[rows.other]
-        places = self.blocks * found.noise.shape[1]
-        shift, turn = np.zeros((2, places, len(self.moving) + 1, _AXES))  # the last is of others
-        shift[found.slot, own] = direction
-        shift[found.slot[:pairs], other] = -direction[:pairs]
-        turn[found.slot, own] = np.cross(direction, tail) * sd[rows.robot]
-        turn[found.slot[:pairs], other] = np.cross(its, direction[:pairs]) * sd[rows.other]
-        every = np.zeros((places, 6 * len(self.moving) + 1 + _AXES))
-        every[:, : 3 * len(self.moving)] = shift[:, :-1].reshape(places, -1)
-        every[:, 3 * len(self.moving) : -4] = turn[:, :-1].reshape(places, -1)
-        every[found.slot, -1] = residual
+        blocks, most = found.noise.shape[:2]
+        values = np.zeros((blocks * most, found.members.shape[1] + 1, _PARTS))
+        own = values[:, 0]
+        own[found.slot, :3] = direction
+        own[found.slot, 3:] = np.cross(direction, tail) * sd[rows.robot]
+        values[found.slot[:pairs], found.member, :3] = -direction[:pairs]
+        turns = np.cross(its, direction[:pairs]) * sd[rows.other]
+        values[found.slot[:pairs], found.member, 3:] = turns
         stays = self._stays[rows.robot][:, None] * direction
         stays[:pairs] -= self._stays[rows.other][:, None] * direction[:pairs]
-        every[found.slot, -4:-1] = stays
-        white = self._whitened(every, direction, own_variance)
+        values[found.slot, -1, :3] = stays
+        values[found.slot, -1, 3] = residual
+        white = self._whitened(values.reshape(blocks, most, -1), direction, own_variance)
+        square = (white[:, :, 3 - _PARTS] ** 2).sum(axis=1)
         above = self._overlaps(state)
+        total = self._summed(white, found.members) + self._summed(above.values, above.robots)
+        count = 6 * len(self.moving)
+        off = state.turn[self.moving].ravel()
+        turns = np.arange(len(off), count)
+        information, slope = total[:count, :count].copy(), total[:count, count + 3].copy()
+        information[turns, turns] += 1.0
+        slope[turns] += off
+        overlap = np.zeros(len(self.moving) + 1)
+        for robots in above.robots.T:
+            np.maximum.at(overlap, self._column[robots], np.abs(above.values[:, 0, 3 - _PARTS]))
         return Linearized(
-            residual=np.concatenate([white[:, -1], above[:, -1]]),
-            jacobian=np.concatenate([white[:, :-4], above[:, :-4]]),
-            off=state.turn[self.moving].ravel(),
-            excess=excess,
-            fixed=np.concatenate([white[:, -4:-1], above[:, -4:-1]]),
+            cost=float(total[count + 3, count + 3] + off @ off) + excess,
+            information=information,
+            slope=slope,
+            of_others=total[:count, count : count + 3],
+            square=square,
+            overlap=overlap[:-1],
         )
 
+    def _summed(self, values: Reals, robots: Ints) -> Reals:
+        """Sum the products of columns over groups of rows.
+
+        Args:
+            values: By group and row, derivatives by shift and turn of each of the group's robots,
+                then by a shift of the others, the residual, and nothing, shape (n, r, 6 k + 6).
+            robots: The robots of each group, shape (n, k).
+
+        Returns:
+            By shifts and turns of the robots that may move, the shift of the others, and the
+            residual, shape (6 K + 4, 6 K + 4).
+        """
+        count = len(self.moving)
+        column = self._column[robots][:, :, None]
+        place = np.concatenate([3 * column + range(3), 3 * (count + column) + range(3)], axis=2)
+        trash = 6 * count + 4
+        place = np.where(column < 0, trash, place).reshape(len(robots), 6 * robots.shape[1])
+        last = np.array([*range(trash - 4, trash), trash, trash])
+        place = np.concatenate([place, np.tile(last, (len(robots), 1))], axis=1)
+        products = values.swapaxes(1, 2) @ values
+        flat = (trash + 1) * place[:, :, None] + place[:, None]
+        total = np.bincount(flat.ravel(), products.ravel(), (trash + 1) ** 2)
+        summed: Reals = total.reshape(trash + 1, trash + 1)[:trash, :trash]
+        return summed
+
     def _whitened(self, values: Reals, direction: Reals, own_variance: Reals) -> Reals:
-        """Multiply values, a row for each place, by the inverse root of each block's covariance."""
+        """Multiply values (B, m, n) by the inverse root of each block's covariance."""
         noise, slot = self.gathered.noise, self.gathered.slot
         blocks, most = noise.shape[:2]
         way = np.zeros((blocks * most, _AXES))
         way[slot] = direction
         way = way.reshape(blocks, most, _AXES)
-        covariance = np.matmul(noise, way[:, None, :, :, None])[..., 0]
-        covariance = (covariance * way[:, :, None]).sum(axis=3)
+        half = np.einsum("bacij,bcj->baci", noise, way)
+        covariance = np.einsum("baci,bai->bac", half, way)
         own = np.ones(blocks * most)
         own[slot] = own_variance
         place = np.arange(most)
         covariance[:, place, place] += own.reshape(blocks, most)
-        root = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(root, values.reshape(blocks, most, -1))
-        return white.reshape(blocks * most, -1)
+        white: Reals = np.linalg.solve(np.linalg.cholesky(covariance), values)
+        return white
 
     def _robust(self, residual: Reals) -> tuple[Reals, float]:
         """Widen what is missed by far, as `Cost` does: own variances (E,), and the loss beyond."""
@@ -183,11 +209,10 @@ class Neighborhood:
         excess[offset] /= _AXES
         return rows.own_variance + variance * missed, float(excess.sum())
 
-    def _overlaps(self, state: Placed) -> Reals:
-        """Compute derivatives and overlaps of docks that do not touch, a row each."""
-        count = len(self.moving)
+    def _overlaps(self, state: Placed) -> "_Overlaps":
+        """Compute the overlaps of docks that do not touch, and their derivatives."""
         if not self.non_overlap:
-            return np.zeros((0, 6 * count + 4))
+            return _Overlaps(np.zeros((0, 1, 3 * _PARTS)), np.zeros((0, 2), np.int64))
         later, earlier = self._near(state.position)
         robot = np.unique(np.concatenate([later, earlier]))
         arm = np.zeros_like(self.shapes.arm)
@@ -203,16 +228,13 @@ class Neighborhood:
         apart = point[i, own] - point[j, its]
         length = np.linalg.norm(apart, axis=1)
         way = apart / length[:, None] / OVERLAP_SD
-        row = np.arange(len(i))
-        rows = np.zeros((len(i), 2, count + 1, _AXES))
         sd = self.shapes.turn_sd
-        for robots, dock, pull in ((i, own, way), (j, its, -way)):
-            rows[row, 0, self._column[robots]] = pull
-            rows[row, 1, self._column[robots]] = np.cross(pull, arm[robots, dock]) * sd[robots]
-        stays = (self._stays[i] - self._stays[j])[:, None] * way
-        missed = (length - SPACING) / OVERLAP_SD
-        flat = rows[:, :, :-1].reshape(len(i), 6 * count)
-        return np.concatenate([flat, stays, missed[:, None]], axis=1)
+        values = np.zeros((len(i), 1, 3, _PARTS))
+        values[:, 0, 0] = np.hstack([way, np.cross(way, arm[i, own]) * sd[i]])
+        values[:, 0, 1] = np.hstack([-way, np.cross(arm[j, its], way) * sd[j]])
+        values[:, 0, 2, :3] = (self._stays[i] - self._stays[j])[:, None] * way
+        values[:, 0, 2, 3] = (length - SPACING) / OVERLAP_SD
+        return _Overlaps(values.reshape(len(i), 1, 3 * _PARTS), np.column_stack([i, j]))
 
     def _near(self, position: Reals) -> tuple[Ints, Ints]:
         """List pairs of robots whose docks may overlap, at least one of which may move."""
@@ -250,7 +272,7 @@ class Neighborhood:
 
     def _step(self, linear: Linearized) -> tuple[Reals, Reals]:
         """Solve for the shifts and the turns of all robots that may move, (K, 3) both."""
-        slope = linear.slope
+        slope = linear.slope.copy()
         if self.moving[0] == 0:
             slope[:_AXES] = 0.0
         step = -np.linalg.solve(self._factored(linear, NeighborhoodSettings.damping), slope)
@@ -259,18 +281,8 @@ class Neighborhood:
         return shift * np.minimum(1.0, most / np.maximum(far, most))[:, None], turn
 
     def missed(self, linear: Linearized, robot: int) -> tuple[float, float]:
-        """Compute how a robot misses what it senses.
-
-        Returns:
-            Chi-square of its rows, and its greatest overlap in standard deviations [1].
-        """
-        most = self.gathered.noise.shape[1]
-        first, column = most * self.number[robot], self._column[robot]
-        square = float((linear.residual[first : first + most] ** 2).sum())
-        above = linear.jacobian[self.blocks * most :, 3 * column : 3 * column + 3]
-        is_own = above.any(axis=1)
-        overlap = np.abs(linear.residual[self.blocks * most :][is_own]).max(initial=0.0)
-        return square, float(overlap)
+        """Chi-square of the rows of a robot, and its greatest overlap in standard deviations."""
+        return float(linear.square[self.number[robot]]), float(linear.overlap[self._column[robot]])
 
     def sd(self, linear: Linearized) -> Reals:
         """Compute the standard deviation of each robot that may move [R], shape (K,).
@@ -280,7 +292,7 @@ class Neighborhood:
         count = 3 * len(self.moving)
         inverse = np.linalg.inv(self._factored(linear, NeighborhoodSettings.open_precision))
         own = np.diagonal(inverse)[:count].reshape(-1, _AXES).sum(axis=1)
-        shared = inverse[:count] @ (linear.jacobian.T @ linear.fixed)
+        shared = inverse[:count] @ linear.of_others
         if self.moving[0] == 0:
             own, shared = own.copy(), shared.copy()
             own[0], shared[:_AXES] = 0.0, 0.0

@@ -16,6 +16,12 @@ class CandidateSettings:
     rounds: int = 10
     """Steps from each [1]."""
 
+    merge_every: int = 3
+    """Steps after which starts that have come close go on as one [1]."""
+
+    alike: float = 0.1
+    """Distance up to which they are close [R]."""
+
     damping: float = 1.0
     """Precision that stops motions which no row resists [R^-2]."""
 
