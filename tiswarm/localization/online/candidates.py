@@ -53,6 +53,8 @@ def candidates(
         step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
         far, most = np.linalg.norm(step, axis=1), CandidateSettings.longest_step
         place = place + step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
+        if far.max() < CandidateSettings.settled:
+            break
         if count % CandidateSettings.merge_every == CandidateSettings.merge_every - 1:
             place = _merged(place)
     position = _with_last(at, place)

@@ -245,16 +245,19 @@ class Neighborhood:
         pair = np.column_stack([robot, other])[is_first]
         return pair.max(axis=1), pair.min(axis=1)
 
-    def solved(self, state: Placed, rounds: int = NeighborhoodSettings.rounds) -> tuple[Placed, Linearized]:
+    def solved(self, state: Placed) -> tuple[Placed, Linearized]:
         """Take steps toward the minimum; return the best state on the way, and the cost there."""
         best = here = state, self.linearized(state)
-        for _ in range(rounds):
+        for _ in range(NeighborhoodSettings.rounds):
             state, linear = here
-            step = self._step(linear)
-            position, turn = state.position.copy(), state.turn.copy()
-            position[self.moving] += step[0]
-            turn[self.moving] += step[1]
-            state = Placed(position, turn)
+            shift, turn = self._step(linear)
+            gain = -linear.slope @ np.concatenate([shift.ravel(), turn.ravel()])
+            if gain < NeighborhoodSettings.settled:
+                break
+            position, turned = state.position.copy(), state.turn.copy()
+            position[self.moving] += shift
+            turned[self.moving] += turn
+            state = Placed(position, turned)
             here = state, self.linearized(state)
             if here[1].cost < best[1].cost:
                 best = here

@@ -16,6 +16,9 @@ class CandidateSettings:
     rounds: int = 10
     """Steps from each [1]."""
 
+    settled: float = 1e-3
+    """Longest step below which no more are taken [R]."""
+
     merge_every: int = 3
     """Steps after which starts that have come close go on as one [1]."""
 
@@ -54,6 +57,9 @@ class NeighborhoodSettings:
 
     damping: float = 0.1
     """Precision that stops motions which no row resists [R^-2]."""
+
+    settled: float = 0.2
+    """Gain of a step, as predicted, below which none is taken [1]."""
 
     open_precision: float = 0.01
     """Precision of positions that nothing determines, for their sd [R^-2]."""
