@@ -37,8 +37,8 @@ class Block:
     """Part of each row's arm that the robot's final orientation turns [R], shape (m, 3)."""
 
     noise: Reals
-    """N: covariance of two rows by the noise of earlier stances, for unit derivatives along each
-    axis [R^2], shape (m, m, 3, 3)."""
+    """N: covariance of rows a and b by the noise of earlier stances, for unit derivatives along axes
+    i and j [R^2], at [b, j, a, i], shape (m, 3, m, 3)."""
 
     turn_sd: Reals
     """Standard deviation of the robot's final orientation about each axis [rad], shape (3,)."""
@@ -59,7 +59,7 @@ class Block:
         return np.unique(self.members[self.rows.other])
 
     def with_final_noise(self) -> Reals:
-        """`noise`, with that of the robot's final orientation, shape (m, m, 3, 3)."""
+        """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
         return self.noise + _products(_turns(self.tail, self.turn_sd)[:, :, None])
 
 
@@ -102,10 +102,10 @@ def _turns(part: Reals, sd: Reals) -> Reals:
 
 
 def _products(turns: Reals) -> Reals:
-    """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, m, 3, 3)."""
+    """Multiply derivatives by all turns, shape (m, 3, turns, 3), in pairs, (m, 3, m, 3)."""
     rows = len(turns)
     flat = turns.reshape(_AXES * rows, turns[0].size // _AXES if rows else 0)
-    return (flat @ flat.T).reshape(rows, _AXES, rows, _AXES).transpose(0, 2, 1, 3)
+    return (flat @ flat.T).reshape(rows, _AXES, rows, _AXES)
 
 
 class Gathered(NamedTuple):
@@ -124,7 +124,7 @@ class Gathered(NamedTuple):
     """Place of each row in arrays that have m places a block, shape (E,)."""
 
     noise: Reals
-    """As in `Block`, 0 beyond the rows of a block, shape (B, m, m, 3, 3)."""
+    """As in `Block`, 0 beyond the rows of a block, shape (B, m, 3, 3 m)."""
 
     members: Ints
     """The robot of each block, then its partners, then itself again, shape (B, k)."""
@@ -148,9 +148,9 @@ def gather(blocks: list[Block]) -> Gathered:
         return np.concatenate(parts)
 
     most = max(map(len, blocks))
-    noise = np.zeros((len(blocks), most, most, _AXES, _AXES))
+    noise = np.zeros((len(blocks), most, _AXES, most, _AXES))
     for k, block in enumerate(blocks):
-        noise[k, : len(block), : len(block)] = block.noise
+        noise[k, : len(block), :, : len(block)] = block.noise
     partners = [block.partners for block in blocks]
     count = 1 + max(map(len, partners))
     members = np.array(
@@ -179,7 +179,7 @@ def gather(blocks: list[Block]) -> Gathered:
         tail=by_table([block.tail for block in blocks]),
         variance=by_table([block.variance for block in blocks]),
         slot=by_table([most * k + np.arange(len(block)) for k, block in enumerate(blocks)]),
-        noise=noise,
+        noise=noise.reshape(len(blocks), most, _AXES, _AXES * most),
         members=members,
         member=by_table(
             [

@@ -105,9 +105,9 @@ def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
     """Covariance of the rows of a block at some states, (n, m, m), by derivatives (n, m, 3)."""
     rows = len(noise)
     way = direction.swapaxes(0, 1)
-    half = way @ noise.transpose(1, 3, 0, 2).reshape(rows, _AXES, rows * _AXES)
-    half = half.reshape(rows, -1, rows, _AXES)
-    covariance: Reals = np.einsum("bnai,nai->nab", half, direction) + np.diag(own_variance)
+    half = (way @ noise.reshape(rows, _AXES, rows * _AXES)).reshape(rows, -1, rows, _AXES)
+    total = sum(half[..., axis] * direction[..., axis] for axis in range(_AXES))
+    covariance: Reals = np.moveaxis(total, 0, 2) + np.diag(own_variance)
     return covariance
 
 

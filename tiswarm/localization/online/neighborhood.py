@@ -133,10 +133,12 @@ class Neighborhood:
         stays[:pairs] -= self._stays[rows.other][:, None] * direction[:pairs]
         values[found.slot, -1, :3] = stays
         values[found.slot, -1, 3] = residual
-        white = self._whitened(values.reshape(blocks, most, -1), direction, own_variance)
-        square = (white[:, :, 3 - _PARTS] ** 2).sum(axis=1)
+        values = values.reshape(blocks, most, -1)
+        weighted = self._weighted(values, direction, own_variance)
+        square = (values * weighted)[:, :, 3 - _PARTS].sum(axis=1)
         above = self._overlaps(state)
-        total = self._summed(white, found.members) + self._summed(above.values, above.robots)
+        total = self._summed(values.swapaxes(1, 2) @ weighted, found.members)
+        total += self._summed(above.values.swapaxes(1, 2) @ above.values, above.robots)
         count = 6 * len(self.moving)
         off = state.turn[self.moving].ravel()
         turns = np.arange(len(off), count)
@@ -155,12 +157,12 @@ class Neighborhood:
             overlap=overlap[:-1],
         )
 
-    def _summed(self, values: Reals, robots: Ints) -> Reals:
+    def _summed(self, products: Reals, robots: Ints) -> Reals:
         """Sum the products of columns over groups of rows.
 
         Args:
-            values: By group and row, derivatives by shift and turn of each of the group's robots,
-                then by a shift of the others, the residual, and nothing, shape (n, r, 6 k + 6).
+            products: Of columns in pairs: shift and turn of each of the group's robots, a shift of
+                the others, the residual, and nothing twice, shape (n, 6 k + 6, 6 k + 6).
             robots: The robots of each group, shape (n, k).
 
         Returns:
@@ -174,27 +176,26 @@ class Neighborhood:
         place = np.where(column < 0, trash, place).reshape(len(robots), 6 * robots.shape[1])
         last = np.array([*range(trash - 4, trash), trash, trash])
         place = np.concatenate([place, np.tile(last, (len(robots), 1))], axis=1)
-        products = values.swapaxes(1, 2) @ values
         flat = (trash + 1) * place[:, :, None] + place[:, None]
         total = np.bincount(flat.ravel(), products.ravel(), (trash + 1) ** 2)
         summed: Reals = total.reshape(trash + 1, trash + 1)[:trash, :trash]
         return summed
 
-    def _whitened(self, values: Reals, direction: Reals, own_variance: Reals) -> Reals:
-        """Multiply values (B, m, n) by the inverse root of each block's covariance."""
+    def _weighted(self, values: Reals, direction: Reals, own_variance: Reals) -> Reals:
+        """Multiply values (B, m, n) by the inverse of each block's covariance."""
         noise, slot = self.gathered.noise, self.gathered.slot
         blocks, most = noise.shape[:2]
         way = np.zeros((blocks * most, _AXES))
         way[slot] = direction
         way = way.reshape(blocks, most, _AXES)
-        half = np.einsum("bacij,bcj->baci", noise, way)
-        covariance = np.einsum("baci,bai->bac", half, way)
+        half = (way[:, :, None] @ noise).reshape(blocks, most, most, _AXES)
+        covariance = sum(half[..., axis] * way[:, None, :, axis] for axis in range(_AXES))
         own = np.ones(blocks * most)
         own[slot] = own_variance
         place = np.arange(most)
         covariance[:, place, place] += own.reshape(blocks, most)
-        white: Reals = np.linalg.solve(np.linalg.cholesky(covariance), values)
-        return white
+        weighted: Reals = np.linalg.inv(covariance) @ values
+        return weighted
 
     def _robust(self, residual: Reals) -> tuple[Reals, float]:
         """Widen what is missed by far, as `Cost` does: own variances (E,), and the loss beyond."""
