@@ -277,6 +277,8 @@ def chosen_rows(
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
+    if "fixes" not in measured.used(params.cues):
+        return rows, inconsistent
     fixed = measured.rows({*params.cues} & {"fixes"})
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]

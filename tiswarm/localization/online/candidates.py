@@ -23,17 +23,17 @@ _GOLDEN = np.pi * (1.0 + 5.0**0.5)
 
 def candidates(
     block: Block, state: Placed, shapes: Shapes, *, non_overlap: bool
-) -> tuple[Reals, Reals]:
-    """Find the places of the last robot of a structure, the most likely one first.
+) -> Reals:
+    """Find the places of the robot of a block, the most likely one first.
 
     Args:
         block: Its rows, at least one of them about another robot.
-        state: Where the robots before it are, and it itself anywhere.
+        state: Where all others are.
         shapes: All robots.
         non_overlap: Whether docks that do not touch must not overlap.
 
     Returns:
-        Centers [R], shape (k, 3), and their costs less what extension gains [1], shape (k,).
+        Centers [R], shape (k, 3).
     """
     rows, members = block.rows, block.members
     other = members[rows.other]
@@ -113,22 +113,23 @@ def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
 
 def _overlap(block: Block, place: Reals, state: Placed, shapes: Shapes) -> Reals:
     """Compute the cost of overlaps with robots that the robot does not touch there, (n,)."""
-    last = len(shapes.arm) - 1
+    own = int(block.members[-1])
     reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING
     center = place.mean(axis=0)
     spread = float(np.linalg.norm(place - center, axis=1).max())
-    away = np.linalg.norm(state.position[:last] - center, axis=1)
+    away = np.linalg.norm(state.position - center, axis=1)
+    away[own] = np.inf
     near = np.flatnonzero(away < reach + spread)
     point = state.position[near, None] + turned_docks(state, shapes, near)
-    mine = place[:, None] + shapes.arm[last]
+    mine = place[:, None] + shapes.arm[own]
     gap = np.linalg.norm(mine[:, :, None, None] - point, axis=4) - SPACING
-    for dock, robot, its in shapes.touching[last]:
+    for dock, robot, its in shapes.touching[own]:
         gap[:, dock, near == robot, its] = 0.0
     cost: Reals = (np.minimum(gap, 0.0) ** 2).sum(axis=(1, 2, 3)) / OVERLAP_SD**2
     return cost
 
 
-def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
+def _distinct(place: Reals, cost: Reals) -> Reals:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
     kept: list[int] = []
     for n in np.argsort(cost, kind="stable").tolist():
@@ -139,4 +140,5 @@ def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
             kept.append(n)
         if len(kept) == CandidateSettings.most:
             break
-    return place[kept], cost[kept]
+    best: Reals = place[kept]
+    return best

@@ -6,8 +6,9 @@ The whole structure is annealed, from where it is, once it has grown by a tenth.
 in R, and relative to the anchor.
 """
 
-from dataclasses import fields, replace
-from typing import NamedTuple
+from collections.abc import Set
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,26 +16,29 @@ from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend, program
 from tiswarm.localization.assessment import assess, rms
-from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.candidates import candidates
 from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Placed, Shapes
-from tiswarm.localization.online.settings import (
-    AnnealSettings,
-    CandidateSettings,
-    NeighborhoodSettings,
-)
+from tiswarm.localization.online.settings import AnnealSettings, NeighborhoodSettings
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.localization.virtual_force import Line, line_text
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_format import HeaderLine, RobotLine, parse_header, parse_robot
+from tiswarm.records.sensing_format import (
+    STANCE_LISTS,
+    HeaderLine,
+    RobotLine,
+    StanceEntry,
+    parse_header,
+    parse_robot,
+)
 from tiswarm.records.sensing_log import SensingLog
 
+_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 _AXES = 3
 _MOVED = 1e-3
 """Shift from which on a robot has moved [R]."""
@@ -140,9 +144,9 @@ class Tracker:
         _refuse_line(line)
         before = self._state.position
         annealed = self._join(line)
-        self._lines[line.robot] = line
         return self._change(before, annealed=annealed)
 
+    @program.exclusive()
     def update(self, robot: Line) -> Change:
         """Replace the line of a robot that has joined, as after it has sensed more.
 
@@ -150,20 +154,44 @@ class Tracker:
             robot: Its new line, which names robots that joined before it, as the first one did.
 
         Raises:
-            InputError: the line is malformed, or no such robot has joined.
+            InputError: the line is malformed, or no such robot has joined. Nothing changes then.
         """
-        raise NotImplementedError
+        line = parse_robot(line_text(robot))
+        _refuse_line(line)
+        self._require(line.robot)
+        before = self._state.position
+        self._rebuild({**self._lines, line.robot: line}, {line.robot})
+        annealed = self._settle([self._index[line.robot]])
+        return self._change(before, annealed=annealed)
 
+    @program.exclusive()
     def leave(self, robot: int) -> Change:
         """Remove a robot, with all that later robots sensed of it.
 
         Args:
             robot: Its name.
 
+        Returns:
+            Who moved of those that stay.
+
         Raises:
-            InputError: no such robot has joined, or it is the anchor.
+            InputError: no such robot has joined, or it is the anchor. Nothing changes then.
         """
-        raise NotImplementedError
+        self._require(robot)
+        number = self._index[robot]
+        if number == 0:
+            raise InputError("the anchor holds all others; start anew from another one")
+        stay = {name: line for name, line in self._lines.items() if name != robot}
+        lines = {name: _without(line, robot) for name, line in stay.items()}
+        changed = {name for name in stay if lines[name] is not stay[name]}
+        before = np.delete(self._state.position, number, axis=0)
+        self._rebuild(lines, changed)
+        annealed = self._settle([self._index[name] for name in sorted(changed)])
+        return self._change(before, annealed=annealed)
+
+    def _require(self, robot: int) -> None:
+        if robot not in self._index:
+            raise InputError(f"robot {robot} has not joined; join it first", key="robot")
 
     @program.exclusive()
     def estimate(self, *, final: bool = False) -> Estimate:
@@ -212,36 +240,61 @@ class Tracker:
         self._builder.add(line)
         backend.processor()
         self._index[line.robot] = number
+        self._lines[line.robot] = line
         self._append(block, line)
         if number == 0:
             return False
-        surprised = True
-        if len(block.rows.other):
-            surprised = self._solve_near(number)
-        else:
-            self._guess(number, block)
+        self._place(number)
+        return self._settle([number])
+
+    def _settle(self, numbers: list[int]) -> bool:
+        """Solve for what is near some robots; anneal all where that is due, and say whether."""
+        backend.processor()
+        surprised = [self._solve_near(number) for number in numbers]
         grown = len(self._index) / self._annealed_at - 1.0
-        least = AnnealSettings.surprised_growth if surprised else self._params.anneal_growth
+        least = AnnealSettings.surprised_growth if any(surprised) else self._params.anneal_growth
         if len(self._index) < AnnealSettings.fewest or grown < least:
             return False
-        self._anneal()
+        self._annealed_at = len(self._index)
+        self._state, self._sd = reannealed(centered(self.log), self._params, self._state)
         return True
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
-        entries = [line, *(line.stances or [])]
-        named = {item[1] for entry in entries for item in entry.contacts}
-        named |= {item[1] for entry in entries for item in entry.directions or []}
-        named |= {item[0] for entry in entries for item in entry.ranges or []}
-        earlier = sorted(self._index[name] for name in named if name in self._index)
-        members = sorted({*earlier, *([0] if self._index else [])})
+        named = {other for entry in [line, *(line.stances or [])] for other in _named(entry)}
+        earlier = {self._index[name] for name in named if name in self._index}
+        own = self._index.get(line.robot, len(self._index))
+        members = sorted(earlier | {0}) if own else []
         names = list(self._index)
         builder = SensingLogBuilder(self._head)
         for member in members:
             builder.add(_standing(self._lines[names[member]]))
         builder.add(line)
-        every = np.array([*members, len(self._index)], np.int64)
+        every = np.array([*members, own], np.int64)
         return block_of(centered(builder.log()), self._params, every)
+
+    def _rebuild(self, lines: dict[int, RobotLine], changed: Set[int]) -> None:
+        """Take other lines, and measure those of some robots anew; positions stay.
+
+        An InputError leaves everything as it was.
+        """
+        builder = SensingLogBuilder(self._head)
+        for line in lines.values():
+            builder.add(line)
+        kept = {name: self._index[name] for name in lines}
+        blocks, places, state, sd = self._blocks, self._places, self._state, self._sd
+        annealed_at = self._annealed_at
+        self._start()
+        self._builder, self._lines, self._annealed_at = builder, lines, annealed_at
+        self._index = {name: number for number, name in enumerate(kept)}
+        renumbered = np.zeros(len(blocks), np.int64)
+        old = np.array(list(kept.values()))
+        renumbered[old] = np.arange(len(old))
+        for name, number in kept.items():
+            block = replace(blocks[number], members=renumbered[blocks[number].members])
+            self._append(self._measured(lines[name]) if name in changed else block, lines[name])
+        self._places = [places[number] for number in kept.values()]
+        self._state, self._sd = Placed(*(each[old] for each in state)), sd[old]
 
     def _append(self, block: Block, line: RobotLine) -> None:
         """Make room for a robot that is nowhere yet."""
@@ -265,23 +318,34 @@ class Tracker:
             touching,
         )
 
+    def _place(self, number: int) -> None:
+        """Put a robot that joined where its rows fit best; without partners, to the last one."""
+        block, position = self._blocks[number], self._state.position
+        if not len(block.rows.other):
+            position[number] = position[number - 1]
+            return
+        found = candidates(block, self._state, self._shapes, non_overlap=self._params.non_overlap)
+        self._places[number] = found - position[block.partners].mean(axis=0)
+        position[number] = found[0]
+
     def _solve_near(self, number: int) -> bool:
-        """Place a robot, and solve for those near it; return whether its rows still surprise."""
-        block = self._blocks[number]
-        found, _ = candidates(
-            block, self._state, self._shapes, non_overlap=self._params.non_overlap
-        )
-        touched = self._state.position[block.partners].mean(axis=0)
-        self._places[number] = found - touched
-        self._state.position[number] = found[0]
+        """Solve for a robot and those near it; return whether its rows still surprise."""
         near = self._near(number)
-        problem = self._neighborhood(near)
+        blocks = self._blocks_about(near)
+        if not blocks:  # nothing says where it is
+            self._sd[number] = np.linalg.norm(self._state.position, axis=1).max() + SPACING
+            return False
+        problem = Neighborhood(
+            near, blocks, self._shapes, robust=self._params.robust,
+            non_overlap=self._params.non_overlap, sd=self._sd,
+        )  # fmt: skip
         state, linear = problem.solved(self._state)
-        if self._is_surprise(problem, linear, number):
+        if surprised := self._is_surprise(problem, linear, number):
             state, linear = self._exchanged(problem, state, linear, number)
+            surprised = self._is_surprise(problem, linear, number)
         self._state = state
         self._sd[near] = problem.sd(linear)
-        return self._is_surprise(problem, linear, number)
+        return surprised
 
     def _near(self, number: int) -> Ints:
         """List robots within two steps of sharing rows, as many as may move, ascending."""
@@ -292,20 +356,18 @@ class Tracker:
             near |= dict.fromkeys(ring)
         return np.sort([*near][: NeighborhoodSettings.most])
 
-    def _neighborhood(self, near: Ints) -> Neighborhood:
-        """Gather the blocks with rows about some robots."""
-        chosen = {*near.tolist()}
-        chosen |= {later for robot in near.tolist() for later in self._sharing[robot] if later > robot}
-        blocks = [self._blocks[robot] for robot in sorted(chosen) if len(self._blocks[robot])]
-        return Neighborhood(
-            near, blocks, self._shapes, robust=self._params.robust,
-            non_overlap=self._params.non_overlap, sd=self._sd,
-        )  # fmt: skip
+    def _blocks_about(self, robots: Ints) -> list[Block]:
+        """List the blocks with rows about some robots."""
+        chosen = {*robots.tolist()}
+        for robot in robots.tolist():
+            chosen |= {later for later in self._sharing[robot] if later > robot}
+        return [self._blocks[robot] for robot in sorted(chosen) if len(self._blocks[robot])]
 
     def _is_surprise(self, problem: Neighborhood, linear: Linearized, number: int) -> bool:
         """Judge whether chance explains the rows and the overlaps of a robot."""
+        if not (rows := len(self._blocks[number])):
+            return False
         square, overlap = problem.missed(linear, number)
-        rows = len(self._blocks[number])
         chance = rows + NeighborhoodSettings.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
         return bool(square > chance or overlap > NeighborhoodSettings.overlap_sd)
 
@@ -332,16 +394,6 @@ class Tracker:
                     break
         return state, linear
 
-    def _guess(self, number: int, block: Block) -> None:
-        """Put a robot that measured no other one where the last one joined, to its own height."""
-        self._state.position[number] = self._state.position[number - 1]
-        self._sd[number] = float(np.linalg.norm(self._state.position, axis=1).max()) + SPACING
-
-    def _anneal(self) -> None:
-        """Anneal the whole structure from where it is."""
-        self._annealed_at = len(self._index)
-        self._state, self._sd = reannealed(centered(self.log), self._params, self._state)
-
     def _change(self, before: Reals, *, annealed: bool) -> Change:
         """Say who moved since these positions, shape (n, 3)."""
         known = len(before)
@@ -362,6 +414,31 @@ def _standing(line: RobotLine) -> RobotLine:
     return RobotLine.model_construct(
         robot=line.robot, orientation_wxyz=line.orientation_wxyz, contacts=[], fixes=line.fixes
     )
+
+
+def _named(entry: RobotLine | StanceEntry) -> list[int]:
+    """List the robots that a stance names."""
+    lists = [(getattr(entry, key) or [], kinds) for key, kinds in STANCE_LISTS.items()]
+    pairs = [(item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items]
+    return [item[place] for item, place in pairs]
+
+
+def _without(line: RobotLine, robot: int) -> RobotLine:
+    """Leave out what a line says of a robot; the line itself if it says nothing."""
+    if not any(robot in _named(entry) for entry in [line, *(line.stances or [])]):
+        return line
+    stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
+    return _cleared(line, robot).model_copy(update={"stances": stances})
+
+
+def _cleared(entry: _Entry, robot: int) -> _Entry:
+    """Drop the items of a stance that name a robot."""
+    kept = {}
+    for key, kinds in STANCE_LISTS.items():
+        items = getattr(entry, key)
+        if items and "robot" in kinds:
+            kept[key] = [item for item in items if item[kinds.index("robot")] != robot]
+    return entry.model_copy(update=kept)
 
 
 def _refuse_header(head: HeaderLine) -> None:

@@ -1,0 +1,70 @@
+"""The method `online`: a log is fed to a tracker robot by robot, as if they joined now.
+
+The trace has a frame after some joins. Robots that have not joined by then stand where they are
+placed as they join: the first frame is the error at joining, the last one that of the final answer.
+"""
+
+import json
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tiswarm.base.progress import ignore
+from tiswarm.localization.assessment import rms
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.params import OnlineParams
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_log import SensingLog
+
+_FRAMES = 24
+"""Frames of the trace at most, beside the last."""
+
+
+def batch_key(log: SensingLog, params: OnlineParams) -> Hashable:  # noqa: ARG001
+    """Name what logs must share to be localized in one batch: nothing."""
+    return None
+
+
+def localize_batch(
+    logs: Sequence[SensingLog],
+    params: Sequence[OnlineParams],
+    on_progress: Callable[[float], None] = ignore,
+) -> list[Estimate]:
+    """Let the robots of each log join one after the other.
+
+    Returns:
+        One estimate a log: the final answer of its tracker. An iteration of the trace is a number
+        of joins. The residual is as for `joint`.
+    """
+    estimates = []
+    total, joined = sum(log.robot_count for log in logs), 0
+    for log, p in zip(logs, params, strict=True):
+        header, *robots = map(json.dumps, log_entries(log))
+        tracker = Tracker(header, p)
+        every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
+        at_join = np.empty((len(robots), 3))
+        frames = []
+        for count, line in enumerate(robots, start=1):
+            tracker.join(line)
+            at_join[count - 1] = tracker.positions[-1]
+            if count in every:
+                frames.append(tracker.positions)
+            joined += 1
+            on_progress(joined / total)
+        found = tracker.estimate(final=True)
+        trace = np.array([[*frame, *at_join[len(frame) :]] for frame in [*frames, found.position]])
+        problem = pose_problem(log, p)
+        gap = problem.residual(trace / log.dock_radius, np.zeros(trace.shape[:2]))
+        last = len(robots) + 1  # the final answer comes after all joins
+        estimates.append(
+            replace(
+                found,
+                iteration=np.append(every, last),
+                trace=trace,
+                residual=rms(gap) * log.dock_radius,
+            )
+        )
+    return estimates
