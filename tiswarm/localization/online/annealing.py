@@ -9,7 +9,7 @@ from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.initialization import place_disconnected, set_apart
-from tiswarm.localization.joint.method import mixed, without_outlier_robots
+from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.online.neighborhood import Placed
@@ -22,13 +22,16 @@ from tiswarm.records.sensing_log import SensingLog
 _ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
 
 
-def reannealed(log: SensingLog, params: OnlineParams, state: Placed) -> tuple[Placed, Reals]:
+def reannealed(
+    log: SensingLog, params: OnlineParams, state: Placed, *, anew: bool = False
+) -> tuple[Placed, Reals]:
     """Anneal a structure of N robots from where it is, and keep the best minimum.
 
     Args:
         log: What was sensed; the anchor is at the origin.
         params: Settings.
         state: Where robots are.
+        anew: Whether to anneal it from the starts of `joint`, too.
 
     Returns:
         The state, which is near the present one if no chain found a better one, and the standard
@@ -52,6 +55,9 @@ def reannealed(log: SensingLog, params: OnlineParams, state: Placed) -> tuple[Pl
         cost.refine((set_apart(problem, state.position), yaw), AnnealSettings.rounds, turn=turn),
         cost.refine((ends.position[best], yaw), AnnealSettings.rounds),
     ]
+    if anew:
+        start = _searched(log, params).solutions[0].position / log.dock_radius
+        found.append(cost.refine((set_apart(problem, start), yaw), AnnealSettings.rounds))
     there, linear = min(found, key=lambda each: each[1].cost)
     placed, square = place_disconnected(there.position[None], problem)
     sd = np.sqrt(linear.variance() + square[0])
@@ -59,11 +65,27 @@ def reannealed(log: SensingLog, params: OnlineParams, state: Placed) -> tuple[Pl
 
 
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Placed) -> Estimate:
-    """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`."""
+    """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
+
+    An estimate that is not to be trusted gives way to that of `joint`, if that is.
+    """
     warm = _as_joint(params)
     problem, chains = _chains(log, warm, state)
     estimate = mixed(log, warm, problem, chains, failed(problem, chains))
-    return without_outlier_robots(log, warm, problem, chains, estimate)
+    estimate = without_outlier_robots(log, warm, problem, chains, estimate)
+    if estimate.convergence is None or estimate.convergence.trusted:
+        return estimate
+    other = _searched(log, params)
+    is_better = other.convergence is not None and other.convergence.trusted
+    return other if is_better else estimate
+
+
+def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
+    """Localize as `joint` does, whose chains know nothing of the present estimate."""
+    names = [field.name for field in fields(ChiSquareParams)]
+    cold = JointParams(**{name: getattr(params, name) for name in names})
+    [estimate] = localize_batch([log], [cold])
+    return estimate
 
 
 def _chains(log: SensingLog, warm: JointParams, state: Placed) -> tuple[Problem, Annealed]:

@@ -256,8 +256,17 @@ class Tracker:
         if len(self._index) < AnnealSettings.fewest or grown < least:
             return False
         self._annealed_at = len(self._index)
-        self._state, self._sd = reannealed(centered(self.log), self._params, self._state)
+        log = centered(self.log)
+        self._state, self._sd = reannealed(log, self._params, self._state)
+        if any(surprised) and any(map(self._is_surprising, numbers)):
+            self._state, self._sd = reannealed(log, self._params, self._state, anew=True)
         return True
+
+    def _is_surprising(self, number: int) -> bool:
+        """Judge whether chance explains the rows and overlaps of a robot where it is."""
+        near = self._near(number)
+        problem = self._problem(near, self._blocks_about(near))
+        return self._is_surprise(problem, problem.linearized(self._state), number)
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
@@ -335,10 +344,7 @@ class Tracker:
         if not blocks:  # nothing says where it is
             self._sd[number] = np.linalg.norm(self._state.position, axis=1).max() + SPACING
             return False
-        problem = Neighborhood(
-            near, blocks, self._shapes, robust=self._params.robust,
-            non_overlap=self._params.non_overlap, sd=self._sd,
-        )  # fmt: skip
+        problem = self._problem(near, blocks)
         state, linear = problem.solved(self._state)
         if surprised := self._is_surprise(problem, linear, number):
             state, linear = self._exchanged(problem, state, linear, number)
@@ -355,6 +361,12 @@ class Tracker:
             ring = sorted(further, reverse=True)  # the last that joined are the least known
             near |= dict.fromkeys(ring)
         return np.sort([*near][: NeighborhoodSettings.most])
+
+    def _problem(self, near: Ints, blocks: list[Block]) -> Neighborhood:
+        return Neighborhood(
+            near, blocks, self._shapes, robust=self._params.robust,
+            non_overlap=self._params.non_overlap, sd=self._sd,
+        )  # fmt: skip
 
     def _blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""

@@ -1,0 +1,324 @@
+"""Robots that join are placed at once, and what is near them is solved for anew."""
+
+import json
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from tests.structures import with_directions, with_fixes, with_ranges
+from tiswarm.base.errors import InputError
+from tiswarm.compute import backend
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.online.neighborhood import Neighborhood, Placed
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.params import HopByHopParams, OnlineParams
+from tiswarm.localization.refinement import Cost, State
+from tiswarm.localization.registry import localize
+from tiswarm.records.sensing_file import log_entries
+from tiswarm.sensing import SensingParams, observe
+
+NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+LOCAL = OnlineParams(anneal_growth=1e6)
+"""Settings with which a structure is annealed after surprises alone."""
+QUICK = OnlineParams(chains=2, steps=60, hold_steps=20)
+ROBUST_SD = 3.0
+
+
+def lines_of(log):
+    """Header and robots of a log, as the lines of its file."""
+    return [json.dumps(entries) for entries in log_entries(log)]
+
+
+def fed(lines, params=QUICK):
+    """Make a tracker that has read some lines."""
+    tracker = Tracker(lines[0], params)
+    for line in lines[1:]:
+        tracker.join(line)
+    return tracker
+
+
+@pytest.fixture(scope="module")
+def lines(towers):
+    """Lines of a noisy tower."""
+    return lines_of(observe(towers[0], NOISY))
+
+
+def sensed(history, kind):
+    """Sense a tower: its walks, with directions of contacts, or with ranges and fixes."""
+    log = observe(history, NOISY)
+    if kind == "directions":
+        return with_directions(log, history, sd_deg=1.0)
+    if kind == "ranges":
+        ranged = with_ranges(log, history, reach=5.0, sd=0.1)
+        return with_fixes(ranged, history, range(2, 30, 3), each=2, sd=0.05)
+    return log
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("kind", ["walks", "directions", "ranges"])
+def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robust):
+    """Rows that were measured robot by robot are those of the whole log, with their covariance."""
+    history = towers[0]
+    log = sensed(history, kind)
+    tracker = fed(lines_of(log), replace(LOCAL, robust=robust))
+    rng = np.random.default_rng(0)
+    position = history.position + 0.2 * rng.normal(size=history.position.shape)
+    position[0] = history.position[0]
+    turn = rng.normal(size=position.shape)
+    problem = pose_problem(log, tracker._params)
+    walks = problem.rows.odometry
+    every = np.zeros((len(walks.owner), 3))
+    every[walks.final] = turn
+    cost = Cost(log, problem.rows, robust_sd=ROBUST_SD if robust else None)
+    none = np.zeros(len(position))
+    whole = cost.linearized(State(position, none, every, np.zeros(0)), cost.precision)
+
+    blocks = [block for block in tracker._blocks if len(block)]
+    moving = np.arange(len(position))
+    near = Neighborhood(moving, blocks, tracker._shapes, robust=robust)
+    centered = position - log.anchor_position
+    summed = near.linearized(Placed(centered, turn))
+
+    known = whole.information.toarray() + np.diag(whole.precision)
+    assert len(known) == 6 * len(position) - 3
+    assert summed.overlap.max() > 0.0
+    assert summed.cost == pytest.approx(whole.cost, rel=1e-9)
+    scale = np.abs(known).max()
+    np.testing.assert_allclose(summed.information[3:, 3:], known, rtol=0.0, atol=1e-9 * scale)
+    scale = np.abs(whole.slope).max()
+    np.testing.assert_allclose(summed.slope[3:], whole.slope, rtol=0.0, atol=1e-9 * scale)
+
+
+def test_estimates_do_not_depend_on_later_lines(towers, lines):
+    """What a robot knows as it joins is what those before it and it itself have sensed."""
+    other = lines_of(observe(towers[0], replace(NOISY, tilt_noise_deg=0.5)))
+    mixed = [*lines[:16], *other[16:]]
+    first, second = Tracker(lines[0], QUICK), Tracker(mixed[0], QUICK)
+
+    places = [
+        [tracker.join(line).position.tobytes() for line in text[1:]]
+        for tracker, text in ((first, lines), (second, mixed))
+    ]
+
+    assert places[0][:15] == places[1][:15]
+    assert places[0] != places[1]
+
+
+def test_the_same_lines_give_the_same_bytes_at_any_number_of_threads(lines):
+    """Text and mappings are the same lines, and an estimate in between changes nothing."""
+    found = []
+    for threads in (1, 2):
+        backend.start(threads=threads)
+        tracker = Tracker(lines[0], QUICK)
+        for line in lines[1:]:
+            tracker.join(line if threads == 1 else json.loads(line))
+            if threads == 2 and len(tracker.names) == 12:
+                tracker.estimate(final=True)
+        final = tracker.estimate(final=True)
+        found.append((tracker.positions.tobytes(), tracker.sd.tobytes(), final.position.tobytes()))
+
+    assert found[0] == found[1]
+
+
+def images(lengths, centers):
+    """Intersect three spheres (Fang, IEEE Trans. AES 1986): two points, mirrored in the plane."""
+    first, second, third = centers
+    x = (second - first) / np.linalg.norm(second - first)
+    i = x @ (third - first)
+    y = third - first - i * x
+    y /= np.linalg.norm(y)
+    d, j = np.linalg.norm(second - first), y @ (third - first)
+    a = (lengths[0] ** 2 - lengths[1] ** 2 + d**2) / (2.0 * d)
+    b = (lengths[0] ** 2 - lengths[2] ** 2 + i**2 + j**2 - 2.0 * i * a) / (2.0 * j)
+    height = np.sqrt(max(lengths[0] ** 2 - a**2 - b**2, 0.0))
+    middle = first + a * x + b * y
+    return [middle + sign * height * np.cross(x, y) for sign in (1.0, -1.0)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_six_robots_end_where_the_best_of_all_mirror_images_is(seed):
+    """Each has ranges to three robots before it, which two points meet; the last, to all of them.
+
+    The oracle multiplies out all 64 configurations.
+    """
+    rng = np.random.default_rng(seed)
+    body, place = [[1.5, 0.0, 0.0]], [np.zeros(3)]
+    while len(place) < 10:
+        point = rng.uniform(-12.0, 12.0, 3)
+        if min(np.linalg.norm(point - other) for other in place) > 6.0:
+            place.append(point)
+    place = np.array(place)
+    sd = 0.01
+    header = {"format": "tiswarm-sensing", "version": 2, "dock_radius": 1.0, "length_unit": "R"}
+    header |= {"dock_offsets": body, "anchor_position": [0.0, 0.0, 0.0]}
+    robots = []
+    for robot, point in enumerate(place):
+        entry = {"robot": robot, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
+        if 0 < robot < 4:
+            entry["fixes"] = [[*axis, float(axis @ point), sd] for axis in np.eye(3)]
+        elif robot:
+            others = range(robot) if robot == 9 else sorted(rng.permutation(robot)[:3].tolist())
+            entry["ranges"] = [
+                [j, float(np.linalg.norm(point - place[j]) + sd * rng.normal()), sd]
+                for j in others
+            ]
+        robots.append(entry)
+
+    tracker = fed([header, *robots], OnlineParams())
+
+    def missed(chosen):
+        at = [*place[:4]]
+        for robot, image in zip(robots[4:], chosen, strict=True):
+            rows = robot["ranges"][:3]
+            at.append(images([row[1] for row in rows], [at[row[0]] for row in rows])[image])
+        rows = [(i, *row) for i, robot in enumerate(robots) for row in robot.get("ranges", [])]
+        off = [(np.linalg.norm(at[i] - at[j]) - length) / sd for i, j, length, sd in rows]
+        return float(np.square(off).sum()), np.array(at)
+
+    _, best = min((missed(chosen) for chosen in product((0, 1), repeat=6)), key=lambda m: m[0])
+    assert np.linalg.norm(best - place, axis=1).max() < 0.5
+    np.testing.assert_allclose(tracker.positions, best, rtol=0.0, atol=0.5)
+
+
+def test_a_change_names_who_moved_and_by_how_much(lines):
+    """The robot that joined has no way behind it, and is as uncertain as the tracker says."""
+    tracker = fed(lines[:20])
+    before = dict(zip(tracker.names.tolist(), tracker.positions, strict=True))
+
+    change = tracker.join(lines[20])
+
+    after = dict(zip(tracker.names.tolist(), tracker.positions, strict=True))
+    for name, place, moved in zip(change.robot, change.position, change.moved, strict=True):
+        assert place.tobytes() == after[name].tobytes()
+        way = np.linalg.norm(place - before[name]) if name in before else np.nan
+        assert moved == pytest.approx(way, nan_ok=True)
+    still = before.keys() - {*change.robot.tolist()}
+    assert all(np.linalg.norm(after[name] - before[name]) < 2e-3 for name in still)
+    assert np.isnan(change.moved).sum() == 1
+    assert change.sd.tobytes() == tracker.sd[np.isin(tracker.names, change.robot)].tobytes()
+
+
+def test_a_robot_that_is_refused_leaves_no_trace(lines):
+    """After a bad line the right one can follow, and all is as if nothing had happened."""
+    tracker = fed(lines[:6])
+    bad = json.loads(lines[6])
+    bad["stances"][0]["pivot_dock"] = 7
+
+    with pytest.raises(InputError, match=r"stances\[0\].pivot_dock: there is no dock 7"):
+        tracker.join(bad)
+    with pytest.raises(InputError, match="has a line already"):
+        tracker.join(lines[3])
+    tracker.join(lines[6])
+
+    assert tracker.positions.tobytes() == fed(lines[:7]).positions.tobytes()
+
+
+def test_a_robot_that_leaves_is_forgotten(lines):
+    """What others sensed of it goes, too, so that the log is one of those that stay."""
+    tracker = fed(lines[:16])
+    touched = json.loads(lines[15])["contacts"][0][1]
+
+    change = tracker.leave(touched)
+
+    assert touched not in tracker.names.tolist()
+    assert len(tracker.positions) == len(tracker.sd) == 14
+    assert touched not in change.robot.tolist()
+    stances = tracker.log.stances
+    assert tracker.log.robot_id[np.r_[tracker.log.contacts[:, 0], stances.contacts[:, 2]]].min() >= 0
+    with pytest.raises(InputError, match=f"robot {touched} has not joined"):
+        tracker.leave(touched)
+    with pytest.raises(InputError, match="the anchor holds all others"):
+        tracker.leave(0)
+
+
+def test_a_line_replaces_an_earlier_one_of_its_robot(lines):
+    """The log has the new one; one that names later robots is refused, and changes nothing."""
+    tracker = fed(lines[:16])
+    entry = json.loads(lines[12])
+    fewer = {**entry, "stances": [{**stance, "contacts": []} for stance in entry["stances"]]}
+
+    tracker.update(fewer)
+
+    expected = fed([*lines[:12], fewer, *lines[13:16]]).log
+    assert tracker.log.stances.contacts.tobytes() == expected.stances.contacts.tobytes()
+    before = tracker.positions.tobytes()
+    with pytest.raises(InputError, match="is not on an earlier line"):
+        tracker.update({**entry, "contacts": [[0, 14, 0]]})
+    assert tracker.positions.tobytes() == before
+    tracker.join(lines[16])
+
+
+REFUSED = {
+    "orientation_wxyz: null follows from the lines of later robots": {"orientation_wxyz": None},
+    "touches: online cannot find docks": {"touches": [[None, 0, 1]]},
+}
+
+
+@pytest.mark.parametrize("problem", REFUSED)
+def test_what_a_tracker_cannot_use_is_refused_in_a_line(problem):
+    """The line says what to do: another method can use it."""
+    header = {"format": "tiswarm-sensing", "version": 2, "dock_radius": 1.0}
+    header |= {"dock_offsets": [[1.5, 0, 0], [-1.5, 0, 0]], "anchor_position": [0, 0, 1]}
+    anchor = {"robot": 0, "orientation_wxyz": [1, 0, 0, 0], "contacts": []}
+    tracker = fed([header, anchor])
+
+    with pytest.raises(InputError, match=problem) as refused:
+        tracker.join({**anchor, "robot": 1, **REFUSED[problem]})
+
+    assert "choose" in str(refused.value)
+    assert tracker.names.tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("key", "stated"),
+    [
+        ("noise.yaw_bias_deg", {"noise": {"tilt_deg": 1, "yaw_deg": 2, "yaw_bias_deg": 5}}),
+        ("sources", {"sources": {"lighthouse": {"shared_sd": 0.1}}}),
+    ],
+)
+def test_errors_that_robots_share_are_refused(key, stated):
+    """A tracker would take them for errors of single rows, and be too sure."""
+    header = {"format": "tiswarm-sensing", "version": 2, "dock_radius": 1.0}
+    header |= {"dock_offsets": [[1.5, 0, 0]], "anchor_position": [0, 0, 1]}
+
+    with pytest.raises(InputError, match=f"{key}: online .* choose method joint"):
+        Tracker({**header, **stated})
+
+
+def test_other_methods_need_the_whole_log(lines):
+    """They move robots in other ways."""
+    with pytest.raises(InputError, match="hop-by-hop needs the log of all robots"):
+        Tracker(lines[0], HopByHopParams())
+    with pytest.raises(InputError, match="no robot has joined"):
+        Tracker(lines[0]).estimate()
+
+
+def test_the_trace_begins_with_each_robot_as_it_joined(towers, lines):
+    """Its last frame is the final answer of a tracker that was fed the same lines."""
+    log = observe(towers[0], NOISY)
+
+    estimate = localize(log, QUICK)
+
+    tracker = Tracker(lines[0], QUICK)
+    places = [tracker.join(line).position for line in lines[1:]]
+    at_join = np.array([tracker_place[-1] for tracker_place in places])
+    assert estimate.iteration.tolist()[-2:] == [30, 31]
+    np.testing.assert_allclose(estimate.trace[0], at_join, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(estimate.trace[-1], estimate.position, rtol=0.0, atol=1e-12)
+    final = tracker.estimate(final=True)
+    np.testing.assert_allclose(estimate.position, final.position, rtol=0.0, atol=1e-12)
+    assert estimate.convergence == final.convergence
+
+
+def test_the_present_state_has_verdicts_and_sd(lines):
+    """It is where the robots are believed to be now, judged by their measurements."""
+    tracker = fed(lines, OnlineParams())
+
+    estimate = tracker.estimate()
+
+    assert estimate.position.tobytes() == tracker.positions.tobytes()
+    assert estimate.sd.tobytes() == tracker.sd.tobytes()
+    assert estimate.convergence.consistent
+    assert not estimate.disconnected.any()
