@@ -13,7 +13,7 @@ from tiswarm.localization.joint.method import localize_batch, mixed, without_out
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
 from tiswarm.localization.online.neighborhood import Placed
-from tiswarm.localization.online.settings import AnnealSettings
+from tiswarm.localization.online.settings import AnnealSettings, CandidateSettings
 from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.records.estimate import Estimate
@@ -24,7 +24,7 @@ _ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
 
 def reannealed(
     log: SensingLog, params: OnlineParams, state: Placed, *, anew: bool = False
-) -> tuple[Placed, Reals]:
+) -> tuple[Placed, Reals, Reals]:
     """Anneal a structure of N robots from where it is, and keep the best minimum.
 
     Args:
@@ -34,8 +34,9 @@ def reannealed(
         anew: Whether to anneal it from the starts of `joint`, too.
 
     Returns:
-        The state, which is near the present one if no chain found a better one, and the standard
-        deviation of each position [R], shape (N,).
+        The state, which is near the present one if no chain found a better one; the shift from
+        there to the mean of all likely ends of chains [R], shape (N, 3); and the standard deviation
+        of that [R], shape (N,).
     """
     warm = _as_joint(params)
     problem, chains = _chains(log, warm, state)
@@ -60,8 +61,13 @@ def reannealed(
         found.append(cost.refine((set_apart(problem, start), yaw), AnnealSettings.rounds))
     there, linear = min(found, key=lambda each: each[1].cost)
     placed, square = place_disconnected(there.position[None], problem)
-    sd = np.sqrt(linear.variance() + square[0])
-    return Placed(placed[0], there.turn[walks.final]), sd
+    mean = np.tensordot(ends.weight, ends.position, 1)
+    between = ends.weight @ ((ends.position - mean) ** 2).sum(axis=2)
+    # Chains that ended far above the best minimum say nothing about it.
+    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CandidateSettings.likely)
+    shift = np.where(counts[:, None], mean - there.position, 0.0)
+    sd = np.sqrt(linear.variance() + np.where(counts, between, square[0]))
+    return Placed(placed[0], there.turn[walks.final]), shift, sd
 
 
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Placed) -> Estimate:

@@ -23,7 +23,7 @@ _GOLDEN = np.pi * (1.0 + 5.0**0.5)
 
 def candidates(
     block: Block, state: Placed, shapes: Shapes, *, non_overlap: bool
-) -> Reals:
+) -> tuple[Reals, Reals]:
     """Find the places of the robot of a block, the most likely one first.
 
     Args:
@@ -33,7 +33,7 @@ def candidates(
         non_overlap: Whether docks that do not touch must not overlap.
 
     Returns:
-        Centers [R], shape (k, 3).
+        Centers [R], shape (k, 3), and their costs less what extension gains [1], shape (k,).
     """
     rows, members = block.rows, block.members
     other = members[rows.other]
@@ -61,12 +61,18 @@ def candidates(
     residual, direction = rows.residual(position), rows.directions(position)
     covariance = _covariance(noise, direction, rows.own_variance)
     square = (residual * np.linalg.solve(covariance, residual[:, :, None])[:, :, 0]).sum(axis=1)
-    touched = state.position[block.partners]
-    apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
-    cost = square - CandidateSettings.extension * apart
+    cost = square - extension(block, state, place)
     if non_overlap:
         cost += _overlap(block, place, state, shapes)
     return _distinct(place, cost)
+
+
+def extension(block: Block, state: Placed, place: Reals) -> Reals:
+    """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
+    touched = state.position[block.partners]
+    apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
+    gain: Reals = CandidateSettings.extension * apart
+    return gain
 
 
 def _with_last(at: Reals, place: Reals) -> Reals:
@@ -129,7 +135,7 @@ def _overlap(block: Block, place: Reals, state: Placed, shapes: Shapes) -> Reals
     return cost
 
 
-def _distinct(place: Reals, cost: Reals) -> Reals:
+def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
     kept: list[int] = []
     for n in np.argsort(cost, kind="stable").tolist():
@@ -140,5 +146,4 @@ def _distinct(place: Reals, cost: Reals) -> Reals:
             kept.append(n)
         if len(kept) == CandidateSettings.most:
             break
-    best: Reals = place[kept]
-    return best
+    return place[kept], cost[kept]

@@ -44,6 +44,10 @@ class CandidateSettings:
     most: int = 8
     """Candidates kept [1]."""
 
+    likely: float = 8.0
+    """Cost beyond the best one's up to which the robots nearby are solved for with a candidate, so
+    that it enters the mean [1]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NeighborhoodSettings:

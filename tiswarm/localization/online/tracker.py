@@ -19,9 +19,13 @@ from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
-from tiswarm.localization.online.candidates import candidates
+from tiswarm.localization.online.candidates import candidates, extension
 from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Placed, Shapes
-from tiswarm.localization.online.settings import AnnealSettings, NeighborhoodSettings
+from tiswarm.localization.online.settings import (
+    AnnealSettings,
+    CandidateSettings,
+    NeighborhoodSettings,
+)
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.localization.virtual_force import Line, line_text
@@ -101,6 +105,7 @@ class Tracker:
         self._places: list[Reals] = []
         self._touching: dict[int, set[tuple[int, int, int]]] = {}
         self._state = Placed(np.empty((0, _AXES)), np.empty((0, _AXES)))
+        self._shift = np.empty((0, _AXES))  # from the state to the mean of likely states
         self._sd = np.empty(0)
         self._shapes = Shapes(
             np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching
@@ -120,8 +125,14 @@ class Tracker:
     @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-        moved: Reals = self._state.position * self._unit + self._anchor
+        moved: Reals = self._mean * self._unit + self._anchor
         return moved
+
+    @property
+    def _mean(self) -> Reals:
+        """Mean of likely states [R], shape (n, 3)."""
+        mean: Reals = self._state.position + self._shift
+        return mean
 
     @property
     def sd(self) -> Reals:
@@ -142,7 +153,7 @@ class Tracker:
         """
         line = parse_robot(line_text(robot))
         _refuse_line(line)
-        before = self._state.position
+        before = self._mean
         annealed = self._join(line)
         return self._change(before, annealed=annealed)
 
@@ -159,7 +170,7 @@ class Tracker:
         line = parse_robot(line_text(robot))
         _refuse_line(line)
         self._require(line.robot)
-        before = self._state.position
+        before = self._mean
         self._rebuild({**self._lines, line.robot: line}, {line.robot})
         annealed = self._settle([self._index[line.robot]])
         return self._change(before, annealed=annealed)
@@ -184,7 +195,7 @@ class Tracker:
         stay = {name: line for name, line in self._lines.items() if name != robot}
         lines = {name: _without(line, robot) for name, line in stay.items()}
         changed = {name for name in stay if lines[name] is not stay[name]}
-        before = np.delete(self._state.position, number, axis=0)
+        before = np.delete(self._mean, number, axis=0)
         self._rebuild(lines, changed)
         annealed = self._settle([self._index[name] for name in sorted(changed)])
         return self._change(before, annealed=annealed)
@@ -217,7 +228,7 @@ class Tracker:
     def _present(self, log: SensingLog) -> Estimate:
         """Make an estimate of the present state, relative to the anchor."""
         problem = pose_problem(log, self._params)
-        position = self._state.position
+        position = self._mean
         verdicts = assess(
             log, self._params.cues, position, is_guess=problem.untied, sd=self._sd
         )
@@ -244,22 +255,23 @@ class Tracker:
         self._append(block, line)
         if number == 0:
             return False
-        self._place(number)
-        return self._settle([number])
+        return self._settle([number], self._place(number))
 
-    def _settle(self, numbers: list[int]) -> bool:
+    def _settle(self, numbers: list[int], places: Reals | None = None) -> bool:
         """Solve for what is near some robots; anneal all where that is due, and say whether."""
         backend.processor()
-        surprised = [self._solve_near(number) for number in numbers]
+        surprised = [self._solve_near(number, places) for number in numbers]
         grown = len(self._index) / self._annealed_at - 1.0
         least = AnnealSettings.surprised_growth if any(surprised) else self._params.anneal_growth
         if len(self._index) < AnnealSettings.fewest or grown < least:
             return False
         self._annealed_at = len(self._index)
         log = centered(self.log)
-        self._state, self._sd = reannealed(log, self._params, self._state)
+        found = reannealed(log, self._params, self._state)
+        self._state, self._shift, self._sd = found
         if any(surprised) and any(map(self._is_surprising, numbers)):
-            self._state, self._sd = reannealed(log, self._params, self._state, anew=True)
+            found = reannealed(log, self._params, self._state, anew=True)
+            self._state, self._shift, self._sd = found
         return True
 
     def _is_surprising(self, number: int) -> bool:
@@ -291,7 +303,8 @@ class Tracker:
         for line in lines.values():
             builder.add(line)
         kept = {name: self._index[name] for name in lines}
-        blocks, places, state, sd = self._blocks, self._places, self._state, self._sd
+        blocks, places, state = self._blocks, self._places, self._state
+        shift, sd = self._shift, self._sd
         annealed_at = self._annealed_at
         self._start()
         self._builder, self._lines, self._annealed_at = builder, lines, annealed_at
@@ -303,7 +316,8 @@ class Tracker:
             block = replace(blocks[number], members=renumbered[blocks[number].members])
             self._append(self._measured(lines[name]) if name in changed else block, lines[name])
         self._places = [places[number] for number in kept.values()]
-        self._state, self._sd = Placed(*(each[old] for each in state)), sd[old]
+        self._state = Placed(*(each[old] for each in state))
+        self._shift, self._sd = shift[old], sd[old]
 
     def _append(self, block: Block, line: RobotLine) -> None:
         """Make room for a robot that is nowhere yet."""
@@ -319,6 +333,7 @@ class Tracker:
             self._sharing[number].add(partner)
         zero = np.zeros((1, _AXES))
         self._state = Placed(*(np.concatenate([each, zero]) for each in self._state))
+        self._shift = np.concatenate([self._shift, zero])
         self._sd = np.append(self._sd, 0.0)
         arm, turn_sd, touching = self._shapes
         self._shapes = Shapes(
@@ -327,31 +342,64 @@ class Tracker:
             touching,
         )
 
-    def _place(self, number: int) -> None:
-        """Put a robot that joined where its rows fit best; without partners, to the last one."""
+    def _place(self, number: int) -> Reals:
+        """Find the likely places of a robot that joined; without partners, that of the last one."""
         block, position = self._blocks[number], self._state.position
         if not len(block.rows.other):
-            position[number] = position[number - 1]
-            return
-        found = candidates(block, self._state, self._shapes, non_overlap=self._params.non_overlap)
+            return position[number - 1, None]
+        found, cost = candidates(
+            block, self._state, self._shapes, non_overlap=self._params.non_overlap
+        )
         self._places[number] = found - position[block.partners].mean(axis=0)
-        position[number] = found[0]
+        return found[cost <= cost[0] + CandidateSettings.likely]
 
-    def _solve_near(self, number: int) -> bool:
-        """Solve for a robot and those near it; return whether its rows still surprise."""
+    def _solve_near(self, number: int, places: Reals | None = None) -> bool:
+        """Solve for a robot and those near it; return whether its rows still surprise.
+
+        Args:
+            number: The robot.
+            places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
+                likeliest one, and what is reported is the mean.
+        """
         near = self._near(number)
         blocks = self._blocks_about(near)
+        position, turn = self._state
+        if places is not None:
+            position[number] = places[0]
         if not blocks:  # nothing says where it is
-            self._sd[number] = np.linalg.norm(self._state.position, axis=1).max() + SPACING
+            self._sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
             return False
         problem = self._problem(near, blocks)
-        state, linear = problem.solved(self._state)
+        found = []
+        for place in position[number, None].copy() if places is None else places:
+            position[number] = place
+            found.append(problem.solved(Placed(position, turn)))
+        state, linear, weight = self._weighed(found, number)
+        spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
             state, linear = self._exchanged(problem, state, linear, number)
             surprised = self._is_surprise(problem, linear, number)
+        elif places is not None:
+            at = np.array([each.position[number] for each, _ in found])
+            mean = weight @ at
+            self._shift[number] = mean - state.position[number]
+            spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
         self._state = state
         self._sd[near] = problem.sd(linear)
+        self._sd[number] = np.hypot(self._sd[number], np.sqrt(spread))
         return surprised
+
+    def _weighed(
+        self, found: list[tuple[Placed, Linearized]], number: int
+    ) -> tuple[Placed, Linearized, Reals]:
+        """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
+        block = self._blocks[number]
+        score = np.zeros(len(found))
+        if len(found) > 1:
+            for k, (state, linear) in enumerate(found):
+                score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
+        weight = np.exp(-0.5 * (score - score.min()))
+        return *found[int(score.argmin())], weight / weight.sum()
 
     def _near(self, number: int) -> Ints:
         """List robots within two steps of sharing rows, as many as may move, ascending."""
@@ -403,6 +451,7 @@ class Tracker:
                 tried += 1
                 if there.cost < linear.cost - NeighborhoodSettings.gain:
                     state, linear = other, there
+                    self._shift[robot] = 0.0
                     break
         return state, linear
 
@@ -410,7 +459,7 @@ class Tracker:
         """Say who moved since these positions, shape (n, 3)."""
         known = len(before)
         moved = np.full(len(self._sd), np.nan)
-        moved[:known] = np.linalg.norm(self._state.position[:known] - before, axis=1)
+        moved[:known] = np.linalg.norm(self._mean[:known] - before, axis=1)
         chosen = ~(moved <= _MOVED)
         return Change(
             robot=self.names[chosen],
