@@ -7,6 +7,7 @@
     read_log(path)                   read a sensing log
     import_poses(table)              make a log from robot poses of any simulator
     localize(log)                    estimate the positions of a log's robots
+    track(stream)                    estimate them while the robots join
     advise(log, estimate)            which further measurement would help most
     view(log, estimate)              show an estimate on a page
     score(truth, estimate)           errors of an estimate
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
         render,
         run,
         score,
+        track,
         view,
     )
     from tiswarm.app.results import Run, open_run
@@ -76,6 +78,7 @@ __all__ = [
     "run",
     "score",
     "sensor",
+    "track",
     "view",
 ]
 

@@ -35,7 +35,7 @@ def localize(
         str,
         Option(
             help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
-            "or that of a plug-in."
+            "online, or that of a plug-in."
         ),
     ] = "joint",
     cues: Annotated[
@@ -94,6 +94,43 @@ def localize(
             show_page(report, opened=opened)
     if found.findings.doubt:
         raise typer.Exit(NOT_TRUSTED)
+
+
+@app.command(epilog="Example: tiswarm track sensing.jsonl --out changes.jsonl")
+def track(
+    source: Annotated[
+        str, Argument(metavar="LOG|-", help="Sensing log, or - for lines of standard input.")
+    ],
+    out: Annotated[Path, Option(help="Changes to write, a JSON object a line.")] = Path(
+        "changes.jsonl"
+    ),
+    journal: Annotated[
+        Path | None, Option(help="Input so far (default: OUT.journal).", show_default=False)
+    ] = None,
+    estimate: Annotated[
+        Path | None, Option(metavar="TABLE", help="Table of positions to write at the end.")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006 - typer never changes it
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate the robots' positions while they join, from lines as they come.
+
+    Each line of the input has one in the output: who moved, by how much, and how certain each now
+    is. A malformed line is refused by its number and skipped. Stopped at any moment and started
+    again, the command goes on where it was; standard input then goes on at the line it names.
+    """
+    import sys
+
+    from tiswarm import api
+    from tiswarm.records.positions import write_estimate
+
+    given = sys.stdin.buffer if source == "-" else Path(source)
+    tracker = api.track(given, out=out, journal=journal, overrides=overrides, quiet=quiet)
+    if estimate is not None:
+        write_estimate(estimate, tracker.estimate(final=True))
+    if not quiet:
+        typer.echo(f"{len(tracker.names)} robots -> {out}")
 
 
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
