@@ -73,7 +73,9 @@ def test_what_cannot_join_is_told(lines):
         full.join(lines[2])
 
 
-@pytest.mark.parametrize("method", ["virtual-force", "least-squares", "joint", "hop-by-hop"])
+@pytest.mark.parametrize(
+    "method", ["virtual-force", "least-squares", "joint", "hop-by-hop", "online"]
+)
 def test_an_anchor_alone_is_where_it_is(lines, tmp_path, method):
     """The first line of a log that robots have yet to join is a log."""
     path = tmp_path / "sensing.jsonl"

@@ -11,7 +11,7 @@ from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.neighborhood import Neighborhood, Placed
+from tiswarm.localization.online.neighborhood import Placed
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State
@@ -62,12 +62,13 @@ def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robu
     """Rows that were measured robot by robot are those of the whole log, with their covariance."""
     history = towers[0]
     log = sensed(history, kind)
-    tracker = fed(lines_of(log), replace(LOCAL, robust=robust))
+    params = replace(LOCAL, robust=robust)
+    tracker = fed(lines_of(log), params)
     rng = np.random.default_rng(0)
     position = history.position + 0.2 * rng.normal(size=history.position.shape)
     position[0] = history.position[0]
     turn = rng.normal(size=position.shape)
-    problem = pose_problem(log, tracker._params)
+    problem = pose_problem(log, params)
     walks = problem.rows.odometry
     every = np.zeros((len(walks.owner), 3))
     every[walks.final] = turn
@@ -75,11 +76,8 @@ def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robu
     none = np.zeros(len(position))
     whole = cost.linearized(State(position, none, every, np.zeros(0)), cost.precision)
 
-    blocks = [block for block in tracker._blocks if len(block)]
-    moving = np.arange(len(position))
-    near = Neighborhood(moving, blocks, tracker._shapes, robust=robust)
-    centered = position - log.anchor_position
-    summed = near.linearized(Placed(centered, turn))
+    every_robot = tracker.neighborhood(np.arange(len(position)))
+    summed = every_robot.linearized(Placed(position - log.anchor_position, turn))
 
     known = whole.information.toarray() + np.diag(whole.precision)
     assert len(known) == 6 * len(position) - 3
@@ -160,8 +158,7 @@ def test_six_robots_end_where_the_best_of_all_mirror_images_is(seed):
         elif robot:
             others = range(robot) if robot == 9 else sorted(rng.permutation(robot)[:3].tolist())
             entry["ranges"] = [
-                [j, float(np.linalg.norm(point - place[j]) + sd * rng.normal()), sd]
-                for j in others
+                [j, float(np.linalg.norm(point - place[j]) + sd * rng.normal()), sd] for j in others
             ]
         robots.append(entry)
 
@@ -225,7 +222,9 @@ def test_a_robot_that_leaves_is_forgotten(lines):
     assert len(tracker.positions) == len(tracker.sd) == 14
     assert touched not in change.robot.tolist()
     stances = tracker.log.stances
-    assert tracker.log.robot_id[np.r_[tracker.log.contacts[:, 0], stances.contacts[:, 2]]].min() >= 0
+    assert (
+        tracker.log.robot_id[np.r_[tracker.log.contacts[:, 0], stances.contacts[:, 2]]].min() >= 0
+    )
     with pytest.raises(InputError, match=f"robot {touched} has not joined"):
         tracker.leave(touched)
     with pytest.raises(InputError, match="the anchor holds all others"):

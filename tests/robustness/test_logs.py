@@ -52,6 +52,7 @@ METHODS = {
     "joint": ["steps=40", "chains=2"],
     "least-squares": [],
     "hop-by-hop": [],
+    "online": ["steps=20", "hold_steps=5", "chains=1"],
 }
 """Methods with settings that keep an attempt short."""
 

@@ -1,6 +1,6 @@
 """The chains of `joint`, from where the structure is. Lengths in R."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 

@@ -37,7 +37,7 @@ class Block:
     """Part of each row's arm that the robot's final orientation turns [R], shape (m, 3)."""
 
     noise: Reals
-    """N: covariance of rows a and b by the noise of earlier stances, for unit derivatives along axes
+    """N: covariance of rows a and b by noise of earlier stances, for unit derivatives along axes
     i and j [R^2], at [b, j, a, i], shape (m, 3, m, 3)."""
 
     turn_sd: Reals
@@ -50,7 +50,7 @@ class Block:
     """Variance of each row, of the noise of all orientations too [R^2], shape (m,)."""
 
     def __len__(self) -> int:
-        """m."""
+        """Count the rows."""
         return len(self.rows)
 
     @property
@@ -136,8 +136,10 @@ class Gathered(NamedTuple):
 def gather(blocks: list[Block]) -> Gathered:
     """Put the rows of blocks side by side; none may be without rows."""
     every = [block.rows for block in blocks]
-    table = [[rows.distances, rows.offsets, rows.places] for rows in every]
-    cuts = [np.cumsum([0, *(len(kind.stance) for kind in kinds)]).tolist() for kinds in table]
+    table = [(rows.distances, rows.offsets, rows.places) for rows in every]
+    cuts = [
+        np.cumsum([0, len(d.stance), len(o.stance), len(p.stance)]).tolist() for d, o, p in table
+    ]
 
     def by_table(columns: list[Any]) -> Any:  # noqa: ANN401 - an array
         parts = [

@@ -11,7 +11,13 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.localization.online.blocks import Block
-from tiswarm.localization.online.neighborhood import Placed, Shapes, turned_arms, turned_docks
+from tiswarm.localization.online.neighborhood import (
+    Placed,
+    Shapes,
+    products_along,
+    turned_arms,
+    turned_docks,
+)
 from tiswarm.localization.online.settings import CandidateSettings
 from tiswarm.localization.refinement import OVERLAP_SD
 from tiswarm.measurements.model import Measurements
@@ -112,7 +118,7 @@ def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
     rows = len(noise)
     way = direction.swapaxes(0, 1)
     half = (way @ noise.reshape(rows, _AXES, rows * _AXES)).reshape(rows, -1, rows, _AXES)
-    total = sum(half[..., axis] * direction[..., axis] for axis in range(_AXES))
+    total = products_along(half, direction)
     covariance: Reals = np.moveaxis(total, 0, 2) + np.diag(own_variance)
     return covariance
 

@@ -81,13 +81,17 @@ def _answered(
     """Let the robot of a line join, and say what changed; or say why the line is refused."""
     try:
         with at_line(name, number):
-            if len(raw) > MAX_LINE_BYTES:
-                raise InputError("the line is longer than 64 MiB; write one robot a line")
-            change = tracker.join(decode(raw, name, number))
+            change = tracker.join(_text(raw, name, number))
     except InputError as mistake:
         on_refused(f"{mistake}; skipped")
         return {"line": number, "refused": ": ".join(filter(None, (mistake.key, mistake.problem)))}
     return {"line": number, "robots": len(tracker.names), **_changed(change)}
+
+
+def _text(raw: bytes, name: Path, number: int) -> str:
+    if len(raw) > MAX_LINE_BYTES:
+        raise InputError("the line is longer than 64 MiB; write one robot a line")
+    return decode(raw, name, number)
 
 
 def _changed(change: Change) -> dict[str, object]:

@@ -6,7 +6,8 @@ The whole structure is annealed, from where it is, once it has grown by a tenth.
 in R, and relative to the anchor.
 """
 
-from collections.abc import Set
+from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -105,11 +106,9 @@ class Tracker:
         self._places: list[Reals] = []
         self._touching: dict[int, set[tuple[int, int, int]]] = {}
         self._state = Placed(np.empty((0, _AXES)), np.empty((0, _AXES)))
-        self._shift = np.empty((0, _AXES))  # from the state to the mean of likely states
-        self._sd = np.empty(0)
-        self._shapes = Shapes(
-            np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching
-        )
+        self._shift: Reals = np.empty((0, _AXES))  # from the state to the mean of likely states
+        self._sd: Reals = np.empty(0)
+        self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
         self._annealed_at = 1
 
     @property
@@ -229,9 +228,7 @@ class Tracker:
         """Make an estimate of the present state, relative to the anchor."""
         problem = pose_problem(log, self._params)
         position = self._mean
-        verdicts = assess(
-            log, self._params.cues, position, is_guess=problem.untied, sd=self._sd
-        )
+        verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=self._sd)
         gap = problem.residual(position, np.zeros(len(position)))
         return Estimate(
             robot_id=log.robot_id,
@@ -276,13 +273,12 @@ class Tracker:
 
     def _is_surprising(self, number: int) -> bool:
         """Judge whether chance explains the rows and overlaps of a robot where it is."""
-        near = self._near(number)
-        problem = self._problem(near, self._blocks_about(near))
+        problem = self.neighborhood(self._near(number))
         return self._is_surprise(problem, problem.linearized(self._state), number)
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
-        named = {other for entry in [line, *(line.stances or [])] for other in _named(entry)}
+        named = {other for entry in _entries(line) for other in _named(entry)}
         earlier = {self._index[name] for name in named if name in self._index}
         own = self._index.get(line.robot, len(self._index))
         members = sorted(earlier | {0}) if own else []
@@ -294,7 +290,7 @@ class Tracker:
         every = np.array([*members, own], np.int64)
         return block_of(centered(builder.log()), self._params, every)
 
-    def _rebuild(self, lines: dict[int, RobotLine], changed: Set[int]) -> None:
+    def _rebuild(self, lines: dict[int, RobotLine], changed: AbstractSet[int]) -> None:
         """Take other lines, and measure those of some robots anew; positions stay.
 
         An InputError leaves everything as it was.
@@ -351,7 +347,8 @@ class Tracker:
             block, self._state, self._shapes, non_overlap=self._params.non_overlap
         )
         self._places[number] = found - position[block.partners].mean(axis=0)
-        return found[cost <= cost[0] + CandidateSettings.likely]
+        likely: Reals = found[cost <= cost[0] + CandidateSettings.likely]
+        return likely
 
     def _solve_near(self, number: int, places: Reals | None = None) -> bool:
         """Solve for a robot and those near it; return whether its rows still surprise.
@@ -362,14 +359,13 @@ class Tracker:
                 likeliest one, and what is reported is the mean.
         """
         near = self._near(number)
-        blocks = self._blocks_about(near)
         position, turn = self._state
         if places is not None:
             position[number] = places[0]
-        if not blocks:  # nothing says where it is
+        if not self._blocks_about(near):  # nothing says where it is
             self._sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
             return False
-        problem = self._problem(near, blocks)
+        problem = self.neighborhood(near)
         found = []
         for place in position[number, None].copy() if places is None else places:
             position[number] = place
@@ -410,11 +406,16 @@ class Tracker:
             near |= dict.fromkeys(ring)
         return np.sort([*near][: NeighborhoodSettings.most])
 
-    def _problem(self, near: Ints, blocks: list[Block]) -> Neighborhood:
+    def neighborhood(self, robots: Ints) -> Neighborhood:
+        """Gather the cost of some robots, ascending by join order, all others where they are."""
         return Neighborhood(
-            near, blocks, self._shapes, robust=self._params.robust,
-            non_overlap=self._params.non_overlap, sd=self._sd,
-        )  # fmt: skip
+            robots,
+            self._blocks_about(robots),
+            self._shapes,
+            robust=self._params.robust,
+            non_overlap=self._params.non_overlap,
+            sd=self._sd,
+        )
 
     def _blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""
@@ -477,16 +478,24 @@ def _standing(line: RobotLine) -> RobotLine:
     )
 
 
+def _entries(line: RobotLine) -> Iterator[RobotLine | StanceEntry]:
+    """Yield the stances of a robot, the final one first."""
+    yield line
+    yield from line.stances or []
+
+
 def _named(entry: RobotLine | StanceEntry) -> list[int]:
     """List the robots that a stance names."""
     lists = [(getattr(entry, key) or [], kinds) for key, kinds in STANCE_LISTS.items()]
-    pairs = [(item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items]
+    pairs = [
+        (item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items
+    ]
     return [item[place] for item, place in pairs]
 
 
 def _without(line: RobotLine, robot: int) -> RobotLine:
     """Leave out what a line says of a robot; the line itself if it says nothing."""
-    if not any(robot in _named(entry) for entry in [line, *(line.stances or [])]):
+    if not any(robot in _named(entry) for entry in _entries(line)):
         return line
     stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
     return _cleared(line, robot).model_copy(update={"stances": stances})
@@ -517,6 +526,6 @@ def _refuse_line(line: RobotLine) -> None:
     if line.orientation_wxyz is None:
         problem = "null follows from the lines of later robots, too; choose method joint"
         raise InputError(problem, key="orientation_wxyz")
-    if any(entry.touches for entry in [line, *(line.stances or [])]):
+    if any(entry.touches for entry in _entries(line)):
         problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
         raise InputError(problem, key="touches")
