@@ -52,6 +52,11 @@ def score(
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
+        **(
+            {}
+            if estimate.at_join is None
+            else {"rmse_at_join_R": metrics.rmse(estimate.at_join, true)}
+        ),
         **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[1:])}),
         **_of_located(truth, estimate),
         **_calibration(truth, estimate),
@@ -111,6 +116,8 @@ def by_robot(
     table[["qw_sensed", "qx_sensed", "qy_sensed", "qz_sensed"]] = sensed
     yaw_aligned = metrics.yaw_aligned(estimated, true)
     rigidly_aligned = metrics.rigidly_aligned(estimated, true)
+    if estimate.at_join is not None:
+        table["error_at_join_R"] = metrics.robot_errors(estimate.at_join, true)
     apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),

@@ -203,5 +203,6 @@ def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
         length_unit=log.length_unit,
         position=estimate.position + by,
         trace=estimate.trace + by,
+        at_join=None if estimate.at_join is None else estimate.at_join + by,
         solutions=tuple(replace(s, position=s.position + by) for s in estimate.solutions),
     )

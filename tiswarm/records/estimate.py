@@ -195,6 +195,10 @@ class Estimate:
     trace: Reals
     """Estimated centers at each iteration of the trace [log unit], shape (K, N, 3)."""
 
+    at_join: Reals | None = None
+    """Estimated center of each robot as it joined [log unit], shape (N, 3); None where the method
+    localizes whole logs."""
+
     residual_sd: float | None = None
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""

@@ -45,7 +45,7 @@ _AVERAGED = (
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
-    "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
+    "rmse_at_join_R", "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
 _PRICED = (1, 100, 1_000, 10_000)

@@ -62,6 +62,7 @@ def localize_batch(
         estimates.append(
             replace(
                 found,
+                at_join=at_join,
                 iteration=np.append(every, last),
                 trace=trace,
                 residual=rms(gap) * log.dock_radius,

@@ -178,10 +178,10 @@ class Neighborhood:
         known = np.where(column < 0, trash, every).reshape(len(robots), 6 * robots.shape[1])
         last = np.array([*range(trash - 4, trash), trash, trash])
         place: Ints = np.concatenate([known, np.tile(last, (len(robots), 1))], axis=1)
-        flat: Ints = (trash + 1) * place[:, :, None] + place[:, None]
+        flat = (trash + 1) * place[:, :, None] + place[:, None]
         total = np.bincount(flat.ravel(), products.ravel(), (trash + 1) ** 2)
-        summed: Reals = total.reshape(trash + 1, trash + 1)[:trash, :trash]
-        return summed
+        square = np.asarray(total, np.float64).reshape(trash + 1, trash + 1)
+        return square[:trash, :trash]
 
     def _weighted(self, values: Reals, direction: Reals, own_variance: Reals) -> Reals:
         """Multiply values (B, m, n) by the inverse of each block's covariance."""
@@ -282,7 +282,7 @@ class Neighborhood:
         if self.moving[0] == 0:
             slope[:_AXES] = 0.0
         step = -np.linalg.solve(self._factored(linear, NeighborhoodSettings.damping), slope)
-        steps: Reals = step.reshape(2, -1, _AXES)
+        steps = np.asarray(step, np.float64).reshape(2, -1, _AXES)
         far, most = np.linalg.norm(steps[0], axis=1), NeighborhoodSettings.longest_step
         steps[0] *= np.minimum(1.0, most / np.maximum(far, most))[:, None]
         return steps[0], steps[1]
