@@ -21,9 +21,9 @@ CAPTIONS = {
     "grades": "RMSE by grade: conditions whose names end in a number share a panel, and each point "
     "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
     "95 % CI.",
-    "joining": "RMSE of the robots that joined last, a fifth of the smallest structure, against the "
-    "number of robots by then. Lines are conditions; methods that place robots as they join have "
-    "a second, dashed line for the same robots once all have joined.",
+    "joining": "RMSE of the robots that joined last, as many as a quarter of the smallest "
+    "structure, against the number of robots by then. Lines are conditions; methods that place "
+    "robots as they join have a second, dashed line for the same robots once all have joined.",
     "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
     "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
     "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "

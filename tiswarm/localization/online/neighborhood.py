@@ -240,7 +240,7 @@ class Neighborhood:
         return _Overlaps(values.reshape(len(i), 1, 3 * _PARTS), np.column_stack([i, j]))
 
     def _near(self, position: Reals) -> tuple[Ints, Ints]:
-        """List pairs of robots whose docks may overlap, at least one of which may move."""
+        """List pairs of robots whose docks may overlap, if one of them may move."""
         away = position[self.moving, None] - position
         row, other = np.nonzero((away**2).sum(axis=2) < self._reach**2)
         robot = self.moving[row]
