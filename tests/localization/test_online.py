@@ -11,7 +11,7 @@ from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.neighborhood import Placed
+from tiswarm.localization.online.neighborhood import Configuration
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State
@@ -77,7 +77,7 @@ def test_blocks_sum_to_the_normal_equations_of_the_refinement(towers, kind, robu
     whole = cost.linearized(State(position, none, every, np.zeros(0)), cost.precision)
 
     every_robot = tracker.neighborhood(np.arange(len(position)))
-    summed = every_robot.linearized(Placed(position - log.anchor_position, turn))
+    summed = every_robot.linearized(Configuration(position - log.anchor_position, turn))
 
     known = whole.information.toarray() + np.diag(whole.precision)
     assert len(known) == 6 * len(position) - 3

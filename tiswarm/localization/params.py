@@ -376,8 +376,8 @@ class OnlineParams(ChiSquareParams):
     """Steps at the end temperature, over which positions are averaged."""
 
     start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
-    """Square root of the temperature at which annealing begins [R]: so warm that mirror images
-    of single robots are tried, and the structure keeps its shape."""
+    """Square root of the temperature at which annealing begins [R]: warm enough for mirror images
+    of single robots to be tried, and cold enough for the structure to keep its shape."""
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -256,7 +256,7 @@ def _placed(
     )
 
 
-class _Change(NamedTuple):
+class _ChangedKey(NamedTuple):
     """A value to set, and its place in the scenario."""
 
     key: str
@@ -293,7 +293,7 @@ def _expand(
         changes = [row[0] for row in rows]
         changes += [follower for row in rows for follower in row[1:]]
         settings = [(key, value) for key, value in entries.items() if key != LABEL]
-        changes += [_Change(k, v, ("conditions", condition, k)) for k, v in settings]
+        changes += [_ChangedKey(k, v, ("conditions", condition, k)) for k, v in settings]
         outcome = _apply(base, changes, label)
         if not isinstance(outcome, Scenario):
             mistakes.update(dict.fromkeys(outcome))
@@ -307,15 +307,15 @@ def _expand(
     return list(found.values()), list(mistakes)
 
 
-def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_Change]]:
+def _rows(entry: str, values: Sequence[Any]) -> Iterator[list[_ChangedKey]]:
     """Yield the changes at each point of an entry, first the one that names the point."""
     keys = swept_keys(entry)
     for place, value in enumerate(values):
         if len(keys) == 1:
-            yield [_Change(entry, value, ("sweep", entry, place))]
+            yield [_ChangedKey(entry, value, ("sweep", entry, place))]
         else:
             cells = enumerate(zip(keys, value, strict=True))
-            yield [_Change(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
+            yield [_ChangedKey(k, v, ("sweep", entry, place, column)) for column, (k, v) in cells]
 
 
 def _malformed(sweep: _Sweep) -> list[Mistake]:
@@ -337,7 +337,7 @@ def _malformed(sweep: _Sweep) -> list[Mistake]:
     return mistakes
 
 
-def _apply(base: Plain, changes: Sequence[_Change], label: str) -> Scenario | list[Mistake]:
+def _apply(base: Plain, changes: Sequence[_ChangedKey], label: str) -> Scenario | list[Mistake]:
     """Apply whole sections first, then keys that select settings, then the settings."""
     data, lost = deepcopy(base), []
     changes = sorted(changes, key=lambda change: (len(change.path) > 1, not change.selects))
@@ -352,7 +352,7 @@ def _apply(base: Plain, changes: Sequence[_Change], label: str) -> Scenario | li
     return [_attribute(mistake, changes, label) for mistake in outcome]
 
 
-def _reset_section(data: Plain, change: _Change) -> str:
+def _reset_section(data: Plain, change: _ChangedKey) -> str:
     """Empty a section that is to have other settings; return which are lost, or nothing.
 
     A section keeps settings that differ from their default where the others have the same keys.
@@ -382,7 +382,7 @@ def _defaults(section: str, selected: str) -> Plain | None:
 watch(_defaults.cache_clear)
 
 
-def _attribute(mistake: Mistake, changes: Sequence[_Change], label: str) -> Mistake:
+def _attribute(mistake: Mistake, changes: Sequence[_ChangedKey], label: str) -> Mistake:
     """Move a mistake to the change that set the value at fault, or a part of it."""
     change = find_culprit(mistake, changes)
     if change is None:

@@ -12,7 +12,7 @@ from tiswarm.localization.joint.initialization import place_disconnected, set_ap
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import AnnealSchedule
-from tiswarm.localization.online.neighborhood import Placed
+from tiswarm.localization.online.neighborhood import Configuration
 from tiswarm.localization.online.settings import AnnealSettings, CandidateSettings
 from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
@@ -23,8 +23,8 @@ _ANNEALER = ("chains", "steps", "hold_steps", "start_sigma")
 
 
 def reannealed(
-    log: SensingLog, params: OnlineParams, state: Placed, *, anew: bool = False
-) -> tuple[Placed, Reals, Reals]:
+    log: SensingLog, params: OnlineParams, state: Configuration, *, anew: bool = False
+) -> tuple[Configuration, Reals, Reals]:
     """Anneal a structure of N robots from where it is, and keep the best minimum.
 
     Args:
@@ -67,10 +67,10 @@ def reannealed(
     counts = ~problem.untied & (found[1][1].cost <= linear.cost + CandidateSettings.likely)
     shift = np.where(counts[:, None], mean - there.position, 0.0)
     sd = np.sqrt(linear.variance() + np.where(counts, between, square[0]))
-    return Placed(placed[0], there.turn[walks.final]), shift, sd
+    return Configuration(placed[0], there.turn[walks.final]), shift, sd
 
 
-def annealed_estimate(log: SensingLog, params: OnlineParams, state: Placed) -> Estimate:
+def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
     An estimate that is not to be trusted gives way to that of `joint`, if that is.
@@ -94,7 +94,7 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
     return estimate
 
 
-def _chains(log: SensingLog, warm: JointParams, state: Placed) -> tuple[Problem, Annealed]:
+def _chains(log: SensingLog, warm: JointParams, state: Configuration) -> tuple[Problem, Annealed]:
     problem = pose_problem(log, warm)
     start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
     return problem, anneal([log], [warm], [problem], start=[start])[0]

@@ -12,7 +12,7 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.localization.online.blocks import Block
 from tiswarm.localization.online.neighborhood import (
-    Placed,
+    Configuration,
     Shapes,
     products_along,
     turned_arms,
@@ -28,7 +28,7 @@ _GOLDEN = np.pi * (1.0 + 5.0**0.5)
 
 
 def candidates(
-    block: Block, state: Placed, shapes: Shapes, *, non_overlap: bool
+    block: Block, state: Configuration, shapes: Shapes, *, non_overlap: bool
 ) -> tuple[Reals, Reals]:
     """Find the places of the robot of a block, the most likely one first.
 
@@ -73,7 +73,7 @@ def candidates(
     return _distinct(place, cost)
 
 
-def extension(block: Block, state: Placed, place: Reals) -> Reals:
+def extension(block: Block, state: Configuration, place: Reals) -> Reals:
     """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
     touched = state.position[block.partners]
     apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
@@ -123,7 +123,7 @@ def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
     return covariance
 
 
-def _overlap(block: Block, place: Reals, state: Placed, shapes: Shapes) -> Reals:
+def _overlap(block: Block, place: Reals, state: Configuration, shapes: Shapes) -> Reals:
     """Compute the cost of overlaps with robots that the robot does not touch there, (n,)."""
     own = int(block.members[-1])
     reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING

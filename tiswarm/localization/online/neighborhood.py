@@ -25,7 +25,7 @@ _PARTS = 6
 """Columns of a robot: its shift and its turn."""
 
 
-class Placed(NamedTuple):
+class Configuration(NamedTuple):
     """Where N robots are, and by how much their final orientations are off."""
 
     position: Reals
@@ -114,7 +114,7 @@ class Neighborhood:
         self._stays = np.where(self._column < 0, stays, 0.0)
         self._reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING
 
-    def linearized(self, state: Placed) -> Linearized:
+    def linearized(self, state: Configuration) -> Linearized:
         """Linearize the cost at a state."""
         found, rows, sd = self.gathered, self.gathered.rows, self.shapes.turn_sd
         pairs = len(rows.other)
@@ -212,7 +212,7 @@ class Neighborhood:
         excess[offset] /= _AXES
         return rows.own_variance + variance * missed, float(excess.sum())
 
-    def _overlaps(self, state: Placed) -> "_Overlaps":
+    def _overlaps(self, state: Configuration) -> "_Overlaps":
         """Compute the overlaps of docks that do not touch, and their derivatives."""
         if not self.non_overlap:
             return _Overlaps(np.zeros((0, 1, 3 * _PARTS)), np.zeros((0, 2), np.int64))
@@ -248,7 +248,7 @@ class Neighborhood:
         pair = np.column_stack([robot, other])[is_first]
         return pair.max(axis=1), pair.min(axis=1)
 
-    def solved(self, state: Placed) -> tuple[Placed, Linearized]:
+    def solved(self, state: Configuration) -> tuple[Configuration, Linearized]:
         """Take steps toward the minimum; return the best state on the way, and the cost there."""
         best = here = state, self.linearized(state)
         for _ in range(NeighborhoodSettings.rounds):
@@ -260,7 +260,7 @@ class Neighborhood:
             position, turned = state.position.copy(), state.turn.copy()
             position[self.moving] += shift
             turned[self.moving] += turn
-            state = Placed(position, turned)
+            state = Configuration(position, turned)
             here = state, self.linearized(state)
             if here[1].cost < best[1].cost:
                 best = here
@@ -321,7 +321,7 @@ def turned_arms(arm: Reals, turn: Reals, sd: Reals) -> Reals:
     return Rotation.from_rotvec(-turn * sd).apply(arm)
 
 
-def turned_docks(state: Placed, shapes: Shapes, robot: Ints) -> Reals:
+def turned_docks(state: Configuration, shapes: Shapes, robot: Ints) -> Reals:
     """Arms of all docks of some robots at a state [R], shape (n, docks, 3)."""
     arm = shapes.arm[robot]
     docks = arm.shape[1]

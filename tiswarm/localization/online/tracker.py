@@ -21,7 +21,7 @@ from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.candidates import candidates, extension
-from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Placed, Shapes
+from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Configuration, Shapes
 from tiswarm.localization.online.settings import (
     AnnealSettings,
     CandidateSettings,
@@ -105,7 +105,7 @@ class Tracker:
         self._sharing: list[set[int]] = []
         self._places: list[Reals] = []
         self._touching: dict[int, set[tuple[int, int, int]]] = {}
-        self._state = Placed(np.empty((0, _AXES)), np.empty((0, _AXES)))
+        self._state = Configuration(np.empty((0, _AXES)), np.empty((0, _AXES)))
         self._shift: Reals = np.empty((0, _AXES))  # from the state to the mean of likely states
         self._sd: Reals = np.empty(0)
         self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
@@ -312,7 +312,7 @@ class Tracker:
             block = replace(blocks[number], members=renumbered[blocks[number].members])
             self._append(self._measured(lines[name]) if name in changed else block, lines[name])
         self._places = [places[number] for number in kept.values()]
-        self._state = Placed(*(each[old] for each in state))
+        self._state = Configuration(*(each[old] for each in state))
         self._shift, self._sd = shift[old], sd[old]
 
     def _append(self, block: Block, line: RobotLine) -> None:
@@ -328,7 +328,7 @@ class Tracker:
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
         zero = np.zeros((1, _AXES))
-        self._state = Placed(*(np.concatenate([each, zero]) for each in self._state))
+        self._state = Configuration(*(np.concatenate([each, zero]) for each in self._state))
         self._shift = np.concatenate([self._shift, zero])
         self._sd = np.append(self._sd, 0.0)
         arm, turn_sd, touching = self._shapes
@@ -369,7 +369,7 @@ class Tracker:
         found = []
         for place in position[number, None].copy() if places is None else places:
             position[number] = place
-            found.append(problem.solved(Placed(position, turn)))
+            found.append(problem.solved(Configuration(position, turn)))
         state, linear, weight = self._weighed(found, number)
         spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
@@ -386,8 +386,8 @@ class Tracker:
         return surprised
 
     def _weighed(
-        self, found: list[tuple[Placed, Linearized]], number: int
-    ) -> tuple[Placed, Linearized, Reals]:
+        self, found: list[tuple[Configuration, Linearized]], number: int
+    ) -> tuple[Configuration, Linearized, Reals]:
         """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
         block = self._blocks[number]
         score = np.zeros(len(found))
@@ -433,8 +433,8 @@ class Tracker:
         return bool(square > chance or overlap > NeighborhoodSettings.overlap_sd)
 
     def _exchanged(
-        self, problem: Neighborhood, state: Placed, linear: Linearized, number: int
-    ) -> tuple[Placed, Linearized]:
+        self, problem: Neighborhood, state: Configuration, linear: Linearized, number: int
+    ) -> tuple[Configuration, Linearized]:
         """Try other places of the robot and of those it shares rows with, one after the other."""
         tried = 0
         for robot in [number, *sorted(self._sharing[number], reverse=True)]:
@@ -448,7 +448,7 @@ class Tracker:
                 if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
                     continue
                 position[robot], turn[robot] = touched + place, 0.0
-                other, there = problem.solved(Placed(position, turn))
+                other, there = problem.solved(Configuration(position, turn))
                 tried += 1
                 if there.cost < linear.cost - NeighborhoodSettings.gain:
                     state, linear = other, there
