@@ -21,7 +21,7 @@ from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.candidates import candidates, extension
-from tiswarm.localization.online.neighborhood import Linearized, Neighborhood, Configuration, Shapes
+from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
 from tiswarm.localization.online.settings import (
     AnnealSettings,
     CandidateSettings,
