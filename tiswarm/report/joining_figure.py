@@ -51,7 +51,7 @@ def draw_joining(run: RunData) -> "Figure":
                 look = line_style(place) | {"linestyle": "--"}
                 axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
                 drawn += later
-        axes.set(xlabel="Robots by then", title=kind)
+        axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
     panels[0].set_ylabel(f"RMSE of the last {last} robots [R]")
     fit_axis(panels[0], "y", np.array(drawn))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
