@@ -12,7 +12,7 @@ SIZES = (4, 8)
 
 @pytest.fixture
 def run(tmp_path):
-    """A run of two sizes: `online` errs by 2 R as robots join and by 0.5 R later, `joint` by 1 R."""
+    """A run of two sizes. `online` errs by 2 R as robots join and by 0.5 R later, `joint` by 1."""
     rows = []
     for condition in ("online", "joint"):
         for size in SIZES:

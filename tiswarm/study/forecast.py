@@ -6,7 +6,7 @@ robots.
 
 from typing import NamedTuple
 
-from tiswarm.localization.params import JointParams, VirtualForceParams
+from tiswarm.localization.params import JointParams, OnlineParams, VirtualForceParams
 from tiswarm.records.messages import counted
 from tiswarm.scenario.expansion import variants
 from tiswarm.scenario.model import Scenario
@@ -23,6 +23,7 @@ _VIRTUAL_FORCE_S = 1.3e-6  # iteration of a robot
 _TOGETHER_S = 4e-7  # step of a robot
 _JOINT_S = 8e-7  # step of a robot in one chain
 _LEAST_SQUARES_S = 0.01  # localization of a robot
+_ONLINE_S = 0.07  # join of a robot
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
 _ROBOT_MB = 0.05  # memory of each robot of a batch, most of all in `joint`
@@ -85,6 +86,8 @@ def _localize_s(settings: Scenario) -> float:
         return _VIRTUAL_FORCE_S * n * steps
     if isinstance(params, JointParams):
         return _JOINT_S * n * params.chains_for(n) * (params.steps_for(n) + params.hold_steps)
+    if isinstance(params, OnlineParams):
+        return _ONLINE_S * n
     return _LEAST_SQUARES_S * n
 
 
