@@ -277,6 +277,7 @@ def chosen_rows(
     is_wrong = inconsistent_places(rows) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows))
+    # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
     if "fixes" not in measured.used(params.cues):
         return rows, inconsistent
     fixed = measured.rows({*params.cues} & {"fixes"})

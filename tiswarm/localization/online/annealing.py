@@ -11,9 +11,9 @@ from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.initialization import place_disconnected, set_apart
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.online.neighborhood import Configuration
-from tiswarm.localization.online.settings import AnnealSettings, CandidateSettings
+from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.records.estimate import Estimate
@@ -44,7 +44,7 @@ def reannealed(
     cost = Cost(
         log,
         problem.rows,
-        robust_sd=AnnealSchedule.outlier_sd if params.robust else None,
+        robust_sd=ANNEALING.outlier_sd if params.robust else None,
         non_overlap=params.non_overlap,
     )
     walks = problem.rows.odometry
@@ -53,18 +53,18 @@ def reannealed(
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
     found = [
-        cost.refine((set_apart(problem, state.position), yaw), AnnealSettings.rounds, turn=turn),
-        cost.refine((ends.position[best], yaw), AnnealSettings.rounds),
+        cost.refine((set_apart(problem, state.position), yaw), TIMES.rounds, turn=turn),
+        cost.refine((ends.position[best], yaw), TIMES.rounds),
     ]
     if anew:
         start = _searched(log, params).solutions[0].position / log.dock_radius
-        found.append(cost.refine((set_apart(problem, start), yaw), AnnealSettings.rounds))
+        found.append(cost.refine((set_apart(problem, start), yaw), TIMES.rounds))
     there, linear = min(found, key=lambda each: each[1].cost)
     placed, square = place_disconnected(there.position[None], problem)
     mean = np.tensordot(ends.weight, ends.position, 1)
     between = ends.weight @ ((ends.position - mean) ** 2).sum(axis=2)
     # Chains that ended far above the best minimum say nothing about it.
-    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CandidateSettings.likely)
+    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean - there.position, 0.0)
     sd = np.sqrt(linear.variance() + np.where(counts, between, square[0]))
     return Configuration(placed[0], there.turn[walks.final]), shift, sd

@@ -18,7 +18,7 @@ from tiswarm.localization.online.neighborhood import (
     turned_arms,
     turned_docks,
 )
-from tiswarm.localization.online.settings import CandidateSettings
+from tiswarm.localization.online.settings import CANDIDATES
 from tiswarm.localization.refinement import OVERLAP_SD
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING
@@ -48,20 +48,20 @@ def candidates(
     noise = block.with_final_noise()
     at = state.position[members]
     place = _starts(block, rows, at)
-    for count in range(CandidateSettings.rounds):
+    for count in range(CANDIDATES.rounds):
         position = _with_last(at, place)
         residual, direction = rows.residual(position), rows.directions(position)
         inverse = np.linalg.inv(_covariance(noise, direction, rows.own_variance))
         weighted = inverse @ direction
         known = direction.swapaxes(1, 2) @ weighted
         slope = (weighted * residual[:, :, None]).sum(axis=1)
-        damped = known + CandidateSettings.damping * np.eye(_AXES)
+        damped = known + CANDIDATES.damping * np.eye(_AXES)
         step = -np.linalg.solve(damped, slope[:, :, None])[:, :, 0]
-        far, most = np.linalg.norm(step, axis=1), CandidateSettings.longest_step
+        far, most = np.linalg.norm(step, axis=1), CANDIDATES.longest_step
         place = place + step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
-        if far.max() < CandidateSettings.settled:
+        if far.max() < CANDIDATES.settled:
             break
-        if count % CandidateSettings.merge_every == CandidateSettings.merge_every - 1:
+        if count % CANDIDATES.merge_every == CANDIDATES.merge_every - 1:
             place = _merged(place)
     position = _with_last(at, place)
     residual, direction = rows.residual(position), rows.directions(position)
@@ -77,7 +77,7 @@ def extension(block: Block, state: Configuration, place: Reals) -> Reals:
     """Compute what a robot at some places (n, 3) gains by its extension [1], shape (n,)."""
     touched = state.position[block.partners]
     apart = np.linalg.norm(place[:, None] - touched, axis=2).mean(axis=1)
-    gain: Reals = CandidateSettings.extension * apart
+    gain: Reals = CANDIDATES.extension * apart
     return gain
 
 
@@ -91,7 +91,7 @@ def _with_last(at: Reals, place: Reals) -> Reals:
 def _merged(place: Reals) -> Reals:
     """Keep the first of places that are close to each other."""
     apart = np.linalg.norm(place[:, None] - place, axis=2)
-    is_close = np.tril(apart < CandidateSettings.alike, -1)
+    is_close = np.tril(apart < CANDIDATES.alike, -1)
     return place[~is_close.any(axis=1)]
 
 
@@ -105,8 +105,8 @@ def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
     center = at[rows.other[sharpest]] + rows.other_arm[sharpest] - rows.arm[sharpest]
     is_distance = sharpest < len(rows.distances.length)
     radius = rows.distances.length[sharpest] if is_distance else SPACING
-    number = np.arange(CandidateSettings.starts) + 0.5
-    z, angle = 1.0 - 2.0 * number / CandidateSettings.starts, _GOLDEN * number
+    number = np.arange(CANDIDATES.starts) + 0.5
+    z, angle = 1.0 - 2.0 * number / CANDIDATES.starts, _GOLDEN * number
     level = np.sqrt(1.0 - z**2)
     sphere = np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
     start: Reals = center + radius * sphere
@@ -145,11 +145,11 @@ def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
     kept: list[int] = []
     for n in np.argsort(cost, kind="stable").tolist():
-        if kept and cost[n] > cost[kept[0]] + CandidateSettings.worst:
+        if kept and cost[n] > cost[kept[0]] + CANDIDATES.worst:
             break
         apart = np.linalg.norm(place[kept] - place[n], axis=1)
-        if (apart > CandidateSettings.distinct).all():
+        if (apart > CANDIDATES.distinct).all():
             kept.append(n)
-        if len(kept) == CandidateSettings.most:
+        if len(kept) == CANDIDATES.most:
             break
     return place[kept], cost[kept]

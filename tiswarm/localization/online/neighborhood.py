@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
-from tiswarm.localization.joint.settings import AnnealSchedule
+from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.online.blocks import Block, gather
-from tiswarm.localization.online.settings import NeighborhoodSettings
+from tiswarm.localization.online.settings import NEIGHBORS
 from tiswarm.localization.refinement import OVERLAP_SD
 from tiswarm.measurements.rows import SPACING
 
@@ -204,7 +204,7 @@ class Neighborhood:
         rows, variance = self.gathered.rows, self.gathered.variance
         if not self.robust:
             return rows.own_variance, 0.0
-        square = AnnealSchedule.outlier_sd**2
+        square = ANNEALING.outlier_sd**2
         missed = residual**2 / (square * variance)
         offset = slice(len(rows.distances.stance), len(rows.other))
         missed[offset] = np.repeat(missed[offset].reshape(-1, _AXES).sum(axis=1), _AXES)
@@ -251,11 +251,11 @@ class Neighborhood:
     def solved(self, state: Configuration) -> tuple[Configuration, Linearized]:
         """Take steps toward the minimum; return the best state on the way, and the cost there."""
         best = here = state, self.linearized(state)
-        for _ in range(NeighborhoodSettings.rounds):
+        for _ in range(NEIGHBORS.rounds):
             state, linear = here
             shift, turn = self._step(linear)
             gain = -linear.slope @ np.concatenate([shift.ravel(), turn.ravel()])
-            if gain < NeighborhoodSettings.settled:
+            if gain < NEIGHBORS.settled:
                 break
             position, turned = state.position.copy(), state.turn.copy()
             position[self.moving] += shift
@@ -281,9 +281,9 @@ class Neighborhood:
         slope = linear.slope.copy()
         if self.moving[0] == 0:
             slope[:_AXES] = 0.0
-        step = -np.linalg.solve(self._factored(linear, NeighborhoodSettings.damping), slope)
+        step = -np.linalg.solve(self._factored(linear, NEIGHBORS.damping), slope)
         steps = np.asarray(step, np.float64).reshape(2, -1, _AXES)
-        far, most = np.linalg.norm(steps[0], axis=1), NeighborhoodSettings.longest_step
+        far, most = np.linalg.norm(steps[0], axis=1), NEIGHBORS.longest_step
         steps[0] *= np.minimum(1.0, most / np.maximum(far, most))[:, None]
         return steps[0], steps[1]
 
@@ -297,7 +297,7 @@ class Neighborhood:
         Errors of the robots that stay count as a shift that they share.
         """
         count = 3 * len(self.moving)
-        inverse = np.linalg.inv(self._factored(linear, NeighborhoodSettings.open_precision))
+        inverse = np.linalg.inv(self._factored(linear, NEIGHBORS.open_precision))
         own = np.diagonal(inverse)[:count].reshape(-1, _AXES).sum(axis=1)
         shared = inverse[:count] @ linear.of_others
         if self.moving[0] == 0:

@@ -96,3 +96,8 @@ class AnnealSettings:
 
     rounds: int = 4
     """Steps toward the minimum from the end of a chain [1]."""
+
+
+CANDIDATES = CandidateSettings()
+NEIGHBORS = NeighborhoodSettings()
+TIMES = AnnealSettings()

@@ -23,9 +23,9 @@ from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.candidates import candidates, extension
 from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
 from tiswarm.localization.online.settings import (
-    AnnealSettings,
-    CandidateSettings,
-    NeighborhoodSettings,
+    CANDIDATES,
+    NEIGHBORS,
+    TIMES,
 )
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
@@ -259,8 +259,8 @@ class Tracker:
         backend.processor()
         surprised = [self._solve_near(number, places) for number in numbers]
         grown = len(self._index) / self._annealed_at - 1.0
-        least = AnnealSettings.surprised_growth if any(surprised) else self._params.anneal_growth
-        if len(self._index) < AnnealSettings.fewest or grown < least:
+        least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
+        if len(self._index) < TIMES.fewest or grown < least:
             return False
         self._annealed_at = len(self._index)
         log = centered(self.log)
@@ -347,7 +347,7 @@ class Tracker:
             block, self._state, self._shapes, non_overlap=self._params.non_overlap
         )
         self._places[number] = found - position[block.partners].mean(axis=0)
-        likely: Reals = found[cost <= cost[0] + CandidateSettings.likely]
+        likely: Reals = found[cost <= cost[0] + CANDIDATES.likely]
         return likely
 
     def _solve_near(self, number: int, places: Reals | None = None) -> bool:
@@ -404,7 +404,7 @@ class Tracker:
             further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
             ring = sorted(further, reverse=True)  # the last that joined are the least known
             near |= dict.fromkeys(ring)
-        return np.sort([*near][: NeighborhoodSettings.most])
+        return np.sort([*near][: NEIGHBORS.most])
 
     def neighborhood(self, robots: Ints) -> Neighborhood:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
@@ -429,8 +429,8 @@ class Tracker:
         if not (rows := len(self._blocks[number])):
             return False
         square, overlap = problem.missed(linear, number)
-        chance = rows + NeighborhoodSettings.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
-        return bool(square > chance or overlap > NeighborhoodSettings.overlap_sd)
+        chance = rows + NEIGHBORS.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
+        return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
 
     def _exchanged(
         self, problem: Neighborhood, state: Configuration, linear: Linearized, number: int
@@ -442,7 +442,7 @@ class Tracker:
                 continue
             touched = state.position[self._blocks[robot].partners].mean(axis=0)
             for place in self._places[robot]:
-                if tried == NeighborhoodSettings.tried:
+                if tried == NEIGHBORS.tried:
                     return state, linear
                 position, turn = state.position.copy(), state.turn.copy()
                 if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
@@ -450,7 +450,7 @@ class Tracker:
                 position[robot], turn[robot] = touched + place, 0.0
                 other, there = problem.solved(Configuration(position, turn))
                 tried += 1
-                if there.cost < linear.cost - NeighborhoodSettings.gain:
+                if there.cost < linear.cost - NEIGHBORS.gain:
                     state, linear = other, there
                     self._shift[robot] = 0.0
                     break
