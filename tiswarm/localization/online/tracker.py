@@ -6,10 +6,9 @@ The whole structure is annealed, from where it is, once it has grown by a tenth.
 in R, and relative to the anchor.
 """
 
-from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +20,14 @@ from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.candidates import candidates, extension
+from tiswarm.localization.online.lines import (
+    entries,
+    named,
+    refuse_header,
+    refuse_line,
+    standing,
+    without,
+)
 from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
 from tiswarm.localization.online.settings import (
     CANDIDATES,
@@ -33,17 +40,9 @@ from tiswarm.localization.virtual_force import Line, line_text
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_format import (
-    STANCE_LISTS,
-    HeaderLine,
-    RobotLine,
-    StanceEntry,
-    parse_header,
-    parse_robot,
-)
+from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
-_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 _AXES = 3
 _MOVED = 1e-3
 """Shift from which on a robot has moved [R]."""
@@ -90,7 +89,7 @@ class Tracker:
                 f"{chosen.method} needs the log of all robots; localize it once they have joined"
             )
         head = parse_header(line_text(header))
-        _refuse_header(head)
+        refuse_header(head)
         self._params, self._head = chosen, head
         self._unit, self._anchor = head.dock_radius, np.array(head.anchor_position)
         self._lines: dict[int, RobotLine] = {}
@@ -151,7 +150,7 @@ class Tracker:
                 no trace then.
         """
         line = parse_robot(line_text(robot))
-        _refuse_line(line)
+        refuse_line(line)
         before = self._mean
         annealed = self._join(line)
         return self._change(before, annealed=annealed)
@@ -167,7 +166,7 @@ class Tracker:
             InputError: the line is malformed, or no such robot has joined. Nothing changes then.
         """
         line = parse_robot(line_text(robot))
-        _refuse_line(line)
+        refuse_line(line)
         self._require(line.robot)
         before = self._mean
         self._rebuild({**self._lines, line.robot: line}, {line.robot})
@@ -192,7 +191,7 @@ class Tracker:
         if number == 0:
             raise InputError("the anchor holds all others; start anew from another one")
         stay = {name: line for name, line in self._lines.items() if name != robot}
-        lines = {name: _without(line, robot) for name, line in stay.items()}
+        lines = {name: without(line, robot) for name, line in stay.items()}
         changed = {name for name in stay if lines[name] is not stay[name]}
         before = np.delete(self._mean, number, axis=0)
         self._rebuild(lines, changed)
@@ -278,14 +277,14 @@ class Tracker:
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
-        named = {other for entry in _entries(line) for other in _named(entry)}
-        earlier = {self._index[name] for name in named if name in self._index}
+        mentioned = {other for entry in entries(line) for other in named(entry)}
+        earlier = {self._index[name] for name in mentioned if name in self._index}
         own = self._index.get(line.robot, len(self._index))
         members = sorted(earlier | {0}) if own else []
         names = list(self._index)
         builder = SensingLogBuilder(self._head)
         for member in members:
-            builder.add(_standing(self._lines[names[member]]))
+            builder.add(standing(self._lines[names[member]]))
         builder.add(line)
         every = np.array([*members, own], np.int64)
         return block_of(centered(builder.log()), self._params, every)
@@ -469,63 +468,3 @@ class Tracker:
             sd=self.sd[chosen],
             annealed=annealed,
         )
-
-
-def _standing(line: RobotLine) -> RobotLine:
-    """Leave of a robot that it stands, and whether it is planar."""
-    return RobotLine.model_construct(
-        robot=line.robot, orientation_wxyz=line.orientation_wxyz, contacts=[], fixes=line.fixes
-    )
-
-
-def _entries(line: RobotLine) -> Iterator[RobotLine | StanceEntry]:
-    """Yield the stances of a robot, the final one first."""
-    yield line
-    yield from line.stances or []
-
-
-def _named(entry: RobotLine | StanceEntry) -> list[int]:
-    """List the robots that a stance names."""
-    lists = [(getattr(entry, key) or [], kinds) for key, kinds in STANCE_LISTS.items()]
-    pairs = [
-        (item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items
-    ]
-    return [item[place] for item, place in pairs]
-
-
-def _without(line: RobotLine, robot: int) -> RobotLine:
-    """Leave out what a line says of a robot; the line itself if it says nothing."""
-    if not any(robot in _named(entry) for entry in _entries(line)):
-        return line
-    stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
-    return _cleared(line, robot).model_copy(update={"stances": stances})
-
-
-def _cleared(entry: _Entry, robot: int) -> _Entry:
-    """Drop the items of a stance that name a robot."""
-    kept = {}
-    for key, kinds in STANCE_LISTS.items():
-        items = getattr(entry, key)
-        if items and "robot" in kinds:
-            kept[key] = [item for item in items if item[kinds.index("robot")] != robot]
-    return entry.model_copy(update=kept)
-
-
-def _refuse_header(head: HeaderLine) -> None:
-    """Raise InputError where all robots share an error that a tracker cannot solve for."""
-    if head.noise is not None and head.noise.yaw_bias_deg:
-        problem = "online solves for no bias of yaw; choose method joint for the whole log"
-        raise InputError(problem, key="noise.yaw_bias_deg")
-    if any(source.shared_sd > 0.0 for source in (head.sources or {}).values()):
-        problem = "online knows no errors that measurements share; choose method joint"
-        raise InputError(problem, key="sources")
-
-
-def _refuse_line(line: RobotLine) -> None:
-    """Raise InputError where a robot sensed what a tracker cannot use."""
-    if line.orientation_wxyz is None:
-        problem = "null follows from the lines of later robots, too; choose method joint"
-        raise InputError(problem, key="orientation_wxyz")
-    if any(entry.touches for entry in _entries(line)):
-        problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
-        raise InputError(problem, key="touches")

@@ -1,0 +1,69 @@
+"""Lines of robots as a tracker takes them: what it refuses, and what it leaves out."""
+
+from collections.abc import Iterator
+from typing import TypeVar
+
+from tiswarm.base.errors import InputError
+from tiswarm.records.sensing_format import STANCE_LISTS, HeaderLine, RobotLine, StanceEntry
+
+_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
+
+
+def standing(line: RobotLine) -> RobotLine:
+    """Leave of a robot that it stands, and whether it is planar."""
+    return RobotLine.model_construct(
+        robot=line.robot, orientation_wxyz=line.orientation_wxyz, contacts=[], fixes=line.fixes
+    )
+
+
+def entries(line: RobotLine) -> Iterator[RobotLine | StanceEntry]:
+    """Yield the stances of a robot, the final one first."""
+    yield line
+    yield from line.stances or []
+
+
+def named(entry: RobotLine | StanceEntry) -> list[int]:
+    """List the robots that a stance names."""
+    lists = [(getattr(entry, key) or [], kinds) for key, kinds in STANCE_LISTS.items()]
+    pairs = [
+        (item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items
+    ]
+    return [item[place] for item, place in pairs]
+
+
+def without(line: RobotLine, robot: int) -> RobotLine:
+    """Leave out what a line says of a robot; the line itself if it says nothing."""
+    if not any(robot in named(entry) for entry in entries(line)):
+        return line
+    stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
+    return _cleared(line, robot).model_copy(update={"stances": stances})
+
+
+def _cleared(entry: _Entry, robot: int) -> _Entry:
+    """Drop the items of a stance that name a robot."""
+    kept = {}
+    for key, kinds in STANCE_LISTS.items():
+        items = getattr(entry, key)
+        if items and "robot" in kinds:
+            kept[key] = [item for item in items if item[kinds.index("robot")] != robot]
+    return entry.model_copy(update=kept)
+
+
+def refuse_header(head: HeaderLine) -> None:
+    """Raise InputError where all robots share an error that a tracker cannot solve for."""
+    if head.noise is not None and head.noise.yaw_bias_deg:
+        problem = "online solves for no bias of yaw; choose method joint for the whole log"
+        raise InputError(problem, key="noise.yaw_bias_deg")
+    if any(source.shared_sd > 0.0 for source in (head.sources or {}).values()):
+        problem = "online knows no errors that measurements share; choose method joint"
+        raise InputError(problem, key="sources")
+
+
+def refuse_line(line: RobotLine) -> None:
+    """Raise InputError where a robot sensed what a tracker cannot use."""
+    if line.orientation_wxyz is None:
+        problem = "null follows from the lines of later robots, too; choose method joint"
+        raise InputError(problem, key="orientation_wxyz")
+    if any(entry.touches for entry in entries(line)):
+        problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
+        raise InputError(problem, key="touches")
