@@ -48,10 +48,12 @@ def reannealed(
         non_overlap=params.non_overlap,
     )
     walks = problem.rows.odometry
+    # Turns of earlier stances follow from those of final ones in a step.
     turn = np.zeros((len(walks.owner), 3))
     turn[walks.final] = state.turn
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
+    # Chains may all end higher than where they began.
     found = [
         cost.refine((set_apart(problem, state.position), yaw), TIMES.rounds, turn=turn),
         cost.refine((ends.position[best], yaw), TIMES.rounds),
@@ -96,6 +98,7 @@ def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
 
 def _chains(log: SensingLog, warm: JointParams, state: Configuration) -> tuple[Problem, Annealed]:
     problem = pose_problem(log, warm)
+    # All chains begin at one place; their kicks differ.
     start = np.tile(set_apart(problem, state.position), (warm.chains_for(log.robot_count), 1, 1))
     return problem, anneal([log], [warm], [problem], start=[start])[0]
 

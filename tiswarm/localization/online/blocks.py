@@ -74,13 +74,16 @@ def block_of(log: SensingLog, params: OnlineParams, members: Ints) -> Block:
     odometry = Odometry(log)
     last = log.robot_count - 1
     rows, _ = chosen_rows(log, params, odometry)
+    # Where other robots were measured to be is in the blocks of their own.
     rows = rows.select((rows.robot == last) & (rows.robot > 0))
     row, stance, part = rows.noisy_arms()[0]
+    # The final orientation is an unknown beside the position; earlier ones are noise.
     is_final = stance == odometry.final[last]
     tail = np.zeros((len(rows), _AXES))
     tail[row[is_final]] = part[is_final]
     sd = odometry.turn_sd[:, [0, 0, 1]]
     row, stance, part = row[~is_final], stance[~is_final], part[~is_final]
+    # Three columns for each earlier stance, whose turn is in all rows sensed before it.
     which, column = np.unique(stance, return_inverse=True)
     turns = np.zeros((len(rows), _AXES, len(which), _AXES))
     turns[row, :, column] = _turns(part, sd[stance])
@@ -149,10 +152,12 @@ def gather(blocks: list[Block]) -> Gathered:
         ]
         return np.concatenate(parts)
 
+    # Blocks have as many places as the largest, so that one call treats all.
     most = max(map(len, blocks))
     noise = np.zeros((len(blocks), most, _AXES, most, _AXES))
     for k, block in enumerate(blocks):
         noise[k, : len(block), :, : len(block)] = block.noise
+    # A robot repeated has no derivatives of its own, and so adds nothing.
     partners = [block.partners for block in blocks]
     count = 1 + max(map(len, partners))
     members = np.array(

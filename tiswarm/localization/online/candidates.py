@@ -61,8 +61,10 @@ def candidates(
         place = place + step * np.minimum(1.0, most / np.maximum(far, most))[:, None]
         if far.max() < CANDIDATES.settled:
             break
+        # Most starts fall into the same few minima within three steps.
         if count % CANDIDATES.merge_every == CANDIDATES.merge_every - 1:
             place = _merged(place)
+    # The covariance depends on where the robot is, so that chi-squares need it at the ends.
     position = _with_last(at, place)
     residual, direction = rows.residual(position), rows.directions(position)
     covariance = _covariance(noise, direction, rows.own_variance)
@@ -103,10 +105,12 @@ def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
     pairs = len(rows.other)
     sharpest = int(block.variance[:pairs].argmin())
     center = at[rows.other[sharpest]] + rows.other_arm[sharpest] - rows.arm[sharpest]
+    # A vector tells the distance, too: that of two docks in contact.
     is_distance = sharpest < len(rows.distances.length)
     radius = rows.distances.length[sharpest] if is_distance else SPACING
     number = np.arange(CANDIDATES.starts) + 0.5
     z, angle = 1.0 - 2.0 * number / CANDIDATES.starts, _GOLDEN * number
+    # Points of a golden spiral, which are evenly spread.
     level = np.sqrt(1.0 - z**2)
     sphere = np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
     start: Reals = center + radius * sphere
@@ -116,6 +120,7 @@ def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
 def _covariance(noise: Reals, direction: Reals, own_variance: Reals) -> Reals:
     """Covariance of the rows of a block at some states, (n, m, m), by derivatives (n, m, 3)."""
     rows = len(noise)
+    # By rows first, so that each row is one matrix product.
     way = direction.swapaxes(0, 1)
     half = (way @ noise.reshape(rows, _AXES, rows * _AXES)).reshape(rows, -1, rows, _AXES)
     total = products_along(half, direction)
@@ -130,6 +135,7 @@ def _overlap(block: Block, place: Reals, state: Configuration, shapes: Shapes) -
     center = place.mean(axis=0)
     spread = float(np.linalg.norm(place - center, axis=1).max())
     away = np.linalg.norm(state.position - center, axis=1)
+    # It does not overlap with itself.
     away[own] = np.inf
     near = np.flatnonzero(away < reach + spread)
     point = state.position[near, None] + turned_docks(state, shapes, near)
@@ -145,6 +151,7 @@ def _distinct(place: Reals, cost: Reals) -> tuple[Reals, Reals]:
     """Keep the best of ends that are close, as far as their costs let them be candidates."""
     kept: list[int] = []
     for n in np.argsort(cost, kind="stable").tolist():
+        # Ends come by ascending cost: all others are worse.
         if kept and cost[n] > cost[kept[0]] + CANDIDATES.worst:
             break
         apart = np.linalg.norm(place[kept] - place[n], axis=1)

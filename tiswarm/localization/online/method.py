@@ -42,6 +42,7 @@ def localize_batch(
     estimates = []
     total, joined = sum(log.robot_count for log in logs), 0
     for log, p in zip(logs, params, strict=True):
+        # Through text, as the lines of real robots come: one way in.
         header, *robots = map(json.dumps, log_entries(log))
         tracker = Tracker(header, p)
         every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))

@@ -110,6 +110,7 @@ class Neighborhood:
         robots = len(shapes.arm)
         self._column = np.full(robots, -1)
         self._column[moving] = np.arange(len(moving))
+        # Three axes share the variance.
         stays = np.zeros(robots) if sd is None else sd / np.sqrt(_AXES)
         self._stays = np.where(self._column < 0, stays, 0.0)
         self._reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING
@@ -124,6 +125,7 @@ class Neighborhood:
         residual, direction = turned.residual(state.position), turned.directions(state.position)
         own_variance, excess = self._robust(residual)
         blocks, most = found.noise.shape[:2]
+        # The last robot of a group stands for a shift of all others, and holds the residual.
         values = np.zeros((blocks * most, found.members.shape[1] + 1, _PARTS))
         own = values[:, 0]
         own[found.slot, :3] = direction
@@ -143,6 +145,7 @@ class Neighborhood:
         total += self._summed(above.values.swapaxes(1, 2) @ above.values, above.robots)
         count = 6 * len(self.moving)
         off = state.turn[self.moving].ravel()
+        # A turn is in standard deviations, so that its prior has precision 1.
         of_turns = np.arange(len(off), count)
         information, slope = total[:count, :count].copy(), total[:count, count + 3].copy()
         information[of_turns, of_turns] += 1.0
@@ -175,6 +178,7 @@ class Neighborhood:
         column = self._column[robots][:, :, None]
         every = np.concatenate([3 * column + range(3), 3 * (count + column) + range(3)], axis=2)
         trash = 6 * count + 4
+        # What stays has no unknowns; all of it goes to one row that is cut off.
         known = np.where(column < 0, trash, every).reshape(len(robots), 6 * robots.shape[1])
         last = np.array([*range(trash - 4, trash), trash, trash])
         place: Ints = np.concatenate([known, np.tile(last, (len(robots), 1))], axis=1)
@@ -195,6 +199,7 @@ class Neighborhood:
         own = np.ones(blocks * most)
         own[slot] = own_variance
         place = np.arange(most)
+        # Places without a row have variance 1 and no derivatives.
         covariance[:, place, place] += own.reshape(blocks, most)
         weighted: Reals = np.linalg.inv(covariance) @ values
         return weighted
@@ -226,6 +231,7 @@ class Neighborhood:
         pair, own, its = np.nonzero((length < SPACING) & (length > 0.0))
         docks = np.column_stack([later[pair], own, earlier[pair], its])
         touching = self.shapes.touching
+        # Docks in contact are nearer than D as often as farther.
         is_apart = [tuple(row[1:]) not in touching[row[0]] for row in docks.tolist()]
         i, own, j, its = docks[np.array(is_apart, np.bool_)].T
         apart = point[i, own] - point[j, its]
@@ -244,6 +250,7 @@ class Neighborhood:
         away = position[self.moving, None] - position
         row, other = np.nonzero((away**2).sum(axis=2) < self._reach**2)
         robot = self.moving[row]
+        # A pair that may both move is listed once.
         is_first = (robot > other) | ((robot < other) & (self._column[other] < 0))
         pair = np.column_stack([robot, other])[is_first]
         return pair.max(axis=1), pair.min(axis=1)
@@ -255,6 +262,7 @@ class Neighborhood:
             state, linear = here
             shift, turn = self._step(linear)
             gain = -linear.slope @ np.concatenate([shift.ravel(), turn.ravel()])
+            # Most joins need one step; each costs as much as the first.
             if gain < NEIGHBORS.settled:
                 break
             position, turned = state.position.copy(), state.turn.copy()
@@ -272,6 +280,7 @@ class Neighborhood:
         shifts = np.arange(3 * len(self.moving))
         known[shifts, shifts] += damping
         if self.moving[0] == 0:
+            # The anchor stays where it is, but its orientation is as noisy as any.
             known[:_AXES] = known[:, :_AXES] = 0.0
             known[range(_AXES), range(_AXES)] = 1.0
         return known
@@ -299,6 +308,7 @@ class Neighborhood:
         count = 3 * len(self.moving)
         inverse = np.linalg.inv(self._factored(linear, NEIGHBORS.open_precision))
         own = np.diagonal(inverse)[:count].reshape(-1, _AXES).sum(axis=1)
+        # A neighborhood hangs on robots that are wrong themselves, and by much the same.
         shared = inverse[:count] @ linear.of_others
         if self.moving[0] == 0:
             own, shared = own.copy(), shared.copy()

@@ -57,6 +57,7 @@ def follow(
         tracker: Tracker | None = None
         with journal.open("ab") as kept, out.open("ab") as answers:
             for number, raw in enumerate(chain(taken, fresh), start=1):
+                # First the journal: a line that is answered must never be missing in it.
                 if number > len(taken):
                     _append(kept, raw)
                 if tracker is None:
@@ -136,6 +137,7 @@ def _whole_lines(path: Path) -> list[bytes]:
     if not path.exists():
         return []
     content = path.read_bytes()
+    # A kill may have cut the last line; its input will be read again.
     whole = content.rfind(b"\n") + 1
     if whole < len(content):
         with path.open("r+b") as file:

@@ -242,6 +242,7 @@ class Tracker:
 
     def _join(self, line: RobotLine) -> bool:
         """Add a checked robot, and solve for what is near; return whether all was annealed."""
+        # A line that is refused here or in the builder leaves no trace.
         block = self._measured(line)
         number = len(self._index)
         self._builder.add(line)
@@ -257,6 +258,7 @@ class Tracker:
         """Solve for what is near some robots; anneal all where that is due, and say whether."""
         backend.processor()
         surprised = [self._solve_near(number, places) for number in numbers]
+        # As growth is relative, annealing costs each robot the same in the mean.
         grown = len(self._index) / self._annealed_at - 1.0
         least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
         if len(self._index) < TIMES.fewest or grown < least:
@@ -297,6 +299,7 @@ class Tracker:
         builder = SensingLogBuilder(self._head)
         for line in lines.values():
             builder.add(line)
+        # Nothing has changed so far: the builder refuses what is wrong.
         kept = {name: self._index[name] for name in lines}
         blocks, places, state = self._blocks, self._places, self._state
         shift, sd = self._shift, self._sd
@@ -358,6 +361,7 @@ class Tracker:
                 likeliest one, and what is reported is the mean.
         """
         near = self._near(number)
+        # The arrays are the state's own: what is set here is where steps begin.
         position, turn = self._state
         if places is not None:
             position[number] = places[0]
@@ -365,6 +369,7 @@ class Tracker:
             self._sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
             return False
         problem = self.neighborhood(near)
+        # Robots nearby may give way to one place more than to another.
         found = []
         for place in position[number, None].copy() if places is None else places:
             position[number] = place
@@ -401,6 +406,7 @@ class Tracker:
         near, ring = {number: None}, [number]
         for _ in range(2):
             further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
+            # If not all may move, those nearest in steps do.
             ring = sorted(further, reverse=True)  # the last that joined are the least known
             near |= dict.fromkeys(ring)
         return np.sort([*near][: NEIGHBORS.most])
@@ -418,6 +424,7 @@ class Tracker:
 
     def _blocks_about(self, robots: Ints) -> list[Block]:
         """List the blocks with rows about some robots."""
+        # Rows about a robot are in its own block and in those of later robots.
         chosen = {*robots.tolist()}
         for robot in robots.tolist():
             chosen |= {later for later in self._sharing[robot] if later > robot}
@@ -451,6 +458,7 @@ class Tracker:
                 tried += 1
                 if there.cost < linear.cost - NEIGHBORS.gain:
                     state, linear = other, there
+                    # The mean was that of places which have lost.
                     self._shift[robot] = 0.0
                     break
         return state, linear
@@ -460,6 +468,7 @@ class Tracker:
         known = len(before)
         moved = np.full(len(self._sd), np.nan)
         moved[:known] = np.linalg.norm(self._mean[:known] - before, axis=1)
+        # NaN, of a robot that joined, counts as moved.
         chosen = ~(moved <= _MOVED)
         return Change(
             robot=self.names[chosen],
