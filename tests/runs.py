@@ -92,7 +92,8 @@ def assert_same_results(a: Path, b: Path) -> None:
         for run in (a, b)
     ]
     assert found[0] == found[1]
-    assert filecmp.cmpfiles(a, b, found[0], shallow=False)[1:] == ([], [])
+    different = filecmp.cmpfiles(a, b, found[0], shallow=False)[1:]
+    assert different == ([], []), different
     assert not [*b.rglob(".*.part"), *b.rglob(".*.tmp")]
 
 

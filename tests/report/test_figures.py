@@ -555,3 +555,25 @@ def test_no_two_of_many_series_look_alike():
         ]
 
         assert len(set(looks)) == len(looks)
+
+
+def test_last_digits_of_a_layout_change_no_byte():
+    """The solver of layouts orders variables by memory addresses, which vary from run to run."""
+    from matplotlib import rc_context
+
+    def drawn(noise):
+        figure, [axes] = figure_style.new_panels(3.0, 2.0, 1, 1)
+        axes.plot([0.0, 1.0], [0.0, 1.0])
+        engine = figure.get_layout_engine()
+        execute = engine.execute
+
+        def disturbed(whole):
+            execute(whole)
+            bounds = np.array(axes.get_position(original=True).bounds)
+            axes.set_position(bounds + noise)
+
+        engine.execute = disturbed
+        with rc_context(figure_style.STYLE):
+            return figure_style.svg(figure)
+
+    assert drawn(1e-13) == drawn(0.0)

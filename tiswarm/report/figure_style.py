@@ -43,6 +43,7 @@ STACKED = "-stacked"
 MOST_BANDS = 5
 """Lines in a panel beyond which bands would hide each other."""
 
+_PLACES = 6  # digits to which axes have the same place in every process [share of the figure]
 _LONG_LABEL = 20  # letters of a row's label beyond which a stacked figure wraps it
 _LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
 _LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
@@ -279,10 +280,18 @@ def svg(figure: "Figure") -> bytes:
 def _encoded(
     figure: "Figure", canvas: "type[FigureCanvasBase]", form: str, metadata: dict[str, None]
 ) -> bytes:
-    """Lay out a figure once, and encode it; `savefig` would draw it once more before."""
+    """Lay out a figure once, and encode it; `savefig` would draw it once more before.
+
+    The layout's solver orders variables by where they are in memory, so its last digits vary, and
+    SVG names clip paths by them.
+    """
     engine: Any = figure.get_layout_engine()
     engine.execute(figure)
     figure.set_layout_engine("none")
+    for axes in figure.axes:
+        left, bottom, width, height = axes.get_position(original=True).bounds
+        axes.set_position([round(part, _PLACES) for part in (left, bottom, width, height)])
+        axes.set_in_layout(True)  # again, for a figure that is stacked afterwards
     stream, before = io.BytesIO(), figure.canvas
     getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
     figure.set_canvas(before)
