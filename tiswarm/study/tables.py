@@ -45,6 +45,7 @@ _AVERAGED = (
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
+    "within_dock", "contacts_within_dock",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
