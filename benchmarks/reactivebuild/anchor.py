@@ -48,6 +48,10 @@ FORCES = (2.5, 3.5, 5.0, 10.0)
 CALLS = ((1.5, 5), (10.0, 5), (3.0, 1), (3.0, 1000))
 """Values of B and J beside the defaults 3 and 5, for robots that do not settle."""
 
+MAY_DECIDE = (2.5, 3.5)
+"""Values of F whose towers are best, as was seen before cantilevers were grown. Of others only the
+default B, J and `spawn_behind` are grown, for the table."""
+
 GRIDS: tuple[dict[str, tuple[Any, ...]], ...] = (
     {"kind": ("tower",), "anchor": (None, 0.0)},
     {"kind": ("cantilever",), "anchor": (3.5, 5.0, 6.5, 8.0), "founders": (2,)},
@@ -66,12 +70,13 @@ def rules() -> Iterator[dict[str, Any]]:
                 shared = {"force_threshold": force, "recruit_base": 3.0, "recruit_limit": 5}
                 for settle in (0.0, 0.5, 1.0):
                     yield {**rule, **shared, "settle": settle}
+                if rule["kind"] == "cantilever" and force not in MAY_DECIDE:
+                    continue
                 for base, limit in CALLS:
                     called = {"recruit_base": base, "recruit_limit": limit}
                     yield {**rule, **shared, **called, "settle": 0.0}
-                if rule["kind"] == "cantilever":
-                    for start in ("placed", "leading"):
-                        yield {**rule, **shared, "spawn_behind": start, "settle": 0.0}
+                for start in ("placed", "leading") if rule["kind"] == "cantilever" else ():
+                    yield {**rule, **shared, "spawn_behind": start, "settle": 0.0}
 
 
 def facts(structures: Sequence[History], robots: int) -> dict[str, object]:

@@ -109,8 +109,10 @@ def _place(rules: pd.DataFrame) -> pd.DataFrame:
 
 
 def _most(table: pd.DataFrame, column: str, equal: float) -> pd.DataFrame:
-    return table[table[column] >= table[column].max() - equal]
+    best: pd.DataFrame = table[table[column] >= table[column].max() - equal]
+    return best
 
 
 def _least(table: pd.DataFrame, column: str, equal: float = 0.0) -> pd.DataFrame:
-    return table[table[column] <= table[column].min() + equal]
+    best: pd.DataFrame = table[table[column] <= table[column].min() + equal]
+    return best
