@@ -15,8 +15,8 @@ from tiswarm.world.growth import grow
 
 CONDITIONS = ["baseline", "no-z", "no-z-no-undock"]
 EQUAL = 1e-6
-"""Allowed difference [R]. Sums are rounded in another order, and stable gains let 1e-15 grow to some
-1e-12; where a misfit is within that of the stop, one program would take a step more."""
+"""Allowed difference [R]. Sums are rounded in another order, and stable gains let 1e-15 grow to
+some 1e-12. A misfit that close to the stop would cost one program a step more."""
 
 
 def stable(condition):
@@ -74,6 +74,4 @@ def test_two_programs_place_every_robot_of_the_paper_alike(kind, condition):
 
     found = farthest([observe(history, settings.sensing) for history in grown], condition)
 
-    print(f"{kind}, {condition}: farthest {max(found):.1e} R")
-    assert len(found) == 10
     assert max(found) < EQUAL
