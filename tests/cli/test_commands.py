@@ -20,8 +20,8 @@ from tiswarm.cli import main
 from tiswarm.records.sensing_file import write_sensing_log
 
 COMMANDS = (
-    "run", "localize", "view", "advise", "report", "render", "compare", "import", "export",
-    "score", "check", "schema", "doctor",
+    "run", "localize", "view", "advise", "explain", "report", "render", "compare", "import",
+    "export", "score", "check", "schema", "doctor",
 )  # fmt: skip
 
 
