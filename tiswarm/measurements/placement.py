@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.cues import Measured
@@ -67,7 +67,7 @@ def narrow(log: SensingLog, robot: int, position: Reals) -> list[Step]:
     return [*_steps(measured, robot, position, own)]
 
 
-def _steps(measured: Measured, robot: int, position: Reals, own: Reals) -> Iterator[Step]:
+def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterator[Step]:
     log, contacts = measured.log, measured.rows(("contacts",))
     draw = np.random.default_rng(0)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
@@ -119,7 +119,7 @@ def _directions(draw: np.random.Generator) -> Reals:
     return unit
 
 
-def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: Reals) -> Reals:
+def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: Reals) -> Bools:
     """Find the places where docks that do not touch keep D from all earlier ones, shape (n,)."""
     free = np.ones(len(places), np.bool_)
     touched = log.contacts[log.contacts[:, 2] == robot]

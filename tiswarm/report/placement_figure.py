@@ -85,5 +85,6 @@ def _draw(axes: "Axes", places: Reals, center: Reals, docks: Reals) -> None:
     axes.add_collection(circles)
     some = np.random.default_rng(0).permutation(places)[:_MOST_POINTS]
     area = float(np.clip(2000.0 / max(len(some), 1), 0.5, 6.0))
-    axes.scatter(*some.T, s=area, color=TRUE_BLUE, linewidths=0.0, rasterized=True)
+    x, y = some.T
+    axes.scatter(x, y, s=area, color=TRUE_BLUE, linewidths=0.0, rasterized=True)
     axes.plot(*center, "+", color=ESTIMATE_ORANGE, markersize=6.0)
