@@ -5,8 +5,8 @@ structures counts here, and nothing else: no structure has to be localized. Leng
 larger of the two lengths that the paper's "robot radius" may be.
 
 1. Structures have 100 robots (Section IV). At least 90 % of those of a rule have to.
-2. The rms radius is at most RMSE / sqrt(d), whatever the errors are, for a rigid alignment only
-   lowers the SSE (Eqs. 4 to 7). The smallest of the three bounds of a kind holds (Table II). RMSE
+2. The rms radius is at most RMSE / sqrt(d), with any errors, for a rigid alignment only lowers
+   the SSE (Eqs. 4 to 7). The smallest of the three bounds of a kind holds (Table II). RMSE
    and d are means over structures, so 5 % more are allowed: a standard deviation of .3 of the mean
    raises the root mean square by 4 %.
 3. Robots 2 and 3 of towers attach directly to the anchor (IV-C, V): the larger the share of towers

@@ -15,7 +15,7 @@ from tiswarm.records.messages import three_digits
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from tiswarm.measurements.placement import Step
+    from tiswarm.measurements.placement import Narrowed
 
 _USE = "explain"
 
@@ -27,7 +27,7 @@ class Explanation:
     robot: int
     """Name of the robot."""
 
-    steps: "list[Step]"
+    steps: "list[Narrowed]"
     """What remains after each measurement [R], the first one first."""
 
     unit: str

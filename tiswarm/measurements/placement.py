@@ -25,7 +25,7 @@ _WIDTH = 0.1
 _FIXED_PLACES = ("ground", "height", "plane", "fixes")
 
 
-class Step(NamedTuple):
+class Narrowed(NamedTuple):
     """What is known after one more measurement."""
 
     name: str
@@ -43,7 +43,7 @@ class Step(NamedTuple):
         return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-def narrow(log: SensingLog, robot: int, position: Reals) -> list[Step]:
+def narrow(log: SensingLog, robot: int, position: Reals) -> list[Narrowed]:
     """Say which places of a robot remain after each of its measurements.
 
     Args:
@@ -67,7 +67,7 @@ def narrow(log: SensingLog, robot: int, position: Reals) -> list[Step]:
     return [*_steps(measured, robot, position, own)]
 
 
-def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterator[Step]:
+def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterator[Narrowed]:
     log, contacts = measured.log, measured.rows(("contacts",))
     draw = np.random.default_rng(0)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
@@ -76,22 +76,22 @@ def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterat
     reach = np.linalg.norm(log.dock_offset_body, axis=1) / log.dock_radius
     dock = draw.integers(arms.shape[1], size=_DRAWS)
     apart = SPACING * _directions(draw)
-    yield Step(
+    yield Narrowed(
         f"touches robot {log.robot_id[partner]}",
         its + apart - reach[dock, None] * _directions(draw),
     )
-    yield Step("orientation", its + apart - arms[robot, dock])
+    yield Narrowed("orientation", its + apart - arms[robot, dock])
     first, *others = own
     center = position[partner] + contacts.other_arm[first] - contacts.arm[first]
     left = center + apart
-    yield Step(_docks(measured, first), left)
+    yield Narrowed(_docks(measured, first), left)
     for row in others:
         other = int(contacts.other[row])
         end = position[other] + contacts.other_arm[row] - contacts.arm[row]
         off = np.linalg.norm(left - end, axis=1) - contacts.distances.length[row]
         missed = np.linalg.norm(position[robot] - end) - contacts.distances.length[row]
         left = left[abs(off) <= _WIDTH + abs(missed)]
-        yield Step(_docks(measured, row), left)
+        yield Narrowed(_docks(measured, row), left)
     for cue in _FIXED_PLACES:
         rows = measured.rows((cue,))
         of_robot = np.flatnonzero(rows.robot[len(rows.other) :] == robot)
@@ -101,8 +101,8 @@ def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterat
             missed = normal @ position[robot] - value
             left = left[abs(left @ normal - value) <= _WIDTH + abs(missed)]
         if len(of_robot):
-            yield Step(cue, left)
-    yield Step("no overlap", left[_is_free(log, arms, robot, position, left)])
+            yield Narrowed(cue, left)
+    yield Narrowed("no overlap", left[_is_free(log, arms, robot, position, left)])
 
 
 def _docks(measured: Measured, row: int) -> str:
