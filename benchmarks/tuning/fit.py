@@ -47,10 +47,10 @@ GAINS = {
 """Range of each gain, on a logarithmic scale; units as in `VirtualForceParams`."""
 
 STABLE_GAINS = {
-    "attraction_gain": (0.05, 0.6),
-    "repulsion_gain": (0.003, 0.2),
-    "height_gain": (0.005, 1.0),
-    "initial_offset": (0.5, 8.0),
+    "attraction_gain": (0.1, 0.6),
+    "repulsion_gain": (0.02, 0.2),
+    "height_gain": (0.1, 1.0),
+    "initial_offset": (1.0, 8.0),
 }
 """Ranges of a stable fit, in which a step seldom overshoots, so that none needs a cap."""
 
@@ -58,7 +58,7 @@ NO_CAP = 1e9
 """Longest step of a stable fit, which no step reaches [R]."""
 
 _NUDGE = 1e-9  # how far the anchor is raised to see whether estimates move with it [R]
-_STABLE = 1e3  # how many times as far estimates may move
+_STABLE = 1e6  # how many times as far estimates may move: then rounding moves them by some 1e-9 R
 
 _ROUND_GAINS = {"repulsion_share": (0.001, 1.0)}
 """Ranges of the gains of `BackPropagation`, where a condition has it."""
@@ -107,8 +107,8 @@ def tune(
     """Fit gains to the least error over training structures, one set for all conditions.
 
     With the default ranges Algorithm 1 is chaotic: rounding decides where single robots end. In a
-    stable fit nothing caps a step, and gains count only if a nudge of the anchor by 1e-9 R moves no
-    robot by more than 1e-6 R.
+    stable fit nothing caps a step, and gains count only if a nudge of the anchor by 1e-9 R grows at
+    most a million times.
 
     Args:
         scenario: What to grow and how to localize it; its own seeds are excluded.
