@@ -156,6 +156,18 @@ def test_a_nudge_grows_where_repulsion_is_strong_and_not_where_it_is_weak(towers
     assert strong > 1e6
 
 
+def test_shipped_stable_gains_are_the_best_of_their_record():
+    """To two digits, and no step is capped."""
+    fit = json.loads((REPOSITORY / "docs" / "fits" / "stable.json").read_text())
+    experiments = load_scenario(REPOSITORY / "scenarios" / "paper-experiments.yaml")
+
+    shipped = experiments.conditions["stable"]
+
+    gains = {f"localization.{name}": float(f"{fit['best'][name]:.2g}") for name in fit["ranges"]}
+    assert dict(shipped) == gains | {"localization.max_step": fits.NO_CAP}
+    assert fit["best"]["growth"] <= 1e6
+
+
 def test_a_fit_to_another_objective_ranks_by_it(tmp_path):
     """The record says what was minimized, and its best trial is the least of that."""
     small = load_scenario(PAPER, ["robots=6", "sweep={}", "conditions={a: {}}"])
