@@ -173,7 +173,7 @@ def explain(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Show how the measurements of one robot narrow the places it may have.
+    """Show how the measurements of one robot narrow its place.
 
     Robots that joined earlier stay where they were estimated. Touching one of them leaves a ball;
     orientation, docks, further contacts and the height each leave less.
