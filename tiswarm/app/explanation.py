@@ -1,8 +1,8 @@
 """How the measurements of one robot narrow its place: as lines, and as a picture."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import three_digits
 from tiswarm.records.sensing_log import SensingLog
 
-if TYPE_CHECKING:
-    from tiswarm.measurements.placement import Narrowed
-
 _USE = "explain"
 
 
@@ -27,25 +24,20 @@ class Explanation:
     robot: int
     """Name of the robot."""
 
-    steps: "list[Narrowed]"
-    """What remains after each measurement [R], the first one first."""
+    places: Mapping[str, Reals]
+    """By measurement, the first one first, places of the center that remain [R], shape (n, 3)."""
+
+    spread: Mapping[str, float]
+    """By measurement, the rms distance of these places from their mean [log unit]."""
 
     unit: str
     """Length unit of the log."""
-
-    dock_radius: float
-    """R in that unit."""
 
     center: Reals
     """Estimated center of the robot [R], shape (3,)."""
 
     docks: Reals
     """Estimated docks of the robots that joined earlier [R], shape (n, 3)."""
-
-    @property
-    def spread(self) -> dict[str, float]:
-        """By measurement, the rms distance of the remaining places from their mean [log unit]."""
-        return {step.name: step.spread * self.dock_radius for step in self.steps}
 
     def __str__(self) -> str:
         """Give a line for each measurement."""
@@ -60,8 +52,8 @@ class Explanation:
         panel = load("tiswarm.report.placement_figure:Panel", _USE)
         write = load("tiswarm.report.placement_figure:write_placement", _USE)
         panels = [
-            panel(f"{name}\n{three_digits(self.spread[name])} {self.unit}", step.places)
-            for name, step in zip(self.spread, self.steps, strict=True)
+            panel(f"{name}\n{three_digits(self.spread[name])} {self.unit}", places)
+            for name, places in self.places.items()
         ]
         write(out, panels, self.center, self.docks)
         return out
@@ -89,9 +81,9 @@ def explain(log: SensingLog, estimate: Estimate, robot: int) -> Explanation:
     steps = load("tiswarm.measurements.placement:narrow", _USE)(log, index, position)
     return Explanation(
         robot=robot,
-        steps=steps,
+        places={step.name: step.places for step in steps},
+        spread={step.name: step.spread * log.dock_radius for step in steps},
         unit=log.length_unit,
-        dock_radius=log.dock_radius,
         center=position[index],
         docks=(position[:index, None] + arms[:index]).reshape(-1, 3),
     )

@@ -72,6 +72,7 @@ def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterat
     draw = np.random.default_rng(0)
     arms = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
     partner = int(contacts.other[own[0]])
+    # Any of its docks, whose places are known, and any of ours, turned at random: all within reach.
     its = position[partner] + arms[partner, draw.integers(arms.shape[1], size=_DRAWS)]
     reach = np.linalg.norm(log.dock_offset_body, axis=1) / log.dock_radius
     dock = draw.integers(arms.shape[1], size=_DRAWS)
@@ -90,6 +91,7 @@ def _steps(measured: Measured, robot: int, position: Reals, own: Ints) -> Iterat
         end = position[other] + contacts.other_arm[row] - contacts.arm[row]
         off = np.linalg.norm(left - end, axis=1) - contacts.distances.length[row]
         missed = np.linalg.norm(position[robot] - end) - contacts.distances.length[row]
+        # Noise must not exclude the estimate itself, so the band is wider by what that misses.
         left = left[abs(off) <= _WIDTH + abs(missed)]
         yield Narrowed(_docks(measured, row), left)
     for cue in _FIXED_PLACES:
@@ -126,6 +128,7 @@ def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: 
     for dock in range(arms.shape[1]):
         others = position[:robot, None] + arms[:robot]
         is_apart = np.ones(others.shape[:2], np.bool_)
+        # Docks in contact may be a little nearer than D, by noise.
         is_apart[tuple(touched[touched[:, 3] == dock, :2].T)] = False
         if is_apart.any():
             tree = cKDTree(others[is_apart])
