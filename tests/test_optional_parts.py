@@ -35,6 +35,8 @@ ASKED = {
     "tiswarm.localization.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
     "tiswarm.measurements.advice": "advise sensing.jsonl estimate.csv",
+    "tiswarm.measurements.placement": "explain sensing.jsonl 1 estimate.csv",
+    "tiswarm.report.placement_figure": "explain sensing.jsonl 1 estimate.csv",
     "tiswarm.report.render": "render sensing.jsonl estimate.csv",
     "tiswarm.sensing.suites": "run tower --set sensing.suite=zooids --plan",
 }

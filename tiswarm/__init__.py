@@ -66,6 +66,7 @@ __all__ = [
     "advise",
     "check",
     "compare",
+    "explain",
     "export",
     "export_format",
     "import_poses",

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.app.console import ConsoleProgress
+from tiswarm.app.explanation import Explanation
 from tiswarm.app.inspection import AdviceTable, Inspection, inspect
 from tiswarm.app.logs import Localized, Log, method_params, open_log
 from tiswarm.app.results import (
@@ -369,6 +370,40 @@ def advise(
         InputError: the budget is not positive, a kind is unknown, or the log has too many robots.
     """
     return open_log(log).with_estimate(estimate, quiet=quiet).findings.advise(budget, kinds)
+
+
+def explain(
+    log: SensingLog | File,
+    robot: int,
+    estimate: Estimate | File | None = None,
+    *,
+    out: File | None = None,
+    quiet: bool = True,
+) -> Explanation:
+    """Say how the measurements of one robot narrow the places it may have, one after the other.
+
+    Robots that joined earlier stay where they were estimated. The order is that of the paper: a
+    robot touches another, its orientation, the docks in contact, further contacts, its height; then
+    docks that must not overlap.
+
+    Args:
+        log: Sensing log, or its file.
+        robot: Name of the robot in the log.
+        estimate: Estimate, or its table; `joint` localizes the log if None.
+        out: Picture to write, .png or .pdf; none if None.
+        quiet: Whether to hide progress.
+
+    Returns:
+        The places that remain after each measurement; `spread` has one number for each.
+
+    Raises:
+        InputError: there is no such robot, it is the anchor, or it touches none that joined
+            earlier.
+    """
+    found = open_log(log).with_estimate(estimate, quiet=quiet).explain(robot)
+    if out is not None:
+        found.draw(as_path(out, "out"))
+    return found
 
 
 def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) -> "Scenario":

@@ -3,7 +3,8 @@
     python -m benchmarks.tuning scenarios/paper.yaml --trials 200 --out fit.json
 
 No training structure is one of the scenario. An interrupted fit continues where it stopped. Needs
-`pip install '.[bench]'`. `docs/fits/virtual-force.json` is the record of the shipped gains.
+`pip install '.[bench]'`. `docs/fits/virtual-force.json` is the record of the shipped gains,
+`docs/fits/stable.json` that of stable ones.
 """
 
 import argparse
@@ -25,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             load_scenario(options.scenario, options.set), options.out,
             trials=options.trials, training_seeds=options.training_seeds,
             conditions=options.condition, progress=ConsoleProgress(quiet=options.quiet),
-            objective=options.objective, threads=options.threads,
+            objective=options.objective, stable=options.stable, threads=options.threads,
         )  # fmt: skip
     except TiswarmError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -55,6 +56,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
                         help="condition to include (repeatable; default: all)")  # fmt: skip
     parser.add_argument("--objective", choices=["sse", "rmse"], default="sse",
                         help="error to minimize, in the mean over structures")  # fmt: skip
+    parser.add_argument("--stable", action="store_true",
+                        help="fit gains with which rounding does not grow")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("fit.json"),
                         help="record of the fit to write or continue")  # fmt: skip
     parser.add_argument("--threads", type=int, help="CPU threads (default: all)")

@@ -46,6 +46,20 @@ GAINS = {
 }
 """Range of each gain, on a logarithmic scale; units as in `VirtualForceParams`."""
 
+STABLE_GAINS = {
+    "attraction_gain": (0.1, 0.6),
+    "repulsion_gain": (0.02, 0.2),
+    "height_gain": (0.1, 1.0),
+    "initial_offset": (1.0, 8.0),
+}
+"""Ranges of a stable fit, in which a step seldom overshoots, so that none needs a cap."""
+
+NO_CAP = 1e9
+"""Longest step of a stable fit, which no step reaches [R]."""
+
+_NUDGE = 1e-9  # how far the anchor is raised to see whether estimates move with it [R]
+_STABLE = 1e6  # how many times as far estimates may move: then rounding moves them by some 1e-9 R
+
 _ROUND_GAINS = {"repulsion_share": (0.001, 1.0)}
 """Ranges of the gains of `BackPropagation`, where a condition has it."""
 
@@ -69,7 +83,7 @@ _SCORES: Mapping[Objective, _Score] = {
 }
 
 
-class _TrainingCase(NamedTuple):
+class TrainingCase(NamedTuple):
     """A training structure at a point of the sweep and condition, with its true centers [R]."""
 
     label: str
@@ -87,9 +101,14 @@ def tune(
     conditions: Sequence[str],
     progress: Progress,
     objective: Objective = "sse",
+    stable: bool = False,
     threads: int | None = None,
 ) -> dict[str, Any]:
     """Fit gains to the least error over training structures, one set for all conditions.
+
+    With the default ranges Algorithm 1 is chaotic: rounding decides where single robots end. In a
+    stable fit nothing caps a step, and gains count only if a nudge of the anchor by 1e-9 R grows at
+    most a million times.
 
     Args:
         scenario: What to grow and how to localize it; its own seeds are excluded.
@@ -99,6 +118,7 @@ def tune(
         conditions: Conditions to include; all if empty.
         progress: Receives progress reports.
         objective: What to minimize: the mean of the SSE, as the paper does, or of the RMSE.
+        stable: Whether to fit stable gains.
         threads: CPU threads; all if None.
 
     Returns:
@@ -112,8 +132,9 @@ def tune(
     score = _SCORES[objective]
     seeds = _training_seeds(scenario, training_seeds)
     points = _points(scenario, conditions)
-    start = _current_gains(points)
-    ranges = {name: limits for name, limits in (GAINS | _ROUND_GAINS).items() if name in start}
+    wanted = (STABLE_GAINS if stable else GAINS) | _ROUND_GAINS
+    start = _current_gains(points, wanted)
+    ranges = {name: limits for name, limits in wanted.items() if name in start}
     record: dict[str, Any] = {
         "tiswarm": __version__,
         "code": all_code(),
@@ -125,6 +146,8 @@ def tune(
         "sampler": f"CMA-ES of optuna {_optuna_version()}, seed {_SAMPLER_SEED}",
         "ranges": {name: list(limits) for name, limits in ranges.items()},
     }
+    if stable:
+        record["stable"] = f"no cap, and a nudge of {_NUDGE} R grows at most {_STABLE:g} times"
     done = _read_trials(path, record)
     first = {name: done[0][name] for name in ranges} if done else start
     study = _replayed_study(first, done, ranges, score, path)
@@ -136,6 +159,8 @@ def tune(
                 trial = study.ask()
                 values = _suggested(trial, ranges)
                 done.append(values | _errors(cases, values))
+                if stable:
+                    done[-1]["growth"] = growth_of_a_nudge(cases, values)
                 study.tell(trial, done[-1][score.column])
                 _write(path, record | _outcome(done, score), done)
                 advance(1)
@@ -170,19 +195,18 @@ def _params(point: Variant) -> VirtualForceParams:
     return params
 
 
-def _current_gains(points: Sequence[Variant]) -> dict[str, float]:
-    """Return the gains of the settings, clipped to their ranges."""
+def _current_gains(points: Sequence[Variant], ranges: _Ranges) -> dict[str, float]:
+    """Return the gains of the settings that have ranges, clipped to them."""
     params = [_params(point) for point in points]
-    values = {name: getattr(params[0], name) for name in GAINS}
+    values = {name: getattr(params[0], name) for name in ranges if name not in _ROUND_GAINS}
     if rounds := next((p.back_propagation for p in params if p.back_propagation), None):
         values |= {name: getattr(rounds, name) for name in _ROUND_GAINS}
-    ranges = GAINS | _ROUND_GAINS
     return {name: float(np.clip(value, *ranges[name])) for name, value in values.items()}
 
 
 def _training_cases(
     points: Sequence[Variant], seeds: list[int], progress: Progress
-) -> list[_TrainingCase]:
+) -> list[TrainingCase]:
     """Grow every training structure once, and sense it under each condition."""
     grown: dict[str, list[History]] = {}
     cases = []
@@ -197,11 +221,11 @@ def _training_cases(
                 )
         for history in grown[kind]:
             log = observe(history, settings.sensing)
-            cases.append(_TrainingCase(point.label, log, history.position, _params(point)))
+            cases.append(TrainingCase(point.label, log, history.position, _params(point)))
     return cases
 
 
-def _errors(cases: Sequence[_TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
+def _errors(cases: Sequence[TrainingCase], values: Mapping[str, float]) -> dict[str, Any]:
     """Return the mean errors with such gains, over all cases and over those of each label."""
     params = [_with_gains(case.params, values) for case in cases]
     estimates = localize_many([case.log for case in cases], params)
@@ -219,8 +243,18 @@ def _errors(cases: Sequence[_TrainingCase], values: Mapping[str, float]) -> dict
     }
 
 
+def growth_of_a_nudge(cases: Sequence[TrainingCase], values: Mapping[str, float]) -> float:
+    """Return how many times as far as the anchor any robot moves, if that is raised a little."""
+    params = [_with_gains(case.params, values) for case in cases]
+    logs = [case.log for case in cases]
+    up = np.array([0.0, 0.0, _NUDGE])
+    raised = [replace(log, anchor_position=log.anchor_position + up) for log in logs]
+    both = zip(localize_many(logs, params), localize_many(raised, params), strict=True)
+    return max(float(np.abs(a.position - b.position).max()) for a, b in both) / _NUDGE
+
+
 def _with_gains(params: VirtualForceParams, values: Mapping[str, float]) -> VirtualForceParams:
-    gains: dict[str, Any] = {name: values[name] for name in GAINS}
+    gains: dict[str, Any] = {name: values.get(name, NO_CAP) for name in GAINS}
     if rounds := params.back_propagation:
         of_rounds: dict[str, Any] = {name: values[name] for name in _ROUND_GAINS}
         gains["back_propagation"] = replace(rounds, **of_rounds)
@@ -279,7 +313,8 @@ def _read_trials(path: Path, record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _outcome(done: Sequence[dict[str, Any]], score: _Score) -> dict[str, Any]:
-    """Return the best trial, and the chosen one."""
+    """Return the best trial, and the chosen one, of those that are stable if any are."""
+    done = [row for row in done if row.get("growth", 0.0) <= _STABLE] or done
     best = min(done, key=lambda row: row[score.column])
     limit = score.as_good * best[score.column]
     as_good = [row for row in done if row[score.column] <= limit]

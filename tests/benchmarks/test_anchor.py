@@ -3,10 +3,12 @@
 import ast
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
-from benchmarks.reactivebuild import anchor
+from benchmarks.reactivebuild import anchor, criterion
 from tests import oracle
 
 
@@ -48,18 +50,33 @@ def test_near_docks_are_those_of_two_robots_that_do_not_touch(towers):
     assert anchor.near_docks(history) == sum(near) / history.robot_count > 0.0
 
 
+@pytest.mark.parametrize(
+    ("heights", "narrows"), [([1, 1, 1, 4, 4, 9], True), ([1, 4, 4, 9], False)]
+)
+def test_pyramids_have_ever_fewer_robots_in_each_third_of_the_height(heights, narrows):
+    """A robot more in the middle than at the bottom is no pyramid."""
+    history = SimpleNamespace(position=np.zeros((len(heights), 3)), ground_z=0.0)
+    history.position[:, 2] = heights
+
+    assert anchor.narrows(history) == narrows
+
+
 def test_every_rule_can_be_grown():
     """Towers have no edge to put the anchor behind."""
     found = list(anchor.rules())
 
-    assert len(found) == 45
+    assert len(found) == 152
     assert {rule["anchor"] for rule in found if rule["kind"] == "tower"} == {None, 0.0}
 
 
 def test_no_estimate_is_in_reach():
     """Rules are to be chosen by structures: the program imports no localizer."""
-    tree = ast.parse(Path(anchor.__file__).read_text())
+    nodes = [node for file in (anchor, criterion) for node in ast.walk(_tree(file))]
 
-    modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    modules = [node.module for node in nodes if isinstance(node, ast.ImportFrom)]
     assert modules
     assert not [name for name in modules if "localization" in name or "sensing" in name]
+
+
+def _tree(module):
+    return ast.parse(Path(module.__file__).read_text())

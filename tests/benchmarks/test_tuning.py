@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from benchmarks.tuning import fit as fits
 from benchmarks.tuning.fit import GAINS, tune
 from tests.benchmarks.commands import call
 from tests.runs import REPOSITORY
@@ -13,6 +14,7 @@ from tiswarm.base.progress import Progress
 from tiswarm.localization import registry
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.scenario.expansion import load_scenario
+from tiswarm.sensing import SensingParams, observe
 
 PAPER = REPOSITORY / "scenarios" / "paper.yaml"
 SMALL = ("--set", "robots=8", "--training-seeds", "2")
@@ -36,7 +38,7 @@ def test_the_first_trial_is_what_the_scenario_says(record):
     assert fit["best"]["sse_R2"] == min(trial["sse_R2"] for trial in fit["trials"])
     assert fit["chosen"]["sse_R2"] <= 1.02**2 * fit["best"]["sse_R2"]
     errors = fit["trials"][0]["by_point_R"]
-    assert len(errors) == 2 * 5
+    assert len(errors) == 4 * 5
     assert fit["trials"][0]["rmse_R"] == pytest.approx(sum(errors) / len(errors), abs=1e-4)
 
 
@@ -120,6 +122,50 @@ def test_shipped_gains_are_those_of_the_record_and_never_reported_on():
     }
     for path in (REPOSITORY / "scenarios").glob("*.yaml"):
         assert not set(load_scenario(path).seed_list) & set(fit["training_seeds"]), path.name
+
+
+def test_a_stable_fit_has_no_cap_and_leaves_out_gains_with_which_rounding_grows(
+    tmp_path, monkeypatch
+):
+    """The best trial is the least of those in which a nudge of the anchor stays small."""
+    small = load_scenario(PAPER, ["robots=6", "sweep={}", "conditions={a: {}}"])
+    growth = iter([1e9, 2.0, 1e6])
+    monkeypatch.setattr(fits, "growth_of_a_nudge", lambda *_: next(growth))
+
+    fit = tune(
+        small, tmp_path / "fit.json", trials=3, training_seeds=2, conditions=[],
+        progress=Progress(), stable=True,
+    )  # fmt: skip
+
+    trials = json.loads((tmp_path / "fit.json").read_text())["trials"]
+    assert fit["best"]["sse_R2"] == min(trial["sse_R2"] for trial in trials[1:])
+    assert "max_step" not in fit["best"]
+    assert fit["best"]["repulsion_gain"] <= 0.2
+
+
+def test_a_nudge_grows_where_repulsion_is_strong_and_not_where_it_is_weak(towers):
+    """With the default gains robots bounce; with weak repulsion they move as the anchor does."""
+    log = observe(towers[0], SensingParams())
+    cases = [fits.TrainingCase("", log, towers[0].position, VirtualForceParams())]
+    usual = {name: getattr(VirtualForceParams(), name) for name in GAINS}
+
+    strong = fits.growth_of_a_nudge(cases, usual)
+    weak = fits.growth_of_a_nudge(cases, {**usual, "repulsion_gain": 0.01, "max_step": 1e9})
+
+    assert weak < 1e3
+    assert strong > 1e6
+
+
+def test_shipped_stable_gains_are_the_best_of_their_record():
+    """To two digits, and no step is capped."""
+    fit = json.loads((REPOSITORY / "docs" / "fits" / "stable.json").read_text())
+    experiments = load_scenario(REPOSITORY / "scenarios" / "paper-experiments.yaml")
+
+    shipped = experiments.conditions["stable"]
+
+    gains = {f"localization.{name}": float(f"{fit['best'][name]:.2g}") for name in fit["ranges"]}
+    assert dict(shipped) == gains | {"localization.max_step": fits.NO_CAP}
+    assert fit["best"]["growth"] <= 1e6
 
 
 def test_a_fit_to_another_objective_ranks_by_it(tmp_path):

@@ -123,7 +123,10 @@ def test_tiny_structures_are_scored(towers, robots):
     table = by_robot(truth, log, estimate, np.zeros(robots)).assign(join=np.arange(robots))
 
     unknown = {name for name, value in scores.items() if np.isnan(value)}
-    alone = {"contacts_per_robot", "rmse_per_contact_R", "procrustes_disparity"}
+    alone = {
+        "contacts_per_robot", "rmse_per_contact_R", "procrustes_disparity", "within_dock",
+        "contacts_within_dock",
+    }  # fmt: skip
     assert unknown == (alone if robots == 1 else set())
     assert scores["rmse_rigid_aligned_R"] == pytest.approx(0.0, abs=1e-9)
     assert error_profile(table).groupby("by")["count"].sum().eq(robots).all()

@@ -60,6 +60,26 @@ def test_robots_that_were_located_have_an_error_of_their_own(towers):
     assert scores["rmse_located_R"] == pytest.approx(((1.0 + 4.0 + 9.0) / 3.0) ** 0.5)
 
 
+def test_robots_within_a_dock_diameter_are_counted_in_the_world_and_from_their_neighbors(towers):
+    """A shift of all robots but the anchor spares pairs in contact that leave the anchor out."""
+    history = towers[0]
+    log = observe(history, SensingParams())
+    pose = {"position": history.position, "orientation_wxyz": history.orientation_wxyz}
+    truth = Truth(robot_id=log.robot_id, **pose)
+    off = np.zeros((30, 3))
+    off[1:, 0] = np.where(np.arange(1, 30) < 12, 1.9, 2.1)
+    estimate = dataclasses.replace(
+        localize(log, VirtualForceParams(iterations=1)), position=history.position + off
+    )
+
+    scores = score(truth, log, estimate, history.robot, rows=measure(log, []))
+
+    assert scores["within_dock"] == pytest.approx(11.0 / 29.0)
+    far = [i == 0 and j >= 12 for i, j in log.contacts[:, [0, 2]]]
+    assert scores["contacts_within_dock"] == pytest.approx(1.0 - np.mean(far))
+    assert 0 < sum(far) < len(far)
+
+
 def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
     """Tables of a run show which estimates to trust."""
     history = towers[0]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
+from tiswarm.app.explanation import Explanation, explain
 from tiswarm.app.inspection import AdviceTable, Findings
 from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
@@ -157,6 +158,10 @@ class Localized(Estimate):
     def advice(self) -> AdviceTable:
         """Further measurements that would constrain most robots."""
         return self.findings.advice
+
+    def explain(self, robot: int) -> Explanation:
+        """Say how the measurements of one robot, by its name, narrow the places it may have."""
+        return explain(self.log, self, robot)
 
     def __str__(self) -> str:
         """Say in lines what the log leaves unknown, and whether to trust the estimate."""

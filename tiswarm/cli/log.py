@@ -201,6 +201,27 @@ def advise(
     typer.echo(api.advise(log, estimate, budget=budget, kinds=chosen, quiet=False))
 
 
+@app.command(epilog="Example: tiswarm explain sensing.jsonl 12 estimate.csv --out explain.png")
+def explain(
+    log: Annotated[Path, Argument(metavar="LOG", help="Sensing log.")],
+    robot: Annotated[int, Argument(metavar="ROBOT", help="Name of a robot in LOG.")],
+    estimate: EstimateTable = None,
+    out: Annotated[Path, Option(help="Picture to write: .png or .pdf.")] = Path("explain.png"),
+    *,
+    quiet: Quiet = False,
+) -> None:
+    """Show how the measurements of one robot narrow its place.
+
+    Robots that joined earlier stay where they were estimated. Touching one of them leaves a ball;
+    orientation, docks, further contacts and the height each leave less.
+    """
+    from tiswarm import api
+
+    found = api.explain(log, robot, estimate, out=out, quiet=quiet)
+    if not quiet:
+        typer.echo(f"{found}\n-> {out}")
+
+
 @app.command("import", epilog="Example: tiswarm import poses.csv --dock-radius 0.5 --out imported")
 def import_(
     poses: Annotated[

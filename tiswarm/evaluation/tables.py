@@ -21,6 +21,9 @@ from tiswarm.records.positions import Truth, read_length_unit, read_positions
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.world.history import History
 
+DOCK_DIAMETER = 2.0
+"""The accuracy that the paper calls sufficient for attachment [R]."""
+
 
 def score(
     truth: Truth,
@@ -51,6 +54,8 @@ def score(
         "rmse_yaw_aligned_R": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
+        "within_dock": _mean(metrics.robot_errors(estimated, true)[1:] <= DOCK_DIAMETER),
+        "contacts_within_dock": _mean(of_contacts <= DOCK_DIAMETER),
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
         **(
             {}

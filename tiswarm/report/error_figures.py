@@ -1,6 +1,7 @@
 """Draws the figures of errors: against the iterations of a method, and along the structure."""
 
 from collections.abc import Callable
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ _MOST_VECTORS = 2_000  # points in all panels that an SVG has one by one
 _MAX_KINDS = 4
 _LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
 _OTHERS = {"color": "0.75", "linewidth": 0.7}  # look of lines beyond the colors that there are
+_TITLE_WIDTH = 40  # letters in a line of a panel's title
 _LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
 
 _HEIGHT = ("z_R", "True height [R]")
@@ -72,7 +74,7 @@ def draw_convergence(run: RunData) -> "Figure":
     top = 0.0
     for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
         top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
-        axes.set_title(title, fontsize=8.0)
+        axes.set_title(fill(title, _TITLE_WIDTH), fontsize=8.0)
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
     ends = np.array([line[-1] for line in lines])

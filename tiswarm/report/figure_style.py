@@ -166,8 +166,13 @@ def fit_axis(
 
 
 def shortened(name: str) -> str:
-    """Shorten the name of a sweep point to `tower, settle=1.0`: drop the sections of keys."""
-    return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name.replace("structure.kind=", ""))
+    """Shorten the name of a sweep point to `tower, settle=1.0`: drop the sections of keys.
+
+    >>> shortened("structure={kind: tower, anchor: 5.0},no-z")
+    'tower, anchor: 5.0,no-z'
+    """
+    name = re.sub(r"structure=\{kind: ([^{}]*)\}", r"\1", name.replace("structure.kind=", ""))
+    return re.sub(r"(?:[a-z_]+\.)+(?=[a-z_]+=)", "", name)
 
 
 def add_note(figure: "Figure", *notes: str) -> None:

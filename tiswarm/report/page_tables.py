@@ -29,7 +29,11 @@ _ALIGNED = [
     ("not aligned", "rmse_R"),
     ("yaw and translation aligned", "rmse_yaw_aligned_R"),
     ("rigidly aligned", "rmse_rigid_aligned_R"),
-    ("relative, robots in contact", "rmse_per_contact_R"),
+]
+_ATTACHMENT = [
+    ("share of robots within 2 R", "within_dock"),
+    ("neighbors [R]", "rmse_per_contact_R"),
+    ("share of neighbors within 2 R", "contacts_within_dock"),
 ]
 _CALIBRATION = [
     ("robots in their 50 % interval", "coverage_50"),
@@ -140,11 +144,13 @@ def result_tables(
         tables.append(_beside_the_paper(table))
     if len(paired):
         tables.append(_differences(paired))
-    note = (
-        "Alignment removes a rotated or shifted frame; the rest is a wrong shape. The last column "
-        "is the error of one robot's position relative to a robot in contact."
-    )
+    note = "Alignment removes a rotated or shifted frame; the rest is a wrong shape."
     tables.append(_labeled(words, _means(table, _ALIGNED), "RMSE after alignment [R]", note))
+    note = (
+        "2 R, a dock's diameter, is what the paper calls sufficient for attachment. Robots: in the "
+        "world; neighbors: the vector between two robots in contact, one hop apart, with its RMSE."
+    )
+    tables.append(_labeled(words, _means(table, _ATTACHMENT), "Accuracy for attachment", note))
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
     tables.append(_labeled(words, _means(table, _LIMITS), "Limits of the accuracy", note))
     if calibration := _means(table, _CALIBRATION):

@@ -45,9 +45,11 @@ _AVERAGED = (
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
-    "rmse_at_join_R", "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
+    "rmse_at_join_R", "within_dock", "contacts_within_dock",
+    "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
+_RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
 _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
 
@@ -148,9 +150,9 @@ def _rounds(setting: Scenario) -> dict[str, float]:
 
 
 def _published(setting: Scenario) -> Published | None:
-    """Return the paper's numbers; it leaves open all gains, and how robots start and walk."""
+    """Return the paper's numbers; it leaves open all gains, and how robots start, walk and call."""
     method, structure = setting.localization, setting.structure
-    open_keys = ("anchor", "climb", "founders", "spawn_behind")
+    open_keys = ("anchor", "climb", "founders", "spawn_behind", *_RECRUITMENT)
     usual = replace(type(structure)(), **{key: getattr(structure, key) for key in open_keys})
     if (
         setting.robots != PAPER_ROBOTS
