@@ -294,8 +294,8 @@ def _encoded(
     engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
-        left, bottom, width, height = axes.get_position(original=True).bounds
-        axes.set_position([round(part, _PLACES) for part in (left, bottom, width, height)])
+        left, bottom, width, height = np.round(axes.get_position(original=True).bounds, _PLACES)
+        axes.set_position((left, bottom, width, height))
         axes.set_in_layout(True)  # again, for a figure that is stacked afterwards
     stream, before = io.BytesIO(), figure.canvas
     getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
