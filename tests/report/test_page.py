@@ -23,10 +23,9 @@ from tiswarm.report.page_pictures import show_pictures
 from tiswarm.report.page_tables import (
     case_table,
     headline_table,
-    notes_of,
     result_tables,
-    warnings_of,
 )
+from tiswarm.report.remarks import notes_of, warnings_of
 from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.run_data import load_run
 from tiswarm.report.space import build_view

@@ -17,10 +17,9 @@ from tiswarm.report.page_tables import (
     case_table,
     headline_table,
     machine_table,
-    notes_of,
     result_tables,
-    warnings_of,
 )
+from tiswarm.report.remarks import notes_of, warnings_of
 from tiswarm.report.run_data import RunData, relabeled
 from tiswarm.report.space import View, build_view
 from tiswarm.scenario.yaml_source import read_yaml
