@@ -16,7 +16,6 @@ run.export("ply")
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.app.console import ConsoleProgress
@@ -36,19 +35,16 @@ from tiswarm.app.results import (
 from tiswarm.app.showing import export as export  # noqa: PLC0414 - a call of this module, too
 from tiswarm.app.showing import render as render  # noqa: PLC0414
 from tiswarm.app.showing import view as view  # noqa: PLC0414
+from tiswarm.app.tracking import track as track  # noqa: PLC0414
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
-from tiswarm.base.parts import load
 from tiswarm.base.plugins import load_plugins
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 if TYPE_CHECKING:
-    from typing import BinaryIO
-
     from tiswarm.evaluation.tables import Scores
     from tiswarm.interop.imports import Imported
-    from tiswarm.localization.online.tracker import Tracker
     from tiswarm.measurements.advice import Kind
     from tiswarm.scenario.model import Scenario
     from tiswarm.study.forecast import Forecast
@@ -108,47 +104,6 @@ def localize(
         method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
         precision=precision, quiet=quiet, **settings,
     )  # fmt: skip
-
-
-def track(
-    source: "File | BinaryIO",
-    *,
-    out: File = "changes.jsonl",
-    journal: File | None = None,
-    overrides: Overrides = (),
-    quiet: bool = True,
-    **settings: object,
-) -> "Tracker":
-    """Estimate robots' positions from a stream of a log's lines, as `tiswarm track` does.
-
-    A line that is malformed is skipped, with a warning. A stream that was stopped goes on where it
-    was when it is called again with the same files.
-
-    Args:
-        source: Sensing file, or an open binary input, which goes on after the journal's last line.
-        out: Output, a JSON object for each line of the input.
-        journal: File for the lines of the input so far; the output's name and `.journal` if None.
-        overrides: Settings of the method `online`, as for `localize`.
-        quiet: Whether to hide where a stream goes on.
-        settings: Settings of the method by name.
-
-    Returns:
-        The tracker, with the positions of all robots.
-
-    Raises:
-        InputError: the header or a setting is invalid, or the journal is of another input.
-    """
-    follow = load("tiswarm.localization.online.stream:follow", "track")
-    params = method_params("online", None, overrides, settings)
-    where = as_path(out, "out")
-    kept = where.with_name(f"{where.name}.journal") if journal is None else journal
-    progress = ConsoleProgress(quiet=quiet)
-    tracker: Tracker = follow(
-        as_path(source, "source") if isinstance(source, str | Path) else source,
-        where, as_path(kept, "journal"), params=params, on_refused=warn,
-        on_resumed=lambda line: progress.info(f"goes on at line {line}"),
-    )  # fmt: skip
-    return tracker
 
 
 def run(
