@@ -135,11 +135,13 @@ def images(lengths, centers):
     return [middle + sign * height * np.cross(x, y) for sign in (1.0, -1.0)]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])
-def test_six_robots_end_where_the_best_of_all_mirror_images_is(seed):
+@pytest.mark.parametrize("seed", range(10))
+def test_six_robots_are_in_the_best_of_all_mirror_images_or_say_otherwise(seed):
     """Each has ranges to three robots before it, which two points meet; the last, to all of them.
 
-    The oracle multiplies out all 64 configurations.
+    The oracle multiplies out all 64 configurations. An estimate that is elsewhere has an sd of its
+    error's size, as between two images that are as likely, or is not trusted. While robots join,
+    one of these ten ends 8 R away and says so; a final answer finds it.
     """
     rng = np.random.default_rng(seed)
     body, place = [[1.5, 0.0, 0.0]], [np.zeros(3)]
@@ -175,7 +177,11 @@ def test_six_robots_end_where_the_best_of_all_mirror_images_is(seed):
 
     _, best = min((missed(chosen) for chosen in product((0, 1), repeat=6)), key=lambda m: m[0])
     assert np.linalg.norm(best - place, axis=1).max() < 0.5
-    np.testing.assert_allclose(tracker.positions, best, rtol=0.0, atol=0.5)
+    for estimate in (tracker.estimate(), tracker.estimate(final=True)):
+        off = np.linalg.norm(estimate.position - best, axis=1)
+        said = estimate.convergence
+        assert (off <= np.maximum(0.5, 3.0 * estimate.sd)).all() or not said.converged
+    assert said.converged
 
 
 def test_a_change_names_who_moved_and_by_how_much(lines):
