@@ -35,7 +35,10 @@ share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
 
-_JOINING = {"virtual-force": "tiswarm.localization.virtual_force:Localizer"}
+_JOINING = {
+    "online": "tiswarm.localization.online.tracker:Tracker",
+    "virtual-force": "tiswarm.localization.virtual_force:Localizer",
+}
 """Classes of what localizes robots as they join, made of a log's header and settings. They have
 `join`, which takes the line of a robot, and `positions`."""
 
