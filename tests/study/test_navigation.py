@@ -56,23 +56,44 @@ def test_conditions_that_built_different_structures_are_not_paired(built):
     assert set(pairs["structure.navigate_by"]) == {"truth"}
 
 
-def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
-    """Beliefs are the estimates of the method, on what a structure's robots sensed by then."""
-    settings = variants(_loaded(BY_ESTIMATE))[0].settings
-    believe, believed = navigation.believe_by(settings), []
+def _believed(settings, *, robots):
+    """Structures of a growth, each with where its docks are believed [R]."""
+    believe, found = navigation.believe_by(settings), []
 
     def spy(grown):
         docks = believe(grown)
-        believed.extend(zip(grown, docks, strict=True))
+        found.extend(zip(grown, docks, strict=True))
         return docks
 
-    grow(settings.structure, robots=9, seeds=[4], robot=settings.robot, believe=spy)
+    grow(settings.structure, robots=robots, seeds=[4], robot=settings.robot, believe=spy)
+    return found
+
+
+def test_robots_go_by_what_the_log_of_those_before_them_localizes_to():
+    """Beliefs are the estimates of the method, on what a structure's robots sensed by then."""
+    settings = variants(_loaded(BY_ESTIMATE))[0].settings
+
+    believed = _believed(settings, robots=9)
 
     assert [history.robot_count for history, _ in believed] == [*range(1, 10)]
     for history, docks in believed:
         log = observe(history, settings.sensing)
         center = docks.reshape(-1, 3, 3).mean(axis=1)  # docks are symmetric about it
         np.testing.assert_allclose(center, localize(log, settings.localization).position, atol=1e-9)
+
+
+def test_each_side_of_a_gap_has_an_anchor_and_does_not_know_the_other_side():
+    """The first robot of each side is where it is; others are where their own side puts them."""
+    structure = "structure={kind: bridge, gap: 30, navigate_by: estimate}"
+
+    history, docks = _believed(variants(_loaded(structure))[0].settings, robots=10)[-1]
+
+    error = np.linalg.norm(docks.reshape(-1, 3, 3).mean(axis=1) - history.position, axis=1)
+    side = history.position[:, 0] > 15.0
+    assert 0 < side.sum() < 10
+    assert error[np.flatnonzero(side)[0]] < 1e-9
+    assert error[np.flatnonzero(~side)[0]] < 1e-9
+    assert error.max() < 8.0  # of 30 R and more if both took their place from one anchor
 
 
 def test_methods_that_place_robots_as_they_join_build_what_whole_logs_do(monkeypatch):
