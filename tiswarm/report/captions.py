@@ -21,6 +21,9 @@ CAPTIONS = {
     "grades": "RMSE by grade: conditions whose names end in a number share a panel, and each point "
     "of the sweep has a line. The dashed line is the first condition without a grade. Bars are "
     "95 % CI.",
+    "building": "What robots build that navigate by the truth, or by what each condition estimates "
+    "as they join. A flip is as planned if the robot then touches the one that it meant to reach. "
+    "Bars are 95 % CI.",
     "joining": "RMSE of the robots that joined last, as many as a quarter of the smallest "
     "structure, against the number of robots by then. Lines are conditions; methods that place "
     "robots as they join have a second, dashed line for the same robots once all have joined.",

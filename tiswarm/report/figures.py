@@ -20,6 +20,7 @@ _FORMS = ("png", "pdf", "svg")
 
 FIGURES = (
     "tiswarm.report.error_figures:error_painters",
+    "tiswarm.report.building_figure:building_painters",
     "tiswarm.report.joining_figure:joining_painters",
     "tiswarm.report.curve_figures:scaling_painters",
     "tiswarm.report.grade_figure:grade_painters",

@@ -1,0 +1,64 @@
+"""The figure of closed loops shows what robots build that go by estimates, beside the truth."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tiswarm.report.building_figure import building_painters
+from tiswarm.report.run_data import RunData
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Two towers and two bridges; two conditions share those of robots that know the truth."""
+    rows = []
+    for by, condition, height, planned in (
+        ("truth", "online", 30.0, np.nan),
+        ("truth", "Algorithm 1", 30.0, np.nan),
+        ("estimate", "online", 29.0, 0.9),
+        ("estimate", "Algorithm 1", 20.0, 0.6),
+    ):
+        for kind, edge in (("tower", np.nan), ("bridge", 20.0)):
+            for seed in (0, 1):
+                row = {
+                    "case": f"{seed}-{by}-{condition}-{kind}",
+                    "series": condition,
+                    "condition": condition,
+                    "point": "",
+                    "kind": kind,
+                    "status": "done",
+                    "reason": "",
+                    "seed": seed,
+                    "structure.navigate_by": by,
+                    "right_edge_R": edge,
+                    "height_R": height + seed,
+                    "reach_R": 1.0,
+                    "crossed": seed if kind == "bridge" else 0,
+                    "flips_as_planned": planned,
+                }
+                rows.append(row)
+    return RunData(tmp_path, pd.DataFrame(rows))
+
+
+def test_rows_are_the_truth_and_each_condition(run):
+    """Means are over the structures of a row; those that conditions share count once."""
+    figure = building_painters(run)["building"](run)
+
+    drawn = {axes.get_xlabel(): axes for axes in figure.axes}
+    assert [*drawn] == ["Tower height [R]", "Bridges closed [1]", "Flips as planned [1]"]
+    height = drawn["Tower height [R]"]
+    assert [label.get_text() for label in height.get_yticklabels()] == [
+        "the truth", "online", "Algorithm 1",
+    ]  # fmt: skip
+    [bars] = height.containers
+    assert bars[0].get_xdata().tolist() == [30.5, 29.5, 20.5]
+    [bars] = drawn["Bridges closed [1]"].containers
+    assert bars[0].get_xdata().tolist() == [0.5, 0.5, 0.5]
+    assert "2 structures" in figure.legends[0].get_title().get_text()
+
+
+def test_runs_by_the_truth_have_no_such_figure(run):
+    """It would have nothing to show."""
+    by_truth = run.summary[run.summary["structure.navigate_by"] == "truth"]
+
+    assert building_painters(RunData(run.folder, by_truth)) == {}
