@@ -47,7 +47,7 @@ def _edit(path):
         ("study/runner.py", {*METHODS, "all"}),
         ("scenario/validation.py", {*METHODS, "all"}),
         ("localization/registry.py", {*METHODS, "all"}),
-        ("localization/joint/chains.py", {"joint", "least-squares", "all"}),
+        ("localization/joint/chains.py", {"joint", "least-squares", "online", "all"}),
         ("localization/hop_by_hop/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/together.py", {"virtual-force", "all"}),
         ("sensing/suites/beacons.py", {*METHODS, "all"}),

@@ -8,6 +8,7 @@ from tiswarm.app.logs import method_params
 from tiswarm.app.results import File, Overrides, as_path
 from tiswarm.base.errors import warn
 from tiswarm.base.parts import load
+from tiswarm.records.positions import write_estimate
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -20,6 +21,7 @@ def track(
     *,
     out: File = "changes.jsonl",
     journal: File | None = None,
+    estimate: File | None = None,
     overrides: Overrides = (),
     quiet: bool = True,
     **settings: object,
@@ -33,6 +35,7 @@ def track(
         source: Sensing file, or an open binary input, which goes on after the journal's last line.
         out: Output, a JSON object for each line of the input.
         journal: File for the lines of the input so far; the output's name and `.journal` if None.
+        estimate: Table of positions to write at the end, of the final answer; none if None.
         overrides: Settings of the method `online`, as for `localize`.
         quiet: Whether to hide where a stream goes on.
         settings: Settings of the method by name.
@@ -53,4 +56,6 @@ def track(
         where, as_path(kept, "journal"), params=params, on_refused=warn,
         on_resumed=lambda line: progress.info(f"goes on at line {line}"),
     )  # fmt: skip
+    if estimate is not None:
+        write_estimate(as_path(estimate, "estimate"), tracker.estimate(final=True))
     return tracker

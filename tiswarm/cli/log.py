@@ -114,7 +114,7 @@ def track(
     *,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the robots' positions while they join, from lines as they come.
+    """Estimate the robots' positions while they join, line by line.
 
     Each line of the input has one in the output: who moved, by how much, and how certain each now
     is. A malformed line is refused by its number and skipped. Stopped at any moment and started
@@ -123,12 +123,11 @@ def track(
     import sys
 
     from tiswarm import api
-    from tiswarm.records.positions import write_estimate
 
     given = sys.stdin.buffer if source == "-" else Path(source)
-    tracker = api.track(given, out=out, journal=journal, overrides=overrides, quiet=quiet)
-    if estimate is not None:
-        write_estimate(estimate, tracker.estimate(final=True))
+    tracker = api.track(
+        given, out=out, journal=journal, estimate=estimate, overrides=overrides, quiet=quiet
+    )
     if not quiet:
         typer.echo(f"{len(tracker.names)} robots -> {out}")
 

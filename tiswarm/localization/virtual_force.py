@@ -12,8 +12,7 @@ our trials, see `docs/yaw.md`.
 schedule `together` all robots step at once; `tiswarm.localization.together` does that.
 """
 
-import json
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,15 +41,18 @@ from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
-from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
+from tiswarm.records.sensing_format import (
+    Line,
+    RobotLine,
+    line_text,
+    parse_header,
+    parse_robot,
+)
 from tiswarm.records.sensing_log import SensingLog
 
 _WORLD_UP = np.array([[0.0, 0.0, 1.0]])
 _TOGETHER = "tiswarm.localization.together"
 _NO_SWEEPS = BackPropagation(sweeps=0)
-
-Line = str | Mapping[str, object]
-"""A line of a sensing file, as text or as the value of its JSON."""
 
 
 def batch_key(log: SensingLog, params: VirtualForceParams) -> Hashable:
@@ -341,8 +343,3 @@ def _contacts_by_robot(logs: Sequence[SensingLog]) -> tuple[NDArray[np.int32], N
     count = [np.bincount(rows[:, 0], minlength=log.robot_count) for log, rows in both]
     start = np.cumsum(np.concatenate([[0], *count])).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(seen)[:, 1:], np.int32)
-
-
-def line_text(line: Line) -> str:
-    """Write a line of a sensing file."""
-    return line if isinstance(line, str) else json.dumps(line)

@@ -9,6 +9,7 @@ optional key may be left out or null. A new optional key takes three declaration
 import json
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
@@ -286,6 +287,15 @@ ROBOT_NUMBERS: dict[str, float | list[float]] = {
     "spawn_position": [math.nan] * 3,
 }
 """Optional numbers of a robot, with the value that stands in the log where a line has none."""
+
+
+Line = str | Mapping[str, object]
+"""A line of a sensing file, as text or as the value of its JSON."""
+
+
+def line_text(line: Line) -> str:
+    """Write a line of a sensing file."""
+    return line if isinstance(line, str) else json.dumps(line)
 
 
 def parse_header(text: str) -> HeaderLine:

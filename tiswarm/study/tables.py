@@ -30,7 +30,7 @@ from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
 from tiswarm.sensing import SensingParams
 from tiswarm.sensing.params import SUITE_OF
-from tiswarm.study.cases import Plan, structure_kind
+from tiswarm.study.cases import Plan
 from tiswarm.study.provenance import Cost
 from tiswarm.study.scaling import scaling
 from tiswarm.study.store import CaseRecord
@@ -208,9 +208,8 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
     for of_point in _grouped(records, lambda record: record.point_text):
         conditions = _grouped(of_point, lambda record: record.condition)
         for first, second in itertools.combinations(conditions, 2):
-            grown = {structure_kind(sensed[group[0].case]) for group in (first, second)}
-            if len(grown) > 1:
-                continue  # robots that navigate by what they estimate build other structures
+            if sensed[first[0].case].structure.navigate_by == "estimate":
+                continue  # each condition built structures of its own
             names = {"condition": second[0].condition, "against": first[0].condition}
             used = {_shared(record.measurements for record in group) for group in (first, second)}
             senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}

@@ -36,11 +36,10 @@ from tiswarm.localization.online.settings import (
 )
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
-from tiswarm.localization.virtual_force import Line, line_text
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_format import RobotLine, parse_header, parse_robot
+from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
 _AXES = 3
