@@ -39,7 +39,7 @@ ASKED = {
     "tiswarm.report.placement_figure": "explain sensing.jsonl 1 estimate.csv",
     "tiswarm.report.render": "render sensing.jsonl estimate.csv",
     "tiswarm.study.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
-    "--set seeds=1 --no-pictures",
+    "--set seeds=1 --no-pictures --quiet",
     "tiswarm.sensing.suites": "run tower --set sensing.suite=zooids --plan",
 }
 """By part, a command that needs it."""

@@ -28,19 +28,12 @@ METHODS = {
 }
 OWN = "tiswarm.localization.plugins"
 """Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`
-has those of the methods of plug-ins.
+has those of the methods of plug-ins. Methods that place robots as they join have `joining`, too.
 
 `localize_batch` takes one log a structure, settings for each, and a function that it calls with the
 share of its work that is done [1]; it returns an estimate for each.
 All logs of a batch have, with their settings, the same `batch_key`.
 """
-
-_JOINING = {
-    "online": "tiswarm.localization.online.tracker:Tracker",
-    "virtual-force": "tiswarm.localization.virtual_force:Localizer",
-}
-"""Classes of what localizes robots as they join, made of a log's header and settings. They have
-`join`, which takes the line of a robot, and `positions`."""
 
 PARALLEL = frozenset({"joint", "virtual-force together"})
 """Titles of methods that run on the device that a user chooses; others run on the processor in
@@ -53,13 +46,13 @@ def module_of(method: str) -> Any:  # noqa: ANN401 - a module
 
 
 def joining(params: LocalizationParams) -> Any | None:  # noqa: ANN401 - a class
-    """Import the class that localizes robots as they join; None if these settings need all."""
-    moves_all = isinstance(params, VirtualForceParams) and (
-        params.schedule == "together" or params.back_propagation is not None
-    )
-    if params.method not in _JOINING or moves_all:
-        return None
-    return load(_JOINING[params.method], f"method {params.method}")
+    """Return the class that localizes robots as they join; None if these settings need all.
+
+    It is made of a log's header and the settings, and has `join`, which takes the line of a robot,
+    and `positions`.
+    """
+    of_method = getattr(module_of(params.method), "joining", None)
+    return of_method(params) if of_method else None
 
 
 def title(params: LocalizationParams) -> str:

@@ -137,6 +137,12 @@ def localize_batch(
     return estimates
 
 
+def joining(params: VirtualForceParams) -> "type[Localizer] | None":
+    """Return what places robots as they join; None if settings let robots move afterwards."""
+    moves_all = params.schedule == "together" or params.back_propagation is not None
+    return None if moves_all else Localizer
+
+
 class Localizer:
     """Places robots one by one as they join, each at once and for good.
 

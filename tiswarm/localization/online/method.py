@@ -23,6 +23,11 @@ _FRAMES = 24
 """Frames of the trace at most, beside the last."""
 
 
+def joining(params: OnlineParams) -> type[Tracker]:  # noqa: ARG001
+    """Return what places robots as they join."""
+    return Tracker
+
+
 def batch_key(log: SensingLog, params: OnlineParams) -> Hashable:  # noqa: ARG001
     """Name what logs must share to be localized in one batch: nothing."""
     return None
