@@ -93,13 +93,17 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
         converged=True, consistent=False, misfit_sd=27.0, sd_factor=3.1, chains=8, restarted=0
     )
     judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
+    naming = dataclasses.replace(judged, outlier_robots=np.array([7, 12]))
 
     rows = measure(log, [])
-    silent, found = (score(truth, log, e, history.robot, rows=rows) for e in (estimate, judged))
+    silent, found, named = (
+        score(truth, log, each, history.robot, rows=rows) for each in (estimate, judged, naming)
+    )
 
-    assert {"converged", "consistent", "mirrored"} & set(silent) == set()
-    names = ("converged", "consistent", "misfit_sd", "sd_factor", "mirrored")
-    assert [found[name] for name in names] == [True, False, 27.0, 3.1, 4]
+    assert {"converged", "consistent", "mirrored", "suspects"} & set(silent) == set()
+    names = ("converged", "consistent", "misfit_sd", "sd_factor", "mirrored", "suspects")
+    assert [found[name] for name in names] == [True, False, 27.0, 3.1, 4, 0]
+    assert named["suspects"] == 2
 
 
 def test_ranges_are_not_judged_as_contacts(towers):

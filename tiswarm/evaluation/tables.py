@@ -309,6 +309,9 @@ def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:
         scores |= {"chains": found.chains, "restarted_chains": found.restarted}
     if estimate.mirrored is not None:
         scores["mirrored"] = int(estimate.mirrored.sum())
+    if estimate.convergence is not None:
+        suspects = estimate.outlier_robots
+        scores["suspects"] = 0 if suspects is None else len(suspects)
     return scores
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.parts import load
 from tiswarm.records.sensing_log import SensingLog, Stances
+from tiswarm.sensing.failures import failed_orientation, failing, sensed_part
 from tiswarm.sensing.noise import (
     flip_height,
     planes,
@@ -50,14 +51,18 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     """
     if history.is_planar:
         params = replace(params, yaw_noise_deg=0.0, yaw_bias_deg=0.0)
+    is_mute = failing(history, params, "mute")
+    history = sensed_part(history, params)
     length = np.array([walk.stance_count for walk in history.walks])
     end = np.cumsum(length)
     sensed = sensed_orientation(history, length, params)
+    sensed = failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
     lists["contacts"] = sensed_contacts(history, params)
     lists["ground_docks"], lists["fixes"] = history.table("ground_docks"), planes(history)
     added = ((name, load(SENSES[name], name)(history, params)) for name in params.added)
-    for filled, rows in chain(added, own_rows(history, params)):
+    for filled, every in chain(added, own_rows(history, params)):
+        rows = every[~is_mute[every[:, 0].astype(np.int64)]]
         lists[filled] = np.unique(np.concatenate([lists[filled], rows]), axis=0)
     for name in ("contacts", "ground_docks"):
         lists[name] = lists[name] if params.senses(name) else lists[name][:0]
@@ -70,7 +75,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     if not params.senses("compass"):
         orientation[0] = history.orientation_wxyz[0]  # known, as the anchor's position is
         orientation[1:] = np.nan
-    height = flip_height(history, sensed, end)
+    height, spawn = flip_height(history, sensed, end), spawn_position(history, params)
+    orientation[is_mute] = spawn[is_mute] = np.nan
     return SensingLog(
         robot_id=np.arange(history.robot_count),
         dock_radius=history.robot.dock_radius,
@@ -79,7 +85,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
         orientation_wxyz=orientation,
         ground_z=history.ground_z if params.senses("ground_docks") else None,
         flip_height=height if params.senses("heights") else np.full_like(height, np.nan),
-        spawn_position=spawn_position(history, params),
+        spawn_position=spawn,
         stances=_stances(history, sensed, length, lists) if params.senses("stances") else None,
         noise=params.noise,
         source_name=tuple(params.sources),

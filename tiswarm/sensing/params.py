@@ -23,6 +23,9 @@ _Points = Annotated[tuple[_Point, ...], Strict(False), Field(max_length=64)]  # 
 _OwnSense = Literal["contacts", "ground_docks", "heights", "stances", "compass"]
 _Length = Annotated[float, Field(ge=1e-6, le=1e6)]
 
+Failure = Literal["mute", "deaf", "drift", "stuck"]
+"""Ways in which robots fail, each a setting: the fraction of robots that do."""
+
 
 def _not_tiny(length: float) -> float:
     if 0.0 < length < 1e-6:  # noqa: PLR2004 - the least that a log states
@@ -94,6 +97,22 @@ class SensingParams:
     """Sensed contacts that do not exist, with a random dock of a random earlier robot, per true
     contact [1]."""
 
+    mute: Fraction = 0.0
+    """Fraction of robots that sense and send nothing; what later robots sense of them stays. The
+    anchor never fails, here and below [1]."""
+
+    deaf: Fraction = 0.0
+    """Fraction of robots that sense no robots: neither contacts nor what goes with them [1]."""
+
+    drift: Fraction = 0.0
+    """Fraction of robots whose sensed orientation turns further at each flip [1]."""
+
+    drift_deg: Angle = 3.0
+    """Angle by which it turns at a flip, about an axis drawn for each robot [deg]."""
+
+    stuck: Fraction = 0.0
+    """Fraction of robots whose orientation sensor repeats its first value [1]."""
+
     beacons: _Points = ()
     """Places of beacons, tags or projectors [R]. Robots in line of sight of one get fixes."""
 
@@ -138,6 +157,8 @@ class SensingParams:
         """Refuse settings without effect, and stances that no compass leads through."""
         if not self.senses("compass") and (self.stances or self.heights):
             raise ValueError("stances and heights need a compass; set both to false")
+        if not self.senses("compass") and (self.drift or self.stuck):
+            raise ValueError("drift and stuck are failures of compasses; set both to 0")
         if self.fix_bias and self.beacon_kind == "plan":
             raise ValueError(
                 "fix_bias is an error of planes; set beacon_kind to sweep or remove it"

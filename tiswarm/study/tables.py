@@ -44,7 +44,7 @@ _AVERAGED = (
     "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "crossed", "flips_as_planned",
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
-    "sd_factor", "mirrored", "steps_per_robot", "located", "rmse_located_R",
+    "sd_factor", "mirrored", "suspects", "steps_per_robot", "located", "rmse_located_R",
     "rmse_at_join_R", "within_dock", "contacts_within_dock",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
