@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.localization.joint import outliers
+from tiswarm.localization.joint import method, outliers
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import OutlierRobotSettings
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
+from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
@@ -167,3 +168,51 @@ def test_widened_orientations_are_in_the_variance_of_arms(log, robot):
     axes = np.eye(3)
     along = wide.variance_along(axes, np.repeat(stance[robot], 3), np.zeros(3, int))
     np.testing.assert_allclose(after[robot], along)
+
+
+@pytest.fixture(scope="module")
+def stuck(log):
+    """The same log, but the orientation sensors of two robots repeat their first values."""
+    orientation, earlier = log.orientation_wxyz.copy(), log.stances.orientation_wxyz.copy()
+    for robot in np.argsort(-np.diff(log.stances.start))[:2]:
+        begin, end = log.stances.start[robot : robot + 2]
+        earlier[begin:end] = orientation[robot] = earlier[begin]
+    stances = replace(log.stances, orientation_wxyz=earlier)
+    return replace(log, orientation_wxyz=orientation, stances=stances)
+
+
+def test_robots_whose_sensors_are_stuck_are_named(log, stuck):
+    """A flip turns the body: a value that stays the same to the last bit is none of a compass."""
+    found = localize(stuck, JointParams())
+
+    expected = np.sort(np.argsort(-np.diff(log.stances.start))[:2])
+    np.testing.assert_array_equal(stuck_robots(stuck), expected)
+    np.testing.assert_array_equal(found.outlier_robots, expected)
+    assert not found.convergence.trusted
+
+
+def test_stuck_sensors_are_named_where_nobody_looks_for_outliers(stuck, monkeypatch):
+    """A structure that is too large to be refined still warns."""
+    monkeypatch.setattr(method, "disregard", lambda *_: None)
+
+    found = localize(stuck, JointParams())
+
+    assert len(found.outlier_robots) == 2
+    assert not found.convergence.trusted
+
+
+def test_working_sensors_are_not_stuck(log):
+    """Robots without flips have one value, which repeats nothing."""
+    assert not len(stuck_robots(log))
+    assert not len(stuck_robots(replace(log, stances=None)))
+
+
+def test_a_mute_robot_hides_none_that_drifts(tower):
+    """No connections chain its orientation, so that errors of others stay their own."""
+    silent = observe(tower, replace(NOISY, mute=0.1))
+    robot = int(np.diff(silent.stances.start).argmax())
+
+    found = localize(drifted(silent, robot), JointParams())
+
+    assert np.isnan(silent.orientation_wxyz).any()
+    assert robot in found.outlier_robots

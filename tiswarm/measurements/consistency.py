@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Bools, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.cues import measure
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.rows import SPACING
@@ -48,6 +48,17 @@ def contradictions(log: SensingLog) -> list[Contradiction]:
     return [
         Contradiction(HEADER_LINES + 1 + joiner, problem) for joiner, problem in sorted(set(found))
     ]
+
+
+def stuck_robots(log: SensingLog) -> Ints:
+    """Find the robots whose orientation sensors repeat one value while they flip, shape (K,)."""
+    if log.stances is None:
+        return np.empty(0, np.int64)
+    flips = np.diff(log.stances.start)
+    owner = np.repeat(np.arange(log.robot_count), flips)
+    repeats = (log.stances.orientation_wxyz == log.orientation_wxyz[owner]).all(axis=1)
+    same = np.bincount(owner, weights=repeats, minlength=log.robot_count)
+    return np.flatnonzero((flips > 0) & (same == flips))
 
 
 def _by_height(log: SensingLog) -> Iterator[tuple[int, str]]:

@@ -3,7 +3,8 @@
 The error of an IMU that drifts grows from stance to stance. It is in everything that the robot
 sensed on its walk, and no single measurement is to blame. Where noise does not explain the least
 chi-square, we look for the robot without whose orientations the cost is least. It is an outlier if
-chance does not explain how much lower the cost is. Then we look for the next. Lengths in R.
+chance does not explain how much lower the cost is. Then we look for the next. A sensor that repeats
+one value while its robot flips is an outlier without a search. Lengths in R.
 """
 
 from dataclasses import replace
@@ -16,12 +17,14 @@ from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to impor
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.chains import Annealed
-from tiswarm.localization.joint.problem import NO_ROBOTS, Problem, pose_problem
+from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, OUTLIER_ROBOTS
 from tiswarm.localization.linear import Linear
 from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost, State
-from tiswarm.records.estimate import Convergence, Estimate
+from tiswarm.measurements.consistency import stuck_robots
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_log import SensingLog
 
 _DETERMINED = 1e-3
@@ -81,20 +84,25 @@ def disregard(
         The structure without them. None if there are none, or too many to be outliers, or if the
         structure is too large to be refined.
     """
-    verdict, settings = estimate.convergence, OUTLIER_ROBOTS
-    if verdict is None or verdict.consistent or verdict.misfit_sd < 0.0:
+    verdict, stuck = estimate.convergence, stuck_robots(log)
+    is_explained = verdict is None or verdict.consistent or verdict.misfit_sd < 0.0
+    if is_explained and not len(stuck):
         return None
     # The error of an orientation that was chained is that of many robots.
-    if not params.refines(log.robot_count) or problem.connections is not None:
+    is_chained = problem.connections is not None and len(problem.connections.robot)
+    if not params.refines(log.robot_count) or is_chained:
         return None
     position = estimate.solutions[0].position / log.dock_radius
     yaw = np.zeros(log.robot_count) if estimate.yaw is None else estimate.yaw
-    fit = _fitted(log, params, (NO_ROBOTS, problem), (position, yaw))
-    while (further := _next(log, params, fit)) is not None:
+    posed = pose_problem(log, params, stuck) if len(stuck) else problem
+    fit = _fitted(log, params, (stuck, posed), (position, yaw))
+    for robot in stuck.tolist():
+        fit = _searched(log, params, fit, robot)
+    while (further := None if is_explained else _next(log, params, fit)) is not None:
         fit = further
-        if len(fit.robots) > settings.most * log.robot_count:
+        if len(fit.robots) - len(stuck) > OUTLIER_ROBOTS.most * log.robot_count:
             return None
-    fit = _justified(log, params, fit)
+    fit = _justified(log, params, fit, stuck)
     if not len(fit.robots):
         return None
     turned = _turned(log, fit)
@@ -103,14 +111,26 @@ def disregard(
     )
 
 
+def naming_stuck(log: SensingLog, estimate: Estimate) -> Estimate:
+    """Name the robots whose orientation sensors are stuck; an estimate with any is not trusted."""
+    stuck, verdict = stuck_robots(log), estimate.convergence
+    if verdict is None or not len(stuck):
+        return estimate
+    if verdict.trusted:
+        reason = f"orientation sensors of {counted(len(stuck), 'robot')} are stuck"
+        verdict = replace(verdict, consistent=False, reason=reason)
+    return replace(estimate, convergence=verdict, outlier_robots=stuck)
+
+
 def explains(before: Convergence, after: Convergence) -> bool:
-    """Judge whether outlier robots explain a misfit: without them it is small.
+    """Judge whether outlier robots explain a misfit, if there was one: without them it is small.
 
     Where docks or noise are not as stated, a few robots are worse than others, but most of the
     misfit is left.
     """
-    most = OUTLIER_ROBOTS.most_left * before.misfit_sd
-    return after.converged and after.misfit_sd <= most
+    if before.misfit_sd <= MOST_MISFIT_SD:
+        return after.trusted
+    return after.converged and after.misfit_sd <= OUTLIER_ROBOTS.most_left * before.misfit_sd
 
 
 def _fitted(
@@ -166,16 +186,16 @@ def _next(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit | None:
         found = _significance(lower, freed[[robot]], further)[0]
         if found >= most:
             best, most = further, found
-    return None if best is None else _searched(log, params, best)
+    return None if best is None else _searched(log, params, best, int(best.robots[-1]))
 
 
-def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
-    """Find the least cost over orientations of the last robot that does not count.
+def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit, robot: int) -> _Fit:
+    """Find the least cost over orientations of a robot that does not count.
 
     An IMU may have drifted by more than a right angle. The search begins where contacts may be
     missed by more than their noise, since far from all minima the robust loss is flat.
     """
-    posed, final = (fit.robots, fit.problem), fit.problem.rows.odometry.final[fit.robots[-1]]
+    posed, final = (fit.robots, fit.problem), fit.problem.rows.odometry.final[robot]
     found = []
     for axis in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]):
         turn = fit.state.turn.copy()
@@ -189,12 +209,12 @@ def _searched(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
     return min(fit, again, key=lambda each: each.linear.cost)
 
 
-def _justified(log: SensingLog, params: ChiSquareParams, fit: _Fit) -> _Fit:
-    """Let orientations count again where chance explains how much the cost rises.
+def _justified(log: SensingLog, params: ChiSquareParams, fit: _Fit, stuck: Ints) -> _Fit:
+    """Let orientations that are not stuck count where chance explains how much the cost rises.
 
     Before the robot that is to blame was found, its neighbors may have looked worse.
     """
-    for robot in fit.robots[:-1].tolist():
+    for robot in fit.robots[len(stuck) : -1].tolist():
         back = _without(log, params, fit, fit.robots[fit.robots != robot])
         rise = np.array([back.linear.chi_square - fit.linear.chi_square])
         freed = _gains(back)[1][[robot]]
