@@ -45,6 +45,7 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
         "fireant2d": ["robots=8", *briefly],
         "rungs": ["robots=8", *briefly],
         "sensor-sweep": ["robots=8", *briefly],
+        "failures": ["robots=8", *briefly],
         "table-1": ["robots=8", *briefly],
         "yaw": ["robots=8", "sweep={sensing.yaw_bias_deg: [0, 5]}"],
     }.get(scenario.stem, ["robots=8"])
