@@ -201,6 +201,17 @@ def test_stuck_sensors_are_named_where_nobody_looks_for_outliers(stuck, monkeypa
     assert not found.convergence.trusted
 
 
+def test_a_structure_of_many_mute_robots_is_not_trusted(tower):
+    """Others lose their contacts with these, and noise explains what is left."""
+    silent = observe(tower, replace(NOISY, mute=0.3))
+    mute = int(np.isnan(silent.orientation_wxyz[:, 0]).sum())
+
+    found = localize(silent, JointParams())
+
+    assert not found.convergence.trusted
+    assert found.convergence.reason == f"{mute} robots sensed nothing that shows their orientation"
+
+
 def test_working_sensors_are_not_stuck(log):
     """Robots without flips have one value, which repeats nothing."""
     assert not len(stuck_robots(log))

@@ -13,7 +13,7 @@ from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import further_starts
 from tiswarm.localization.joint.initialization import place_disconnected
 from tiswarm.localization.joint.mixture import mix
-from tiswarm.localization.joint.outliers import disregard, explains, naming_stuck
+from tiswarm.localization.joint.outliers import disregard, explains, warned
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.params import ChiSquareParams, JointParams
@@ -68,7 +68,7 @@ def without_outlier_robots(
     as uncertain, and as little to be trusted, as the misfit of all measurements says.
     """
     found = disregard(log, params, problem, annealed, estimate)
-    estimate = naming_stuck(log, estimate)
+    estimate = warned(log, estimate)
     if found is None:
         return estimate
     chains = found.annealed.joined(anneal([found.log], [params], [found.problem])[0])

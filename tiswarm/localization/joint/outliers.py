@@ -111,15 +111,28 @@ def disregard(
     )
 
 
-def naming_stuck(log: SensingLog, estimate: Estimate) -> Estimate:
-    """Name the robots whose orientation sensors are stuck; an estimate with any is not trusted."""
-    stuck, verdict = stuck_robots(log), estimate.convergence
-    if verdict is None or not len(stuck):
+def warned(log: SensingLog, estimate: Estimate) -> Estimate:
+    """Distrust an estimate where sensors are stuck, whose robots it names, or many robots are mute.
+
+    Of a mute robot neither the orientation nor anything that chains it is known. Others lose their
+    contacts with it, and the sd of those that are left has been too small.
+    """
+    verdict, stuck = estimate.convergence, stuck_robots(log)
+    unsensed = False if log.orientation_sd is None else ~np.isnan(log.orientation_sd[:, 0])
+    mute = int((estimate.disconnected & unsensed).sum())
+    reasons = {
+        f"orientation sensors of {counted(len(stuck), 'robot')} are stuck": len(stuck) > 0,
+        f"{counted(mute, 'robot')} sensed nothing that shows their orientation": (
+            mute > OUTLIER_ROBOTS.most_mute * log.robot_count
+        ),
+    }
+    reason = next((text for text, applies in reasons.items() if applies), "")
+    if verdict is None or not reason:
         return estimate
     if verdict.trusted:
-        reason = f"orientation sensors of {counted(len(stuck), 'robot')} are stuck"
         verdict = replace(verdict, consistent=False, reason=reason)
-    return replace(estimate, convergence=verdict, outlier_robots=stuck)
+    named = stuck if len(stuck) else None
+    return replace(estimate, convergence=verdict, outlier_robots=named)
 
 
 def explains(before: Convergence, after: Convergence) -> bool:

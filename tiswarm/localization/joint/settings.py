@@ -236,6 +236,10 @@ class OutlierRobotSettings:
     most: float = 0.2
     """Share of robots that can be outliers [1]; where more are, something else is wrong."""
 
+    most_mute: float = 0.15
+    """Share of robots of unknown orientation from which on an estimate is not trusted [1]: the sd
+    of the others was right with 10 %, too small with 20 %."""
+
     most_left: float = 0.5
     """Part of the misfit that outlier robots may leave [1]."""
 
