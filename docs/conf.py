@@ -77,7 +77,7 @@ def run_cell(code: str, names: dict[str, Any]) -> str:
     return f'\n```{{raw}} html\n<div class="output">\n{inner}\n</div>\n```\n' if shown else ""
 
 
-def as_html(value: Any) -> str:  # noqa: ANN401 - whatever a cell ends with
+def as_html(value: Any) -> str:  # noqa: ANN401 - any value that a cell ends with
     """Return a value as a notebook shows it."""
     if hasattr(value, "savefig"):
         stream = io.BytesIO()

@@ -73,7 +73,7 @@ def untied_directions(rows: Measurements) -> Reals:
     square, axis = np.linalg.eigh(span)
     # An eigenvalue that rounding explains counts as 0.
     is_open = square <= 3.0 * np.finfo(np.float64).eps * square[:, 2:]
-    # The anchor holds its part, whatever that part measures.
+    # The anchor holds its part, also one that measures nothing.
     is_open[part[0]] = False
     loose: Reals = (axis * is_open[:, None]) @ axis.swapaxes(1, 2)
     return loose[part]

@@ -272,7 +272,7 @@ class GrowingStructure:
         # Robots spawn on the ground: docks higher than they are stand in nobody's way.
         is_low = np.abs(new[:, 2] - self.level) <= self.clearance + self.robot.extent
         for dock in new[is_low]:
-            # A grid as wide as the clearance: whatever is near lies in one of nine squares.
+            # A grid as wide as the clearance: all that is near lies in one of nine squares.
             self.low_docks.setdefault(self._square(dock), []).append(dock)
 
     def _is_free(self, center: Reals) -> bool:

@@ -166,7 +166,7 @@ def _contact_arrays(
     # The same contact as its other robot has it.
     its_label = label | {PARTNER: robot, IS_OWN: np.zeros_like(robot), TOUCH: touch[1]}
     both = np.concatenate([robot, other])
-    # Stable: each robot sums its contacts in the order of the log, whatever the company.
+    # Stable: each robot sums its contacts in the order of the log, in any company.
     by_robot = np.argsort(both, kind="stable")
     labels, values = (
         np.concatenate([_packed(one), _packed(two)])[by_robot]

@@ -105,7 +105,7 @@ def _starts(block: Block, rows: Measurements, at: Reals) -> Reals:
     pairs = len(rows.other)
     sharpest = int(block.variance[:pairs].argmin())
     center = at[rows.other[sharpest]] + rows.other_arm[sharpest] - rows.arm[sharpest]
-    # A vector tells the distance, too: that of two docks in contact.
+    # A vector has the distance, too: that of two docks in contact.
     is_distance = sharpest < len(rows.distances.length)
     radius = rows.distances.length[sharpest] if is_distance else SPACING
     number = np.arange(CANDIDATES.starts) + 0.5
