@@ -19,7 +19,7 @@ from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
-from tiswarm.localization.online.candidates import candidates, extension
+from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
     entries,
     named,
@@ -28,15 +28,12 @@ from tiswarm.localization.online.lines import (
     standing,
     without,
 )
-from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
+from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
 from tiswarm.localization.online.settings import (
-    CANDIDATES,
-    NEIGHBORS,
     TIMES,
 )
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
-from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
@@ -96,17 +93,9 @@ class Tracker:
 
     def _start(self) -> None:
         """Begin without robots."""
-        docks = len(self._head.dock_offsets)
         self._builder = SensingLogBuilder(self._head)
         self._index: dict[int, int] = {}
-        self._blocks: list[Block] = []
-        self._sharing: list[set[int]] = []
-        self._places: list[Reals] = []
-        self._touching: dict[int, set[tuple[int, int, int]]] = {}
-        self._state = Configuration(np.empty((0, _AXES)), np.empty((0, _AXES)))
-        self._shift: Reals = np.empty((0, _AXES))  # from the state to the mean of likely states
-        self._sd: Reals = np.empty(0)
-        self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
+        self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
         self._annealed_at = 1
 
     @property
@@ -122,19 +111,13 @@ class Tracker:
     @property
     def positions(self) -> Reals:
         """Estimated centers in join order [log unit], shape (n, 3)."""
-        moved: Reals = self._mean * self._unit + self._anchor
+        moved: Reals = self._layers.mean * self._unit + self._anchor
         return moved
-
-    @property
-    def _mean(self) -> Reals:
-        """Mean of likely states [R], shape (n, 3)."""
-        mean: Reals = self._state.position + self._shift
-        return mean
 
     @property
     def sd(self) -> Reals:
         """Standard deviation of each position [log unit], shape (n,)."""
-        scaled: Reals = self._sd * self._unit
+        scaled: Reals = self._layers.sd * self._unit
         return scaled
 
     @program.exclusive()
@@ -150,7 +133,7 @@ class Tracker:
         """
         line = parse_robot(line_text(robot))
         refuse_line(line)
-        before = self._mean
+        before = self._layers.mean
         annealed = self._join(line)
         return self._change(before, annealed=annealed)
 
@@ -167,7 +150,7 @@ class Tracker:
         line = parse_robot(line_text(robot))
         refuse_line(line)
         self._require(line.robot)
-        before = self._mean
+        before = self._layers.mean
         self._rebuild({**self._lines, line.robot: line}, {line.robot})
         annealed = self._settle([self._index[line.robot]])
         return self._change(before, annealed=annealed)
@@ -192,7 +175,7 @@ class Tracker:
         stay = {name: line for name, line in self._lines.items() if name != robot}
         lines = {name: without(line, robot) for name, line in stay.items()}
         changed = {name for name in stay if lines[name] is not stay[name]}
-        before = np.delete(self._mean, number, axis=0)
+        before = np.delete(self._layers.mean, number, axis=0)
         self._rebuild(lines, changed)
         annealed = self._settle([self._index[name] for name in sorted(changed)])
         return self._change(before, annealed=annealed)
@@ -200,6 +183,10 @@ class Tracker:
     def _require(self, robot: int) -> None:
         if robot not in self._index:
             raise InputError(f"robot {robot} has not joined; join it first", key="robot")
+
+    def neighborhood(self, robots: Ints) -> Neighborhood:
+        """Gather the cost of some robots, ascending by join order, all others where they are."""
+        return self._layers.neighborhood(robots)
 
     @program.exclusive()
     def estimate(self, *, final: bool = False) -> Estimate:
@@ -219,20 +206,24 @@ class Tracker:
         backend.processor()
         whole = self.log
         log = centered(whole)
-        found = annealed_estimate(log, self._params, self._state) if final else self._present(log)
+        found = (
+            annealed_estimate(log, self._params, self._layers.state)
+            if final
+            else self._present(log)
+        )
         return uncentered(found, whole)
 
     def _present(self, log: SensingLog) -> Estimate:
         """Make an estimate of the present state, relative to the anchor."""
         problem = pose_problem(log, self._params)
-        position = self._mean
-        verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=self._sd)
+        position, sd = self._layers.mean, self._layers.sd
+        verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=sd)
         gap = problem.residual(position, np.zeros(len(position)))
         return Estimate(
             robot_id=log.robot_id,
             position=position * self._unit,
             disconnected=problem.untied,
-            sd=self._sd * self._unit,
+            sd=sd * self._unit,
             **verdicts._asdict(),
             iteration=np.array([len(position)]),
             trace=position[None] * self._unit,
@@ -248,15 +239,15 @@ class Tracker:
         backend.processor()
         self._index[line.robot] = number
         self._lines[line.robot] = line
-        self._append(block, line)
+        self._layers.append(block, self._touching(line))
         if number == 0:
             return False
-        return self._settle([number], self._place(number))
+        return self._settle([number], self._layers.place(number))
 
     def _settle(self, numbers: list[int], places: Reals | None = None) -> bool:
         """Solve for what is near some robots; anneal all where that is due, and say whether."""
         backend.processor()
-        surprised = [self._solve_near(number, places) for number in numbers]
+        surprised = [self._layers.solve_near(number, places) for number in numbers]
         # As growth is relative, annealing costs each robot the same in the mean.
         grown = len(self._index) / self._annealed_at - 1.0
         least = TIMES.surprised_growth if any(surprised) else self._params.anneal_growth
@@ -264,17 +255,12 @@ class Tracker:
             return False
         self._annealed_at = len(self._index)
         log = centered(self.log)
-        found = reannealed(log, self._params, self._state)
-        self._state, self._shift, self._sd = found
-        if any(surprised) and any(map(self._is_surprising, numbers)):
-            found = reannealed(log, self._params, self._state, anew=True)
-            self._state, self._shift, self._sd = found
+        found = reannealed(log, self._params, self._layers.state)
+        self._layers.state, self._layers.shift, self._layers.sd = found
+        if any(surprised) and any(map(self._layers.is_surprising, numbers)):
+            found = reannealed(log, self._params, self._layers.state, anew=True)
+            self._layers.state, self._layers.shift, self._layers.sd = found
         return True
-
-    def _is_surprising(self, number: int) -> bool:
-        """Judge whether chance explains the rows and overlaps of a robot where it is."""
-        problem = self.neighborhood(self._near(number))
-        return self._is_surprise(problem, problem.linearized(self._state), number)
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
@@ -300,173 +286,32 @@ class Tracker:
             builder.add(line)
         # Nothing has changed so far: the builder refuses what is wrong.
         kept = {name: self._index[name] for name in lines}
-        blocks, places, state = self._blocks, self._places, self._state
-        shift, sd = self._shift, self._sd
-        annealed_at = self._annealed_at
+        before, annealed_at = self._layers, self._annealed_at
         self._start()
         self._builder, self._lines, self._annealed_at = builder, lines, annealed_at
         self._index = {name: number for number, name in enumerate(kept)}
-        renumbered = np.zeros(len(blocks), np.int64)
+        renumbered = np.zeros(len(before.blocks), np.int64)
         old = np.array(list(kept.values()))
         renumbered[old] = np.arange(len(old))
+        now = self._layers
         for name, number in kept.items():
-            block = replace(blocks[number], members=renumbered[blocks[number].members])
-            self._append(self._measured(lines[name]) if name in changed else block, lines[name])
-        self._places = [places[number] for number in kept.values()]
-        self._state = Configuration(*(each[old] for each in state))
-        self._shift, self._sd = shift[old], sd[old]
+            block = before.blocks[number]
+            block = replace(block, members=renumbered[block.members])
+            block = self._measured(lines[name]) if name in changed else block
+            now.append(block, self._touching(lines[name]))
+        now.places = [before.places[number] for number in kept.values()]
+        now.state = Configuration(*(each[old] for each in before.state))
+        now.shift, now.sd = before.shift[old], before.sd[old]
 
-    def _append(self, block: Block, line: RobotLine) -> None:
-        """Make room for a robot that is nowhere yet."""
-        number = len(self._blocks)
-        self._blocks.append(block)
-        self._sharing.append(set())
-        self._places.append(np.empty((0, _AXES)))
-        self._touching[number] = {
-            (dock, self._index[other], its) for dock, other, its in line.contacts
-        }
-        for partner in block.partners.tolist():
-            self._sharing[partner].add(number)
-            self._sharing[number].add(partner)
-        zero = np.zeros((1, _AXES))
-        self._state = Configuration(*(np.concatenate([each, zero]) for each in self._state))
-        self._shift = np.concatenate([self._shift, zero])
-        self._sd = np.append(self._sd, 0.0)
-        arm, turn_sd, touching = self._shapes
-        self._shapes = Shapes(
-            np.concatenate([arm, block.arm[None]]),
-            np.concatenate([turn_sd, block.turn_sd[None]]),
-            touching,
-        )
-
-    def _place(self, number: int) -> Reals:
-        """Find the likely places of a robot that joined; without partners, that of the last one."""
-        block, position = self._blocks[number], self._state.position
-        if not len(block.rows.other):
-            return position[number - 1, None]
-        found, cost = candidates(
-            block, self._state, self._shapes, non_overlap=self._params.non_overlap
-        )
-        self._places[number] = found - position[block.partners].mean(axis=0)
-        likely: Reals = found[cost <= cost[0] + CANDIDATES.likely]
-        return likely
-
-    def _solve_near(self, number: int, places: Reals | None = None) -> bool:
-        """Solve for a robot and those near it; return whether its rows still surprise.
-
-        Args:
-            number: The robot.
-            places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
-                likeliest one, and what is reported is the mean.
-        """
-        near = self._near(number)
-        # The arrays are the state's own: what is set here is where steps begin.
-        position, turn = self._state
-        if places is not None:
-            position[number] = places[0]
-        if not self._blocks_about(near):  # nothing says where it is
-            self._sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
-            return False
-        problem = self.neighborhood(near)
-        # Robots nearby may give way to one place more than to another.
-        found = []
-        for place in position[number, None].copy() if places is None else places:
-            position[number] = place
-            found.append(problem.solved(Configuration(position, turn)))
-        state, linear, weight = self._weighed(found, number)
-        spread = 0.0
-        if surprised := self._is_surprise(problem, linear, number):
-            state, linear = self._exchanged(problem, state, linear, number)
-            surprised = self._is_surprise(problem, linear, number)
-        elif places is not None:
-            at = np.array([each.position[number] for each, _ in found])
-            mean = weight @ at
-            self._shift[number] = mean - state.position[number]
-            spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
-        self._state = state
-        self._sd[near] = problem.sd(linear)
-        self._sd[number] = np.hypot(self._sd[number], np.sqrt(spread))
-        return surprised
-
-    def _weighed(
-        self, found: list[tuple[Configuration, Linearized]], number: int
-    ) -> tuple[Configuration, Linearized, Reals]:
-        """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
-        block = self._blocks[number]
-        score = np.zeros(len(found))
-        if len(found) > 1:
-            for k, (state, linear) in enumerate(found):
-                score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
-        weight = np.exp(-0.5 * (score - score.min()))
-        return *found[int(score.argmin())], weight / weight.sum()
-
-    def _near(self, number: int) -> Ints:
-        """List robots within two steps of sharing rows, as many as may move, ascending."""
-        near, ring = {number: None}, [number]
-        for _ in range(2):
-            further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
-            # If not all may move, those nearest in steps do.
-            ring = sorted(further, reverse=True)  # the last that joined are the least known
-            near |= dict.fromkeys(ring)
-        return np.sort([*near][: NEIGHBORS.most])
-
-    def neighborhood(self, robots: Ints) -> Neighborhood:
-        """Gather the cost of some robots, ascending by join order, all others where they are."""
-        return Neighborhood(
-            robots,
-            self._blocks_about(robots),
-            self._shapes,
-            robust=self._params.robust,
-            non_overlap=self._params.non_overlap,
-            sd=self._sd,
-        )
-
-    def _blocks_about(self, robots: Ints) -> list[Block]:
-        """List the blocks with rows about some robots."""
-        # Rows about a robot are in its own block and in those of later robots.
-        chosen = {*robots.tolist()}
-        for robot in robots.tolist():
-            chosen |= {later for later in self._sharing[robot] if later > robot}
-        return [self._blocks[robot] for robot in sorted(chosen) if len(self._blocks[robot])]
-
-    def _is_surprise(self, problem: Neighborhood, linear: Linearized, number: int) -> bool:
-        """Judge whether chance explains the rows and the overlaps of a robot."""
-        if not (rows := len(self._blocks[number])):
-            return False
-        square, overlap = problem.missed(linear, number)
-        chance = rows + NEIGHBORS.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
-        return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
-
-    def _exchanged(
-        self, problem: Neighborhood, state: Configuration, linear: Linearized, number: int
-    ) -> tuple[Configuration, Linearized]:
-        """Try other places of the robot and of those it shares rows with, one after the other."""
-        tried = 0
-        for robot in [number, *sorted(self._sharing[number], reverse=True)]:
-            if not len(self._places[robot]):
-                continue
-            touched = state.position[self._blocks[robot].partners].mean(axis=0)
-            for place in self._places[robot]:
-                if tried == NEIGHBORS.tried:
-                    return state, linear
-                position, turn = state.position.copy(), state.turn.copy()
-                if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
-                    continue
-                position[robot], turn[robot] = touched + place, 0.0
-                other, there = problem.solved(Configuration(position, turn))
-                tried += 1
-                if there.cost < linear.cost - NEIGHBORS.gain:
-                    state, linear = other, there
-                    # The mean was that of places which have lost.
-                    self._shift[robot] = 0.0
-                    break
-        return state, linear
+    def _touching(self, line: RobotLine) -> set[tuple[int, int, int]]:
+        """List the docks of a robot in contact, as `Shapes` has them."""
+        return {(dock, self._index[other], its) for dock, other, its in line.contacts}
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:
         """Say who moved since these positions, shape (n, 3)."""
         known = len(before)
-        moved = np.full(len(self._sd), np.nan)
-        moved[:known] = np.linalg.norm(self._mean[:known] - before, axis=1)
+        moved = np.full(len(self._layers.sd), np.nan)
+        moved[:known] = np.linalg.norm(self._layers.mean[:known] - before, axis=1)
         # NaN, of a robot that joined, counts as moved.
         chosen = ~(moved <= _MOVED)
         return Change(

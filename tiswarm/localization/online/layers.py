@@ -1,0 +1,190 @@
+"""The layers of a join that are local: where the new robot may be, and the robots near it.
+
+Robots have numbers, in join order. Lengths in R, relative to the anchor.
+"""
+
+import numpy as np
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.online.blocks import Block
+from tiswarm.localization.online.candidates import candidates, extension
+from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
+from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
+from tiswarm.localization.params import OnlineParams
+from tiswarm.measurements.rows import SPACING
+
+_AXES = 3
+
+
+class LocalLayers:
+    """N robots with the rows of each, and where they are by now."""
+
+    def __init__(self, docks: int, params: OnlineParams) -> None:
+        """Begin without robots; each is to have so many docks."""
+        self._params = params
+        self.blocks: list[Block] = []
+        self.places: list[Reals] = []
+        """Where each robot may be, relative to the mean of those it shares rows with [R]."""
+        self.state = Configuration(np.empty((0, _AXES)), np.empty((0, _AXES)))
+        self.shift: Reals = np.empty((0, _AXES))
+        """From the state to the mean of likely states [R], shape (N, 3)."""
+        self.sd: Reals = np.empty(0)
+        """Standard deviation of each position [R], shape (N,)."""
+        self._sharing: list[set[int]] = []
+        self._touching: dict[int, set[tuple[int, int, int]]] = {}
+        self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
+
+    @property
+    def mean(self) -> Reals:
+        """Mean of likely states [R], shape (N, 3)."""
+        mean: Reals = self.state.position + self.shift
+        return mean
+
+    def append(self, block: Block, touching: set[tuple[int, int, int]]) -> None:
+        """Make room for a robot that is nowhere yet; `touching` as in `Shapes`."""
+        number = len(self.blocks)
+        self.blocks.append(block)
+        self._sharing.append(set())
+        self.places.append(np.empty((0, _AXES)))
+        self._touching[number] = touching
+        for partner in block.partners.tolist():
+            self._sharing[partner].add(number)
+            self._sharing[number].add(partner)
+        zero = np.zeros((1, _AXES))
+        self.state = Configuration(*(np.concatenate([each, zero]) for each in self.state))
+        self.shift = np.concatenate([self.shift, zero])
+        self.sd = np.append(self.sd, 0.0)
+        arm, turn_sd, every = self._shapes
+        self._shapes = Shapes(
+            np.concatenate([arm, block.arm[None]]),
+            np.concatenate([turn_sd, block.turn_sd[None]]),
+            every,
+        )
+
+    def place(self, number: int) -> Reals:
+        """Find the likely places of a robot that joined; without partners, that of the last one."""
+        block, position = self.blocks[number], self.state.position
+        if not len(block.rows.other):
+            return position[number - 1, None]
+        found, cost = candidates(
+            block, self.state, self._shapes, non_overlap=self._params.non_overlap
+        )
+        self.places[number] = found - position[block.partners].mean(axis=0)
+        likely: Reals = found[cost <= cost[0] + CANDIDATES.likely]
+        return likely
+
+    def solve_near(self, number: int, places: Reals | None = None) -> bool:
+        """Solve for a robot and those near it; return whether its rows still surprise.
+
+        Args:
+            number: The robot.
+            places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
+                likeliest one, and what is reported is the mean.
+        """
+        near = self._near(number)
+        # The arrays are the state's own: what is set here is where steps begin.
+        position, turn = self.state
+        if places is not None:
+            position[number] = places[0]
+        if not self._blocks_about(near):  # nothing says where it is
+            self.sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
+            return False
+        problem = self.neighborhood(near)
+        # Robots nearby may give way to one place more than to another.
+        found = []
+        for place in position[number, None].copy() if places is None else places:
+            position[number] = place
+            found.append(problem.solved(Configuration(position, turn)))
+        state, linear, weight = self._weighed(found, number)
+        spread = 0.0
+        if surprised := self._is_surprise(problem, linear, number):
+            state, linear = self._exchanged(problem, state, linear, number)
+            surprised = self._is_surprise(problem, linear, number)
+        elif places is not None:
+            at = np.array([each.position[number] for each, _ in found])
+            mean = weight @ at
+            self.shift[number] = mean - state.position[number]
+            spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
+        self.state = state
+        self.sd[near] = problem.sd(linear)
+        self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
+        return surprised
+
+    def is_surprising(self, number: int) -> bool:
+        """Judge whether chance explains the rows and overlaps of a robot where it is."""
+        problem = self.neighborhood(self._near(number))
+        return self._is_surprise(problem, problem.linearized(self.state), number)
+
+    def neighborhood(self, robots: Ints) -> Neighborhood:
+        """Gather the cost of some robots, ascending by join order, all others where they are."""
+        return Neighborhood(
+            robots,
+            self._blocks_about(robots),
+            self._shapes,
+            robust=self._params.robust,
+            non_overlap=self._params.non_overlap,
+            sd=self.sd,
+        )
+
+    def _near(self, number: int) -> Ints:
+        """List robots within two steps of sharing rows, as many as may move, ascending."""
+        near, ring = {number: None}, [number]
+        for _ in range(2):
+            further = {other for robot in ring for other in self._sharing[robot]} - near.keys()
+            # If not all may move, those nearest in steps do.
+            ring = sorted(further, reverse=True)  # the last that joined are the least known
+            near |= dict.fromkeys(ring)
+        return np.sort([*near][: NEIGHBORS.most])
+
+    def _weighed(
+        self, found: list[tuple[Configuration, Linearized]], number: int
+    ) -> tuple[Configuration, Linearized, Reals]:
+        """Choose the likeliest of the places of a robot, and weigh all, shape (k,)."""
+        block = self.blocks[number]
+        score = np.zeros(len(found))
+        if len(found) > 1:
+            for k, (state, linear) in enumerate(found):
+                score[k] = linear.cost - extension(block, state, state.position[number, None])[0]
+        weight = np.exp(-0.5 * (score - score.min()))
+        return *found[int(score.argmin())], weight / weight.sum()
+
+    def _blocks_about(self, robots: Ints) -> list[Block]:
+        """List the blocks with rows about some robots."""
+        # Rows about a robot are in its own block and in those of later robots.
+        chosen = {*robots.tolist()}
+        for robot in robots.tolist():
+            chosen |= {later for later in self._sharing[robot] if later > robot}
+        return [self.blocks[robot] for robot in sorted(chosen) if len(self.blocks[robot])]
+
+    def _is_surprise(self, problem: Neighborhood, linear: Linearized, number: int) -> bool:
+        """Judge whether chance explains the rows and the overlaps of a robot."""
+        if not (rows := len(self.blocks[number])):
+            return False
+        square, overlap = problem.missed(linear, number)
+        chance = rows + NEIGHBORS.surprise_sd * (np.sqrt(2.0 * rows) + 1.0)
+        return bool(square > chance or overlap > NEIGHBORS.overlap_sd)
+
+    def _exchanged(
+        self, problem: Neighborhood, state: Configuration, linear: Linearized, number: int
+    ) -> tuple[Configuration, Linearized]:
+        """Try other places of the robot and of those it shares rows with, one after the other."""
+        tried = 0
+        for robot in [number, *sorted(self._sharing[number], reverse=True)]:
+            if not len(self.places[robot]):
+                continue
+            touched = state.position[self.blocks[robot].partners].mean(axis=0)
+            for place in self.places[robot]:
+                if tried == NEIGHBORS.tried:
+                    return state, linear
+                position, turn = state.position.copy(), state.turn.copy()
+                if np.linalg.norm(touched + place - position[robot]) < SPACING / 2.0:
+                    continue
+                position[robot], turn[robot] = touched + place, 0.0
+                other, there = problem.solved(Configuration(position, turn))
+                tried += 1
+                if there.cost < linear.cost - NEIGHBORS.gain:
+                    state, linear = other, there
+                    # The mean was that of places which have lost.
+                    self.shift[robot] = 0.0
+                    break
+        return state, linear
