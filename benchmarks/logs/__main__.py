@@ -71,7 +71,7 @@ def _graded(options: argparse.Namespace, bounds: list[Bound]) -> Iterator[Grade]
             try:
                 found: Estimate = _localized(log, method)
             except TiswarmError as problem:
-                yield refused(method, bound, str(problem))
+                yield refused(method, bound, str(problem).partition(";")[0])
                 continue
             yield grade(method, bound, found, truth, tied, time.process_time() - begun)
 

@@ -30,6 +30,9 @@ class Source:
     """Settings beside those that all scenarios share; none if a function makes the log."""
 
     make: Made | None = None
+    images: int = 1
+    """Configurations that fit what was sensed as well as the truth does."""
+
     frame: Literal["known", "free"] = "known"
     """Whether measurements say where the structure stands, or its shape alone, up to reflection."""
 
@@ -186,6 +189,7 @@ SOURCES = (
         group="other sensors",
         name="ceiling",
         about="the same, beacons in one plane: two images",
+        images=2,
         make=lambda: foreign.room_of_tags(foreign.CEILING, 9145, sd=0.1),
     ),
     Source(

@@ -20,6 +20,9 @@ than 0.9, since robots of a structure share errors."""
 FAR_OFF = 10.0
 """Error over the limit from which on an estimate without a warning is wrong, if no `sd` says."""
 
+HALF = 0.5
+"""Share of positions that a method calls floppy from which on it claims nothing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
@@ -39,7 +42,11 @@ class Bound:
     """Robots that measurements tie to the anchor; no error counts of others."""
 
     floppy: int
-    """Motions that no measurement resists, except that docks must not overlap."""
+    """Motions within the structure that no measurement resists, except that docks must not overlap.
+    """
+
+    images: int
+    """Configurations that fit what was sensed as well as the truth does."""
 
     limit: float
     """RMSE at the least cost nearest to the truth [unit]."""
@@ -49,11 +56,12 @@ class Bound:
 
     @property
     def is_open(self) -> bool:
-        """Whether more motions are floppy than a tenth of the robots: no method gets to the limit.
+        """Whether no method gets to the limit, but by chance.
 
-        The optimum nearest to the truth leaves a floppy motion where it truly is.
+        There are several configurations, or more motions are floppy than a tenth of the robots:
+        the optimum nearest to the truth leaves a floppy motion where it truly is.
         """
-        return self.floppy > 0.1 * self.robots
+        return self.images > 1 or self.floppy > 0.1 * self.robots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +124,9 @@ def grade(
         within = float((off <= MOST_WITHIN * estimate.sd[1:] + least)[tied[1:]].mean())
     verdicts = estimate.convergence
     trusted = verdicts is None or verdicts.trusted
-    is_wrong = within < HONEST if np.isfinite(within) else over > FAR_OFF and not bound.is_open
+    is_wrong = within < HONEST
+    if np.isnan(within):
+        is_wrong = over > FAR_OFF and not bound.is_open and _claims_most(estimate)
     return Grade(
         method=method,
         log=bound.log,
@@ -128,6 +138,12 @@ def grade(
         silent=trusted and is_wrong,
         cpu_s=cpu_s,
     )
+
+
+def _claims_most(estimate: Estimate) -> bool:
+    """Judge whether an estimate calls at most half of the positions floppy."""
+    seen = estimate.observability
+    return seen is None or seen.floppy is None or float(seen.floppy.mean()) <= HALF
 
 
 def refused(method: str, bound: Bound, why: str) -> Grade:

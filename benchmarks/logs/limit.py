@@ -16,6 +16,9 @@ from tiswarm.records.sensing_log import SensingLog
 ROUNDS = 30
 PARAMS = JointParams()
 
+_TURNS = 3
+"""Motions of a structure in a free frame, about its anchor."""
+
 
 class Limit(NamedTuple):
     """What can be known from one log."""
@@ -24,7 +27,7 @@ class Limit(NamedTuple):
     """Robots that measurements tie to the anchor, shape (N,)."""
 
     floppy: int
-    """Motions that no measurement resists, except that docks must not overlap [1]."""
+    """Motions within the structure that no measurement resists, but that docks must not overlap."""
 
     optimum: float
     """RMSE of tied robots at the least cost nearest to the truth [log unit]."""
@@ -59,4 +62,6 @@ def limit(log: SensingLog, truth: Reals, frame: Literal["known", "free"]) -> Lim
     state, _ = cost.refine(start, ROUNDS)
     seen = observability(log, PARAMS.cues, truth, yaw_unknown=log.yaw_bias > 0.0)
     tied = ~seen.disconnected
-    return Limit(tied, seen.floppy_modes, error(state.position[tied] * unit, truth[tied], frame))
+    optimum = error(state.position[tied] * unit, truth[tied], frame)
+    whole = _TURNS if frame == "free" else 0
+    return Limit(tied, (seen.floppy_modes or 0) - whole, optimum)

@@ -45,6 +45,7 @@ def main() -> None:
                 robots=log.robot_count,
                 tied=int(found.tied.sum()),
                 floppy=found.floppy,
+                images=source.images,
                 limit=float(f"{round(found.optimum, 9):.4g}"),
                 frame=source.frame,
             )

@@ -73,7 +73,10 @@ def isam2(log: SensingLog) -> Reals:
     for robot, (graph, values) in enumerate(by_robot(problem, start, yaw)):
         if robot:
             graph.push_back(gtsam.PriorFactorVector(robot, start[robot], loose))
-        solver.update(graph, values)
+        try:
+            solver.update(graph, values)
+        except RuntimeError as failure:
+            raise InputError(f"iSAM2 met a singular matrix at robot {robot}") from failure
     found = minimum(problem, start[0], solver.calculateBestEstimate(), 0.0)
     return _checked(found.position, log)
 

@@ -24,9 +24,18 @@ QUICK = ["room", "ranges-alone", "tree"]
 """Logs whose limits take no time."""
 
 BOUND = Bound(
-    log="room", group="ranges", about="", unit="m", dock_radius=0.1, robots=10, tied=10, floppy=0,
-    limit=0.1, frame="known",
-)  # fmt: skip
+    log="room",
+    group="ranges",
+    about="",
+    unit="m",
+    dock_radius=0.1,
+    robots=10,
+    tied=10,
+    floppy=0,
+    images=1,
+    limit=0.1,
+    frame="known",
+)
 
 PLUGIN = """
 from dataclasses import replace

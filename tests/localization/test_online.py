@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tests.foreign import open_chain
 from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
@@ -326,3 +327,11 @@ def test_the_present_state_has_verdicts_and_sd(lines):
     assert estimate.sd.tobytes() == tracker.sd.tobytes()
     assert estimate.convergence.consistent
     assert not estimate.disconnected.any()
+
+
+def test_chained_orientations_are_refused():
+    """A robot's error turns all that follow; sd of robots one by one would not say so."""
+    log, _ = open_chain(6, 0)
+
+    with pytest.raises(InputError, match="connections: .*; choose method joint"):
+        localize(log, QUICK)

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.problem import pose_problem
@@ -43,7 +44,14 @@ def localize_batch(
     Returns:
         One estimate a log: the final answer of its tracker. An iteration of the trace is a number
         of joins. The residual is as for `joint`.
+
+    Raises:
+        InputError: orientations were chained by connections; robots share errors then.
     """
+    for log in logs:
+        if log.orientation_sd is not None and len(log.connections):
+            problem = "robots share errors of orientations that were chained; choose method joint"
+            raise InputError(problem, key="connections")
     estimates = []
     total, joined = sum(log.robot_count for log in logs), 0
     for log, p in zip(logs, params, strict=True):
