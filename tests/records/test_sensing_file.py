@@ -80,6 +80,7 @@ def stances_of(draw, robots, radius, sources, *, ground):
         directions=draw(linked(owner, st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(owner, orientation, 8)),
         touches=draw(touches_of(owner)),
+        displacements=draw(displacements_of(owner, radius)),
     )
 
 
@@ -112,6 +113,21 @@ def ranges_of(draw, owner, radius, sources):
     ]  # fmt: skip
     rows = [(at, other, radius * far, radius * sd, of) for at, other, far, sd, of in rows]
     return table(sorted(rows), np.float64, 5)
+
+
+@st.composite
+def displacements_of(draw, owner, radius):
+    """Draw up to two displacements, perhaps equal, in some stances of these robots, sorted."""
+    rows = [
+        row
+        for stance, robot in enumerate(owner)
+        if robot > 0
+        for row in draw(repeated(st.tuples(
+            st.just(stance), st.integers(0, robot - 1), widths, number, number, widths,
+        )))
+    ]  # fmt: skip
+    rows = [(at, other, radius * x, y, z, radius * sd) for at, other, x, y, z, sd in rows]
+    return table(sorted(rows), np.float64, 6)
 
 
 def repeated(rows):
@@ -185,6 +201,7 @@ def logs(draw):
         directions=draw(linked(range(robots), st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(range(robots), orientation, 8)),
         touches=draw(touches_of(range(robots))),
+        displacements=draw(displacements_of(range(robots), radius)),
         stances=stances,
         noise=draw(st.none() | noises),
         source_name=tuple(sources),
@@ -229,6 +246,7 @@ STANCE = {
     "directions": [[0, 7, 2, 0.0, 0.6, 0.8]],
     "connections": [[0, 7, 2, 0.8, 0.0, 0.6, 0.0]],
     "touches": [[1, 7, None]],
+    "displacements": [[7, -4.0, 0.5, 1.0, 0.1]],
 }
 ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
 JOINER = {
@@ -241,6 +259,7 @@ JOINER = {
     "directions": [[0, 7, 1, -1.0, 0.0, 0.0], [2, 7, 0, 0.0, 0.0, 1.0]],
     "connections": [[2, 7, 0, 0.6, 0.8, 0.0, 0.0]],
     "touches": [[None, 7, None], [None, 7, 2], [0, 7, None]],
+    "displacements": [[7, -9.0, 0.0, 1.0, 0.5], [7, -9.0, 0.0, 1.0, 0.5]],
     "flip_height": 5.31,
     "spawn_position": [9.0, 0.0, 1.0],
     "stances": [STANCE],

@@ -229,9 +229,14 @@ def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     if estimate.outlier_contacts is None:
         return
     name = log.robot_id.tolist()
-    directed = set(map(tuple, measure(log, ["directions"]).sensed_contacts.tolist()))
+    directed, displaced = (
+        set(map(tuple, measure(log, [cue]).sensed_contacts.tolist()))
+        for cue in ("directions", "displacements")
+    )
     for robot, stance, own, other, dock in estimate.outlier_contacts.tolist():
-        if own == CENTER:
+        if (robot, stance, own, other, dock) in displaced:
+            yield robot, stance, "displacements", f"displacement to robot {name[other]}"
+        elif own == CENTER:
             yield robot, stance, "ranges", f"range to robot {name[other]}"
         elif UNKNOWN in (own, dock):
             yield robot, stance, "touches", f"touch of robot {name[other]}"

@@ -148,6 +148,8 @@ class SensingLogBuilder:
             self._check_fix(item, key)
         elif name == "ranges":
             self._check_range(item, key)
+        elif name == "displacements":
+            self._check_displacement(item, key)
         elif name in {"directions", "connections"}:
             what = "direction" if name == "directions" else "quaternion"
             return (*item[:3], *_unit(item[3:], what, key))
@@ -179,6 +181,13 @@ class SensingLogBuilder:
         self._header.refuse_far(key, distance, 0.0)
         if not distance > 0.0:
             raise InputError(f"the distance {distance:g} should be positive; correct it", key=key)
+        self._header.refuse_sd(key, sd)
+
+    def _check_displacement(self, measured: tuple[float, ...], key: str) -> None:
+        _, *vector, sd = measured
+        self._header.refuse_far(key, vector, 0.0)
+        if not any(vector):
+            raise InputError("the vector has length 0; correct it", key=key)
         self._header.refuse_sd(key, sd)
 
     def _count_contacts(self, robot: int, final: SensedStance) -> None:

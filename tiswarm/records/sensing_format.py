@@ -94,6 +94,8 @@ _Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
 _Directions = Annotated[list[_Direction], Field(fail_fast=True)]
 _Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LIST]
 _Connections = Annotated[list[_Connection], Field(fail_fast=True)]
+_Displacement = Annotated[tuple[int, float, float, float, float], _AS_LIST]
+_Displacements = Annotated[list[_Displacement], Field(fail_fast=True)]
 _Touch = Annotated[tuple[int | None, int, int | None], _AS_LIST]
 _Touches = Annotated[list[_Touch], Field(fail_fast=True)]
 
@@ -206,6 +208,7 @@ class StanceEntry(BaseModel):
     directions: _Directions | None = None
     connections: _Connections | None = None
     touches: _Touches | None = None
+    displacements: _Displacements | None = None
 
 
 class RobotLine(BaseModel):
@@ -249,6 +252,11 @@ class RobotLine(BaseModel):
     """Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
     least one of them null; the other robot is on an earlier line. Version 2."""
 
+    displacements: _Displacements | None = None
+    """Measured vectors between centers, rows of [other robot, x, y, z, sd] [length unit]: from the
+    own center to that of the other robot, which is on an earlier line, in the own body frame. The
+    sd holds along each axis, beside the noise of the own orientation. Version 2."""
+
     flip_height: float | None = None
     """Height of the center that the flips imply [length unit]."""
 
@@ -267,16 +275,17 @@ STANCE_LISTS = {
     "directions": ("dock", "robot", "dock", *("number",) * 3),
     "connections": ("dock", "robot", "dock", *("number",) * 4),
     "touches": ("dock or null", "robot", "dock or null"),
+    "displacements": ("robot", *("number",) * 4),
 }
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance. A
 dock that is null is -1 there, as is a source that is left out or null; others are indices."""
 
-REPEATABLE = ("fixes", "ranges")
+REPEATABLE = ("fixes", "ranges", "displacements")
 """Lists whose items may be equal: a device may measure twice, and get the same number."""
 
-NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches")
+NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches", "displacements")
 """Lists that version 1 does not have."""
 
 NEW_NOISE = ("direction_deg", "connection_deg")

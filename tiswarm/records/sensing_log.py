@@ -99,6 +99,9 @@ class Stances:
     touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
     """Touches as in `SensingLog`, rows that start with the stance, shape (H, 4)."""
 
+    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Displacements as in `SensingLog`, rows that start with the stance, shape (V, 6)."""
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SensingLog:
@@ -106,8 +109,8 @@ class SensingLog:
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
     position except the anchor's. Rows of lists, here and in `stances`, are sorted, so two logs with
-    equal content have equal arrays. They are unique but for fixes and ranges, which a device may
-    repeat.
+    equal content have equal arrays. They are unique but for fixes, ranges and displacements, which
+    a device may repeat.
     """
 
     robot_id: Ints
@@ -164,6 +167,11 @@ class SensingLog:
     touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
     """Contacts of unknown docks at the final stance, rows of (robot, dock or -1, earlier robot, its
     dock or -1), shape (H, 4). A dock that is not known is -1."""
+
+    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Measured vectors from the final center to that of an earlier robot, rows of (robot, other
+    robot, vector in the robot's body frame (3), standard deviation along each axis), shape (V, 6).
+    The standard deviation is without the noise of the robot's orientation."""
 
     flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""

@@ -14,6 +14,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.page import Page
+from tiswarm.report.page_pictures import Shown
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
 from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
@@ -28,6 +29,7 @@ def gather_log_page(
     warnings: Sequence[str],
     notes: Sequence[str],
     advice: Sequence[Mapping[str, str]],
+    figures: Sequence[Shown],
 ) -> Page:
     """Gather what the page of a log shows.
 
@@ -39,6 +41,7 @@ def gather_log_page(
         warnings: What makes the estimate doubtful.
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
+        figures: How measurements narrow the place of a robot.
     """
     return Page(
         name=name,
@@ -49,6 +52,7 @@ def gather_log_page(
         headline=_summary(view, estimate, scores),
         tables=[*_solutions(view, estimate), *_advice(advice)],
         view=_space(view, estimate),
+        figures=figures,
         rows=_robots(view, estimate),
         rows_example="mirrored" if "mirrored" in estimate.known else "floppy",
     )
