@@ -1,12 +1,16 @@
 """Lines of robots as a tracker takes them: what it refuses, and what it leaves out."""
 
 from collections.abc import Iterator
-from typing import TypeVar
 
 from tiswarm.base.errors import InputError
-from tiswarm.records.sensing_format import STANCE_LISTS, HeaderLine, RobotLine, StanceEntry
-
-_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
+from tiswarm.records.sensing_builder import Contact
+from tiswarm.records.sensing_format import (
+    CONTACT_LISTS,
+    STANCE_LISTS,
+    HeaderLine,
+    RobotLine,
+    StanceEntry,
+)
 
 
 def standing(line: RobotLine) -> RobotLine:
@@ -31,22 +35,14 @@ def named(entry: RobotLine | StanceEntry) -> list[int]:
     return [item[place] for item, place in pairs]
 
 
-def without(line: RobotLine, robot: int) -> RobotLine:
-    """Leave out what a line says of a robot; the line itself if it says nothing."""
-    if not any(robot in named(entry) for entry in entries(line)):
-        return line
-    stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
-    return _cleared(line, robot).model_copy(update={"stances": stances})
-
-
-def _cleared(entry: _Entry, robot: int) -> _Entry:
-    """Drop the items of a stance that name a robot."""
-    kept = {}
-    for key, kinds in STANCE_LISTS.items():
-        items = getattr(entry, key)
-        if items and "robot" in kinds:
-            kept[key] = [item for item in items if item[kinds.index("robot")] != robot]
-    return entry.model_copy(update=kept)
+def released(line: RobotLine, contact: Contact) -> RobotLine:
+    """Drop the items of the final stance that begin with these docks in contact."""
+    kept = {
+        key: [item for item in items if tuple(item[:3]) != contact]
+        for key in CONTACT_LISTS
+        if (items := getattr(line, key))
+    }
+    return line.model_copy(update=kept)
 
 
 def refuse_header(head: HeaderLine) -> None:
