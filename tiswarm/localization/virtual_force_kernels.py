@@ -189,7 +189,7 @@ def _step_of(gains: Ref, robot, force, share, measured: Ref, robots: Ref):
 
 @ti.func
 def _docks_in_cells(robot, measured: Ref, robots: Ref):
-    """Count the docks of a robot that are in the cell list: those of a robot that left never are."""
+    """Count the docks of a robot that are in the cell list: none of a robot that has left."""
     return (1 - measured.is_gone[robot]) * robots.dock_offset.shape[1]
 
 

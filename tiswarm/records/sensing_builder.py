@@ -250,9 +250,7 @@ class SensingLogBuilder:
             raise InputError("both docks are known; list the contact in contacts", key=key)
         return item
 
-    def _orientation(
-        self, entry: RobotLine | StanceEntry, key: str, number: int
-    ) -> list[float]:
+    def _orientation(self, entry: RobotLine | StanceEntry, key: str, number: int) -> list[float]:
         """Check a stance's orientation; NaN for a robot without a compass."""
         if entry.orientation_wxyz is not None:
             return _unit(entry.orientation_wxyz, "quaternion", key)

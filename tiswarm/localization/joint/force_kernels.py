@@ -65,9 +65,7 @@ def _is_there(robot, variant: Static, robots: Ref):
 
 
 @ti.func
-def _push_of_overlaps(
-    r, i, variant: Static, slope, robots: Ref, grid: Ref, rows: Ref, swarm: Ref
-):
+def _push_of_overlaps(r, i, variant: Static, slope, robots: Ref, grid: Ref, rows: Ref, swarm: Ref):
     """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
 
     Integers make the sum independent of the order of a row.
@@ -153,9 +151,7 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
         r, i, slope, square, variant, robots, measured.contacts, swarm
     )
     if robots.label[i, NON_OVERLAP] == 1:
-        push, hardness, lag = _push_of_overlaps(
-            r, i, variant, slope, robots, grid, rows, swarm
-        )
+        push, hardness, lag = _push_of_overlaps(r, i, variant, slope, robots, grid, rows, swarm)
         pull += push
         stiffness += hardness
         inertia += lag

@@ -83,7 +83,8 @@ class Problem:
     @property
     def is_present(self) -> Bools:
         """Which links are of robots that have not left, shape (C,)."""
-        return ~self.is_gone[self.pair].any(axis=1)
+        is_present: Bools = ~self.is_gone[self.pair].any(axis=1)
+        return is_present
 
     @property
     def untied(self) -> Bools:

@@ -25,10 +25,10 @@ from tiswarm.localization.online.lines import (
     named,
     refuse_header,
     refuse_line,
-    standing,
     released,
+    standing,
 )
-from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.online.neighborhood import Neighborhood
 from tiswarm.localization.online.settings import (
     TIMES,
 )
