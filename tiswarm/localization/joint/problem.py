@@ -83,7 +83,7 @@ class Problem:
     @property
     def is_present(self) -> Bools:
         """Which links are of robots that have not left, shape (C,)."""
-        is_present: Bools = ~self.is_gone[self.pair].any(axis=1)
+        is_present: Bools = np.logical_not(self.is_gone[self.pair].any(axis=1))
         return is_present
 
     @property

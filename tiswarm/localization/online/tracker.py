@@ -21,8 +21,7 @@ from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
-    entries,
-    named,
+    mentioned,
     refuse_header,
     refuse_line,
     released,
@@ -35,8 +34,8 @@ from tiswarm.localization.online.settings import (
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_builder import Contact, SensingLogBuilder
-from tiswarm.records.sensing_events import LeaveLine, ReleaseLine, SensingLine, parse_line
+from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_events import parse_line
 from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
@@ -129,7 +128,12 @@ class Tracker:
         Raises:
             InputError: as for `join`, `update`, `leave` and `release`. Nothing changes then.
         """
-        return self._taken(parse_line(line_text(line), self._head))
+        entry = parse_line(line_text(line), self._head)
+        if entry.event == "leave":
+            return self.leave(entry.robot)
+        if entry.event == "release":
+            return self.release(entry.robot, entry.contacts)
+        return self._updated(entry) if entry.event == "replace" else self._joined(entry)
 
     @program.exclusive()
     def join(self, robot: Line) -> Change:
@@ -142,7 +146,7 @@ class Tracker:
             InputError: the line is malformed, or says what a tracker cannot use. The robot leaves
                 no trace then.
         """
-        return self._taken(parse_robot(line_text(robot)))
+        return self._joined(parse_robot(line_text(robot)))
 
     @program.exclusive()
     def update(self, robot: Line) -> Change:
@@ -154,8 +158,7 @@ class Tracker:
         Raises:
             InputError: the line is malformed, or no such robot is there. Nothing changes then.
         """
-        line = parse_robot(line_text(robot))
-        return self._taken(line.model_copy(update={"event": "replace"}))
+        return self._updated(parse_robot(line_text(robot)))
 
     @program.exclusive()
     def leave(self, robot: int) -> Change:
@@ -167,10 +170,12 @@ class Tracker:
         Raises:
             InputError: no such robot is there, or it is the anchor. Nothing changes then.
         """
-        return self._taken(LeaveLine(event="leave", robot=robot))
+        self._builder.leave(robot)
+        self._layers.gone.add(self._index[robot])
+        return self._change(self._layers.mean, annealed=False)
 
     @program.exclusive()
-    def release(self, robot: int, contacts: Sequence[Contact]) -> Change:
+    def release(self, robot: int, contacts: Sequence[tuple[int | None, int, int | None]]) -> Change:
         """Drop contacts that a robot has let go of.
 
         Args:
@@ -180,7 +185,17 @@ class Tracker:
         Raises:
             InputError: the two do not touch so, or one of them is not there. Nothing changes then.
         """
-        return self._taken(ReleaseLine(event="release", robot=robot, contacts=[*contacts]))
+        before = self._layers.mean
+        self._builder.release(robot, contacts)
+        owners = []
+        for own, name, its in contacts:
+            contact, owner = (own, name, its), robot
+            if self._index[name] > self._index[robot]:
+                contact, owner = (its, robot, own), name
+            self._lines[owner] = released(self._lines[owner], contact)
+            owners.append(self._index[owner])
+        annealed = self._measured_anew({*owners}, sorted({*owners}))
+        return self._change(before, annealed=annealed)
 
     def neighborhood(self, robots: Ints) -> Neighborhood:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
@@ -228,38 +243,25 @@ class Tracker:
             residual=rms(gap[None]) * self._unit,
         )
 
-    def _taken(self, line: SensingLine) -> Change:
-        """Take a line: into the log, and solve for what is near."""
-        if isinstance(line, RobotLine):
-            refuse_line(line)
-        before, annealed = self._layers.mean, False
-        if line.event is None:
-            annealed = self._join(line)
-            return self._change(before, annealed=annealed)
-        # The builder refuses what is wrong before anything changes.
-        self._builder.take(line)
-        number = self._index[line.robot]
-        if line.event == "leave":
-            self._layers.gone.add(number)
-        elif line.event == "replace":
-            self._lines[line.robot] = line
-            # Blocks of later robots know which way its docks point.
-            about = [k for k, each in enumerate(self._layers.blocks) if number in each.members]
-            annealed = self._measured_anew({number, *about}, [number])
-        else:
-            annealed = self._measured_anew(owners := self._released(line), [*owners])
+    def _joined(self, line: RobotLine) -> Change:
+        """Add a robot, and solve for what is near."""
+        refuse_line(line)
+        before = self._layers.mean
+        annealed = self._join(line)
         return self._change(before, annealed=annealed)
 
-    def _released(self, line: ReleaseLine) -> set[int]:
-        """Drop contacts from the lines that have them; return whose lines these are."""
-        owners = set()
-        for own, name, its in line.contacts:
-            contact, owner = (own, name, its), line.robot
-            if self._index[name] > self._index[owner]:
-                contact, owner = (its, owner, own), name
-            self._lines[owner] = released(self._lines[owner], contact)
-            owners.add(self._index[owner])
-        return owners
+    def _updated(self, line: RobotLine) -> Change:
+        """Take a new line of a robot, and solve for what is near."""
+        refuse_line(line)
+        before = self._layers.mean
+        # The builder refuses what is wrong before anything changes.
+        self._builder.replace(line)
+        self._lines[line.robot] = line
+        number = self._index[line.robot]
+        # Blocks of later robots know which way its docks point.
+        about = [k for k, block in enumerate(self._layers.blocks) if number in block.members]
+        annealed = self._measured_anew({number, *about}, [number])
+        return self._change(before, annealed=annealed)
 
     def _join(self, line: RobotLine) -> bool:
         """Add a checked robot, and solve for what is near; return whether all was annealed."""
@@ -295,8 +297,7 @@ class Tracker:
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
-        mentioned = {other for entry in entries(line) for other in named(entry)}
-        earlier = {self._index[name] for name in mentioned if name in self._index}
+        earlier = {self._index[name] for name in mentioned(line) if name in self._index}
         own = self._index.get(line.robot, len(self._index))
         members = sorted(earlier | {0}) if own else []
         names = list(self._index)
@@ -321,6 +322,8 @@ class Tracker:
         self._layers.shift, self._layers.sd = before.shift, before.sd
         self._layers.gone.update(before.gone)
         for number in solved:
+            # Where it may be by fewer or other rows; without partners, anywhere.
+            self._layers.places[number] = np.empty((0, _AXES))
             self._layers.place(number)
         return self._settle(solved)
 
