@@ -337,5 +337,5 @@ def test_chained_orientations_are_refused():
     """A robot's error turns all that follow; sd of robots one by one would not say so."""
     log, _ = open_chain(6, 0)
 
-    with pytest.raises(InputError, match="connections: .*; choose method joint"):
+    with pytest.raises(InputError, match=r"connections: .*; choose method joint"):
         localize(log, QUICK)

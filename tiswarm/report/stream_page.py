@@ -188,7 +188,7 @@ class _Swarm:
             view, estimate, name=name, scores={}, warnings=warnings, notes=self._notes(), advice=[]
         )
         moved = [self._moved.get(robot, 0.0) for robot in names]
-        values: Reals = np.where(log.is_gone, np.nan, [sd, moved])
+        values: Reals = np.where(log.is_gone, np.nan, np.array([sd, moved]))
         labels = [SD, "moved by the line"]
         colorings = [Coloring(*each) for each in zip(labels, [self.unit] * 2, values, strict=True)]
         space = space_data(

@@ -51,8 +51,8 @@ def localize_batch(
     """
     for log in logs:
         if log.orientation_sd is not None and len(log.connections):
-            problem = "robots share errors of orientations that were chained; choose method joint"
-            raise InputError(problem, key="connections")
+            shared = "robots share errors of orientations that were chained; choose method joint"
+            raise InputError(shared, key="connections")
     estimates = []
     total, joined = sum(log.robot_count for log in logs), 0
     for log, p in zip(logs, params, strict=True):
