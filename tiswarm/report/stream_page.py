@@ -187,8 +187,8 @@ class _Swarm:
         page = gather_log_page(
             view, estimate, name=name, scores={}, warnings=warnings, notes=self._notes(), advice=[]
         )
-        moved = [self._moved.get(robot, 0.0) for robot in names]
-        values: Reals = np.where(log.is_gone, np.nan, [sd, moved])
+        moved = np.array([self._moved.get(robot, 0.0) for robot in names])
+        values: Reals = np.where(log.is_gone, np.nan, np.stack([sd, moved]))
         labels = [SD, "moved by the line"]
         colorings = [Coloring(*each) for each in zip(labels, [self.unit] * 2, values, strict=True)]
         space = space_data(
