@@ -139,7 +139,7 @@ class _Server(socketserver.ThreadingTCPServer):
 class _Handler(BaseHTTPRequestHandler):
     """Answers one request."""
 
-    def __init__(self, live: Any, *connection: Any) -> None:  # noqa: ANN401 - of two classes; as the base
+    def __init__(self, live: "_LiveRun", *connection: Any) -> None:  # noqa: ANN401 - as the base
         self._live = live
         super().__init__(*connection)
 

@@ -217,10 +217,6 @@ class RobotLine(BaseModel):
 
     model_config = STRICT
 
-    event: Literal["replace"] | None = None
-    """Replace: this is the line of a robot that has one, and that has sensed more since. Version
-    3."""
-
     robot: Name
     """Name, an integer that no other robot has."""
 
@@ -270,6 +266,10 @@ class RobotLine(BaseModel):
 
     stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
     """Stances before the final one, in time order."""
+
+    event: Literal["replace"] | None = None
+    """Replace: this is the line of a robot that has one, and that has sensed more since. Version
+    3."""
 
 
 STANCE_LISTS = {

@@ -29,7 +29,7 @@ def gather_log_page(
     warnings: Sequence[str],
     notes: Sequence[str],
     advice: Sequence[Mapping[str, str]],
-    figures: Sequence[Shown] = (),
+    figures: Sequence[Shown],
 ) -> Page:
     """Gather what the page of a log shows.
 

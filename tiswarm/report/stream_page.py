@@ -59,7 +59,7 @@ class StreamPages:
         self._read = {self._out: 0, self._journal: 0}  # bytes
         self._raw: dict[Path, list[bytes]] = {self._out: [], self._journal: []}
         self._answers: list[dict[str, Any]] = []
-        self._now = _Swarm(self._out)
+        self._now = _StreamState(self._out)
 
     def update(self) -> str:
         """Read the lines that were added since the last call; return the state of the stream."""
@@ -107,7 +107,7 @@ class StreamPages:
             return None
         swarm, last = self._now, int(name)
         if last < len(self._answers):
-            swarm = _Swarm(self._out)
+            swarm = _StreamState(self._out)
             for number, answer in enumerate(self._answers[:last], start=1):
                 swarm.take(answer, self._raw[self._journal][number - 1], number)
         refused = [
@@ -131,7 +131,7 @@ class StreamPages:
         return f"robot {entries['robot']} {events.get(entries.get('event'), 'joined')}"
 
 
-class _Swarm:
+class _StreamState:
     """The robots after some lines of a stream, and who the last of these moved."""
 
     def __init__(self, out: Path) -> None:
@@ -185,10 +185,11 @@ class _Swarm:
         )
         view = view_log(log, estimate, name="estimate")
         page = gather_log_page(
-            view, estimate, name=name, scores={}, warnings=warnings, notes=self._notes(), advice=[]
-        )
-        moved = [self._moved.get(robot, 0.0) for robot in names]
-        values: Reals = np.where(log.is_gone, np.nan, np.array([sd, moved]))
+            view, estimate, name=name, scores={}, warnings=warnings, notes=self._notes(),
+            advice=[], figures=[],
+        )  # fmt: skip
+        moved = np.array([self._moved.get(robot, 0.0) for robot in names])
+        values: Reals = np.where(log.is_gone, np.nan, np.stack([sd, moved]))
         labels = [SD, "moved by the line"]
         colorings = [Coloring(*each) for each in zip(labels, [self.unit] * 2, values, strict=True)]
         space = space_data(
