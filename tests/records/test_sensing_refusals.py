@@ -148,7 +148,12 @@ REFUSED = [
         "spawn_position",
         "List should have at least 3 items, not 2",
     ),
-    (joiner(color="red"), 3, "color", "unknown key; the keys here are event, robot, orientation_wxyz"),
+    (
+        joiner(color="red"),
+        3,
+        "color",
+        "unknown key; the keys here are event, robot, orientation_wxyz",
+    ),
     (joiner(contact=[]), 3, "contact", "unknown key; did you mean contacts?"),
     # its contacts
     (joiner(contacts=...), 3, "contacts", "is missing; add it"),
