@@ -21,6 +21,7 @@ CUES = (
     "ranges",
     "directions",
     "touches",
+    "displacements",
 )
 """Cues that settings have a switch for."""
 
@@ -221,6 +222,10 @@ class CueParams:
     directions: Annotated[bool, Field(description="Measured directions of contacts count.")] = True
 
     touches: Annotated[bool, Field(description="Contacts whose docks are unknown count.")] = True
+
+    displacements: Annotated[
+        bool, Field(description="Measured vectors between the centers of two robots count.")
+    ] = True
 
     @property
     def cues(self) -> tuple[str, ...]:
