@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.records.sensing_events import line_schema
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS, line_schema
+from tiswarm.records.sensing_format import NEW_LISTS
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
@@ -203,6 +204,9 @@ def logs(draw):
         touches=draw(touches_of(range(robots))),
         displacements=draw(displacements_of(range(robots), radius)),
         stances=stances,
+        gone=np.array(
+            draw(st.sets(st.integers(1, robots - 1)).map(sorted)) if robots > 1 else [], np.int64
+        ),
         noise=draw(st.none() | noises),
         source_name=tuple(sources),
         source_sd=radius * np.array([draw(widths) for _ in sources], np.float64),
@@ -471,7 +475,9 @@ def test_rows_are_put_in_order_once():
 )
 def test_a_damaged_file_is_read_or_refused(scratch, edits):
     """Bytes deleted, inserted or flipped end in a log or an InputError, never otherwise."""
-    data = bytearray(written(scratch, HEADER, ANCHOR, JOINER).read_bytes())
+    header, events = {**HEADER, "version": 3}, [{"event": "leave", "robot": -3}]
+    events.insert(0, {"event": "release", "robot": 7, "contacts": [[0, -3, 2]]})
+    data = bytearray(written(scratch, header, ANCHOR, JOINER, *events).read_bytes())
     for kind, position, new in edits:
         at = position % len(data)
         data[at : at + (0 if kind == "i" else len(new))] = b"" if kind == "d" else new

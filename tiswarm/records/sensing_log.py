@@ -9,7 +9,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.records.messages import counted
 
@@ -192,6 +192,13 @@ class SensingLog:
     """Standard deviation of the error that all measurements of a source share [log unit], shape
     (sources,)."""
 
+    gone: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """Robots that have left, ascending, shape (G,). What they sensed and what others sensed of them
+    stays, and is about where they last stood; later robots may stand there, too."""
+
+    line: Ints | None = None
+    """Line of each robot in its file, shape (N,); None where robots follow the header in order."""
+
     length_unit: str = "R"
     """Name of the log's unit of length."""
 
@@ -203,6 +210,15 @@ class SensingLog:
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot has left, shape (N,)."""
+        return np.isin(np.arange(self.robot_count), self.gone)
+
+    def line_of(self, robot: int) -> int:
+        """Return the number of a robot's line in its file, the header being 1."""
+        return 2 + robot if self.line is None else int(self.line[robot])
 
     @property
     def size(self) -> str:

@@ -165,7 +165,8 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
 def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
     radius, unit = view.log.dock_radius, view.log.length_unit
-    sd = np.where(estimate.disconnected, np.nan, view.sd)
+    gone = view.log.is_gone
+    sd = np.where(estimate.disconnected | gone, np.nan, view.sd)
     values = [("error", view.error), (SD, sd)]
     colorings = [Coloring(label, unit, value * radius) for label, value in values]
     shown = [view_data(replace(view, name="estimate"), colorings)]
@@ -181,6 +182,8 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         values = [("distance from the estimate", away), (SD, sd)]
         shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
     notes = []
+    if estimate.sd is not None and gone.any():
+        notes.append("Where sd is the color, robots that have left are gray.")
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append(
             "Where sd is the color, robots that are disconnected from the anchor are gray."
@@ -208,6 +211,8 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
         if np.isfinite(values).any():
             columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
     columns["contacts"] = [str(many) for many in contact_count(log)]
+    if estimate.gone is not None:
+        columns["gone"] = ["yes" if gone else "" for gone in estimate.gone.tolist()]
     if estimate.observability is not None:
         columns["known"] = estimate.known
     left_out = len(view.robot) - MOST_ROWS
@@ -223,5 +228,8 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     )
     note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
     return PageTable(
-        frame=pd.DataFrame(columns).head(MOST_ROWS), words=["known"], title="Robots", note=note
+        frame=pd.DataFrame(columns).head(MOST_ROWS),
+        words=["gone", "known"],
+        title="Robots",
+        note=note,
     )
