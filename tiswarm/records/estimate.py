@@ -124,6 +124,29 @@ class Observability:
         return [str(word) for word in words]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Traffic:
+    """What it cost N robots to localize themselves."""
+
+    sent: Ints
+    """Bytes that each robot transmitted, those that it passed on included, shape (N,)."""
+
+    heard: Ints
+    """Bytes that each robot heard, shape (N,)."""
+
+    messages: Ints
+    """Transmissions of each robot, shape (N,)."""
+
+    memory: Ints
+    """Bytes at most that each robot held of itself and others, shape (N,)."""
+
+    operations: Reals
+    """Additions and multiplications of each robot, about, shape (N,)."""
+
+    rounds: int
+    """Rounds in which messages were under way."""
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate:
     """Estimated positions of N robots in join order, with the trace of the iterations."""
@@ -202,6 +225,13 @@ class Estimate:
     residual_sd: float | None = None
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""
+
+    traffic: Traffic | None = None
+    """What robots sent each other; None where one program has the whole log."""
+
+    doubtful: Bools | None = None
+    """Robots that do not trust their own positions, by what each holds, shape (N,); None where
+    robots do not judge for themselves."""
 
     steps: Ints | None = None
     """Steps of each robot, those in rounds of back-propagation too, shape (N,); None where the

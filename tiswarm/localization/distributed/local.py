@@ -1,0 +1,227 @@
+"""What one robot works out from the lines and places of robots that it holds.
+
+The layers of `online` run on these robots alone. Rows about others are left out: where rows of a
+block have noise in common, that of those which are left stays as it is. Lengths in R, relative to
+the anchor.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.distributed.chains import annealed
+from tiswarm.localization.distributed.settings import ANSWERS
+from tiswarm.localization.distributed.wire import Place, read_line, rounding_sd
+from tiswarm.localization.online.blocks import Block, block_of
+from tiswarm.localization.online.layers import LocalLayers
+from tiswarm.localization.online.lines import entries, named, standing, without
+from tiswarm.localization.online.neighborhood import Configuration
+from tiswarm.localization.params import DistributedParams, OnlineParams
+from tiswarm.localization.registry import centered
+from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_format import HeaderLine, RobotLine, line_text, parse_header
+
+_AXES = 3
+_STEPS = 2
+"""Steps of "shares a row" to the robots that move."""
+_LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass
+class Known:
+    """What a robot holds of one robot, itself included."""
+
+    line: bytes = b""
+    """What it sensed, as sent; empty if unknown."""
+
+    place: Place | None = None
+    """Where it is; None if unknown."""
+
+    candidates: Reals = field(default_factory=lambda: np.empty((0, _AXES)))
+    """Where else it may be, relative to the mean of those it shares rows with [R], (k, 3)."""
+
+    sharing: set[int] = field(default_factory=set)
+    """Robots that are known to share rows with it."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What every robot is programmed with; it says nothing of other robots."""
+
+    params: DistributedParams
+    header: str
+    """First line of a sensing file."""
+
+    @property
+    def docks(self) -> int:
+        """Docks of a robot."""
+        return len(_head(self.header).dock_offsets)
+
+    def decoded(self, line: bytes) -> RobotLine:
+        """Read a line as it was sent."""
+        return _decoded(line, self.docks, self.params.bits)
+
+    def partners(self, line: bytes) -> set[int]:
+        """List the robots that a line has rows about."""
+        return {other for entry in entries(self.decoded(line)) for other in named(entry)}
+
+
+class Solved(NamedTuple):
+    """What a robot found out."""
+
+    places: Mapping[int, Place]
+    """Places of robots that moved, and of the one that was solved for, by number."""
+
+    candidates: Reals
+    """As in `Known`, of the one that was solved for."""
+
+    surprised: bool
+    """Whether chance does not explain its rows and overlaps."""
+
+
+@lru_cache(maxsize=16)
+def _head(header: str) -> HeaderLine:
+    return parse_header(line_text(header))
+
+
+@lru_cache(maxsize=20_000)
+def _decoded(line: bytes, docks: int, bits: int | None) -> RobotLine:
+    return read_line(line, docks, bits)
+
+
+class LocalSwarm:
+    """The robots that one robot holds lines of, numbered anew in join order; 0 is the anchor."""
+
+    def __init__(self, program: Program, known: Mapping[int, Known]) -> None:
+        """Measure the rows of robots among each other, and put them where they are known to be."""
+        held = {n: each for n, each in known.items() if each.line}
+        self.numbers: Ints = np.array(sorted({0, *held}), np.int64)
+        self._index = {number: k for k, number in enumerate(self.numbers.tolist())}
+        self._program, self._params = program, _precise(program, known)
+        self.layers = LocalLayers(program.docks, self._params)
+        self._sharing: list[set[int]] = [set() for _ in self.numbers]
+        position, turn, sd = (np.zeros((len(held) + 1, _AXES)) for _ in range(3))
+        for number, k in self._index.items():
+            each = held.get(number, Known())
+            block = self._block(program, number, {n: held[n].line for n in held})
+            self.layers.append(block, self._touching(program, each.line))
+            for partner in block.partners.tolist():
+                self._sharing[partner].add(k)
+                self._sharing[k].add(partner)
+            self.layers.places[k] = each.candidates
+            if each.place is not None:
+                position[k], turn[k], sd[k, 0] = each.place
+        count = len(self.numbers)
+        self.layers.state = Configuration(position[:count], turn[:count])
+        self.layers.sd = sd[:count, 0]
+
+    def solve(self, number: int, *, anew: bool) -> Solved:
+        """Solve for a robot and those near it.
+
+        Args:
+            number: The robot.
+            anew: Whether to look for its place among all that its rows allow.
+        """
+        layers, k = self.layers, self._index[number]
+        before = Configuration(*(each.copy() for each in layers.state))
+        places = layers.place(k) if anew else None
+        surprised = layers.solve_near(k, places)
+        if self._program.params.chains:
+            moving = self._near(k)
+            found = annealed(layers, moving, self._program.params, number)
+            layers.state, layers.sd[moving] = found.state, found.sd
+        state = layers.state
+        apart = np.linalg.norm(state.position - before.position, axis=1)
+        turned = np.linalg.norm(state.turn - before.turn, axis=1)
+        has_moved = (apart > ANSWERS.moved) | (turned > ANSWERS.turned)
+        has_moved[k] = True
+        if k:
+            has_moved[0] = False
+        moved = {
+            int(self.numbers[j]): Place(
+                state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j])
+            )
+            for j in np.flatnonzero(has_moved).tolist()
+        }
+        return Solved(moved, layers.places[k], surprised)
+
+    def _near(self, k: int) -> Ints:
+        """List the robots within two steps of sharing rows with one, ascending."""
+        near, ring = {k}, {k}
+        for _ in range(_STEPS):
+            ring = {other for each in ring for other in self._sharing[each]} - near
+            near |= ring
+        return np.array(sorted(near), np.int64)
+
+    def is_surprising(self, number: int) -> bool:
+        """Judge whether chance does not explain the rows and overlaps of a robot."""
+        return self.layers.is_surprising(self._index[number])
+
+    def _block(self, program: Program, number: int, lines: Mapping[int, bytes]) -> Block:
+        """Measure the rows of a robot about those that are held."""
+        if number not in lines:
+            return self._renumbered(_measured(program.header, self._params, _ANCHOR, ()))
+        line = program.decoded(lines[number])
+        mentioned = program.partners(lines[number])
+        for other in mentioned - lines.keys():
+            line = without(line, other)
+        if not number:
+            return self._renumbered(_measured(program.header, self._params, _text(line), ()))
+        members = sorted((mentioned & lines.keys()) | {0})
+        standing_lines = tuple(
+            _text(standing(program.decoded(lines[each]))) if each in lines else _ANCHOR
+            for each in members
+        )
+        block = _measured(program.header, self._params, _text(line), standing_lines)
+        return self._renumbered(block)
+
+    def _renumbered(self, block: Block) -> Block:
+        return replace(block, members=np.array([self._index[n] for n in block.members.tolist()]))
+
+    def _touching(self, program: Program, line: bytes) -> set[tuple[int, int, int]]:
+        """List docks of a robot in contact with those of robots that are held."""
+        if not line:
+            return set()
+        rows = program.decoded(line).contacts
+        return {(dock, self._index[other], its) for dock, other, its in rows if other in self._index}
+
+
+def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
+    """Return the settings of the layers, in which rounding of what was sent counts as noise."""
+    params = program.params
+    places = [each.place.position for each in known.values() if each.place is not None]
+    farthest = float(np.abs(places).max()) if places else 1.0
+    rounding = rounding_sd(farthest, params.bits)
+    names = OnlineParams.__dataclass_fields__.keys() & params.__dataclass_fields__.keys()
+    shared = {name: getattr(params, name) for name in names - {"method", "chains", "steps"}}
+    return OnlineParams(
+        **shared
+        | {
+            "contact_sd": float(np.hypot(params.contact_sd, rounding)),
+            "height_sd": float(np.hypot(params.height_sd, rounding)),
+        }
+    )
+
+
+def _text(line: RobotLine) -> str:
+    return line.model_dump_json()
+
+
+_ANCHOR = _text(RobotLine(robot=0, orientation_wxyz=list(_LEVEL), contacts=[]))
+"""An anchor of which nothing is known but where it is."""
+
+
+@lru_cache(maxsize=20_000)
+def _measured(header: str, params: OnlineParams, line: str, others: tuple[str, ...]) -> Block:
+    """Measure the rows of a robot about others, which stand; members are the robots' numbers."""
+    head = _head(header)
+    builder = SensingLogBuilder(head)
+    every = [RobotLine.model_validate_json(text) for text in (*others, line)]
+    for each in every:
+        builder.add(each)
+    members = np.array([each.robot for each in every], np.int64)
+    return block_of(centered(builder.log()), params, members)
