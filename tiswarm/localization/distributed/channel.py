@@ -45,8 +45,8 @@ class Message(NamedTuple):
     """Content for each receiver, by its number."""
 
 
-Hear = Callable[[int, Message], None]
-"""Gives a robot a message, with those parts of it that passed by."""
+Hear = Callable[[int, Message], Message]
+"""Gives a robot a message, with those parts of it that passed by; returns what it passes on."""
 
 
 @dataclass
@@ -223,7 +223,7 @@ class Channel:
             self._later(self._params.delay, lambda: self._attempt(hop))
 
     def _arrive(self, hop: _Hop, robot: int, message: Message) -> None:
-        self._hear(robot, message)
+        message = self._hear(robot, message)
         if self._params.channel == "touch":
             self._transmit(hop.serial, message, robot, hop.tree)
 

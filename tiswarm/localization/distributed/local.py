@@ -85,7 +85,8 @@ class Solved(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _head(header: str) -> HeaderLine:
-    return parse_header(line_text(header))
+    # The second version knows fixes, by which robots are held.
+    return parse_header(line_text(header)).model_copy(update={"version": 2})
 
 
 @lru_cache(maxsize=20_000)
@@ -107,7 +108,10 @@ class LocalSwarm:
         position, turn, sd = (np.zeros((len(held) + 1, _AXES)) for _ in range(3))
         for number, k in self._index.items():
             each = held.get(number, Known())
-            block = self._block(program, number, {n: held[n].line for n in held})
+            lines = {n: other.line for n, other in held.items()}
+            # A robot whose other rows are not here is held by where it is.
+            is_whole = each.place is None or each.sharing <= held.keys()
+            block = self._block(number, lines, None if is_whole or not number else each.place)
             self.layers.append(block, self._touching(program, each.line))
             for partner in block.partners.tolist():
                 self._sharing[partner].add(k)
@@ -161,14 +165,17 @@ class LocalSwarm:
         """Judge whether chance does not explain the rows and overlaps of a robot."""
         return self.layers.is_surprising(self._index[number])
 
-    def _block(self, program: Program, number: int, lines: Mapping[int, bytes]) -> Block:
-        """Measure the rows of a robot about those that are held."""
+    def _block(self, number: int, lines: Mapping[int, bytes], stays: Place | None) -> Block:
+        """Measure the rows of a robot about those that are held, and where it stays, if it does."""
+        program = self._program
         if number not in lines:
             return self._renumbered(_measured(program.header, self._params, _ANCHOR, ()))
         line = program.decoded(lines[number])
         mentioned = program.partners(lines[number])
         for other in mentioned - lines.keys():
             line = without(line, other)
+        if stays is not None:
+            line = _held(line, stays, _head(program.header))
         if not number:
             return self._renumbered(_measured(program.header, self._params, _text(line), ()))
         members = sorted((mentioned & lines.keys()) | {0})
@@ -205,6 +212,16 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
             "height_sd": float(np.hypot(params.height_sd, rounding)),
         }
     )
+
+
+def _held(line: RobotLine, place: Place, head: HeaderLine) -> RobotLine:
+    """Add to a line that the robot is where it is."""
+    unit, center = head.dock_radius, place.position * head.dock_radius + head.anchor_position
+    axes = np.eye(_AXES)
+    fixes = [
+        (*axis.tolist(), float(axis @ center), ANSWERS.stays_sd * unit) for axis in axes
+    ]
+    return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 
 def _text(line: RobotLine) -> str:

@@ -36,7 +36,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
     settings = VirtualForceParams(back_propagation=params.back_propagation)
     [found] = virtual_force.localize_batch([log], [settings])
     robots = log.robot_count
-    channel = Channel(params, robots, lambda _, __: None)
+    channel = Channel(params, robots, lambda _, message: message)
     touching: list[set[int]] = [set() for _ in range(robots)]
     for i, _, j, _ in log.contacts.tolist():
         touching[max(i, j)].add(min(i, j))

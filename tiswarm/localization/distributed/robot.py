@@ -35,7 +35,10 @@ from tiswarm.localization.distributed.wire import (
 )
 from tiswarm.records.sensing_format import RobotLine
 
-_CHECK = 16
+_SIZE = 2
+"""Bytes of a number or a length between lines."""
+
+_CHECK = 15
 """Bits of the checksum by which a robot knows that what another one holds of it is current."""
 
 
@@ -49,6 +52,7 @@ class _Search:
     current: int = 0
     """Robots within so many steps have answered."""
     waiting: set[int] = field(default_factory=set)
+    answered: set[int] = field(default_factory=set)
     attempt: int = 0
 
 
@@ -59,6 +63,14 @@ class _Answer(NamedTuple):
     sharing: tuple[int, ...]
     place: Place | None
     candidates: Reals
+
+
+def _asking(wants_line: int, checksum: int) -> bytes:
+    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
+    part = Writer(None)
+    part.number(wants_line, 1)
+    part.number(checksum, _CHECK)
+    return part.to_bytes()
 
 
 _NO_CANDIDATES: Reals = np.empty((0, 3))
@@ -120,17 +132,24 @@ class Robot:
         else:
             self._say("join", b"", parts | {host: mine.line})
 
-    def hear(self, message: Message) -> None:
-        """Take in a message, whether it was for this robot or passed by."""
+    def hear(self, message: Message) -> Message:
+        """Take in a message, whether it was for this robot or passes by; return what goes on."""
         if message.kind == "join":
             self._hear_join(message)
-        elif message.kind == "ask" and self.number in message.parts:
-            self._answer(message.sender, message.parts[self.number])
+        elif message.kind == "ask":
+            if self.number in message.parts:
+                self._answer(message.sender, message.parts[self.number])
+            elif self._program.params.channel == "touch":
+                return self._hand_out(message)
         elif message.kind == "tell":
             self._hear_answer(message)
+        elif message.kind == "lines":
+            for part in message.parts.values():
+                self._hear_lines(part)
         elif message.kind == "place":
             for number, part in message.parts.items():
                 self._hear_place(number, part)
+        return message
 
     @property
     def _exchanges(self) -> bool:
@@ -226,10 +245,7 @@ class Robot:
         """Ask robots for what this one does not hold of them."""
         parts = {}
         for number in sorted(robots):
-            part = Writer(None)
-            part.number(not self._of(number).line, 1)
-            part.number(self._checksum(number), _CHECK)
-            parts[number] = part.to_bytes()
+            parts[number] = _asking(not self._of(number).line, self._checksum(number))
         self._say("ask", b"", parts)
 
     def _answer(self, asker: int, part: bytes) -> None:
@@ -258,8 +274,35 @@ class Robot:
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
-        if self._search is not None and message.sender in self._search.waiting:
-            self._search.waiting.discard(message.sender)
+        if self._search is not None:
+            self._search.answered.add(message.sender)
+            self._check_off()
+
+    def _hand_out(self, message: Message) -> Message:
+        """Answer with lines that this robot holds of others that are asked for them."""
+        found, parts = b"", {**message.parts}
+        for number, part in message.parts.items():
+            line = self.known[number].line if number in self.known else b""
+            asked = Reader(part, None)
+            if asked.number(1) and line:
+                found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
+                parts[number] = _asking(0, asked.number(_CHECK))
+        if found:
+            self._say("lines", b"", {message.sender: found})
+        return message._replace(parts=parts)
+
+    def _hear_lines(self, part: bytes) -> None:
+        while part:
+            number, size = (int.from_bytes(part[k : k + _SIZE], "big") for k in (0, _SIZE))
+            self._of(number).line, part = part[2 * _SIZE :][:size], part[2 * _SIZE + size :]
+        if self._search is not None:
+            self._check_off()
+
+    def _check_off(self) -> None:
+        """Wait no longer for robots that have answered and whose lines are here."""
+        search = self._search
+        if search is not None and search.waiting:
+            search.waiting -= {n for n in search.answered if self._of(n).line}
             self._advance()
 
     def _hear_place(self, number: int, part: bytes) -> None:

@@ -33,5 +33,10 @@ class AnswerSettings:
     """Turn from which on it does [standard deviations]."""
 
 
+    stays_sd: float = 0.05
+    """Standard deviation of each coordinate of a robot whose other rows are not here: the robots
+    that solved for it know more of it [R]."""
+
+
 CHAINS = ChainSettings()
 ANSWERS = AnswerSettings()

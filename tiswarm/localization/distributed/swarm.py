@@ -49,11 +49,12 @@ class Swarm:
         memory = [each.memory for each in self.robots]
         self._memory[: len(memory)] = np.maximum(self._memory[: len(memory)], memory)
 
-    def _hear(self, number: int, message: Message) -> None:
-        """Give a robot a message, and send what it answers."""
+    def _hear(self, number: int, message: Message) -> Message:
+        """Give a robot a message, send what it answers, and return what it passes on."""
         robot = self.robots[number]
-        robot.hear(message)
+        passed = robot.hear(message)
         self._send(robot)
+        return passed
 
     def _send(self, robot: Robot) -> None:
         while robot.outbox:
