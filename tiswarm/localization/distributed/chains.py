@@ -24,9 +24,6 @@ class Annealed(NamedTuple):
     sd: Reals
     """Standard deviation of each position, over the chains too [R], shape (K,)."""
 
-    surprised: bool
-    """Whether chains that are as likely put a robot elsewhere."""
-
 
 def annealed(
     layers: LocalLayers, moving: Ints, params: DistributedParams, number: int
@@ -61,8 +58,7 @@ def annealed(
     weight /= weight.sum()
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)
-    sd = np.sqrt(problem.sd(linear) ** 2 + spread)
-    return Annealed(state, sd, bool((np.sqrt(spread) > CHAINS.elsewhere).any()))
+    return Annealed(state, np.sqrt(problem.sd(linear) ** 2 + spread))
 
 
 def schedule(begin: float, steps: int) -> Reals:

@@ -20,6 +20,7 @@ from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import entries, named, standing, without
 from tiswarm.localization.online.neighborhood import Configuration
+from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered
 from tiswarm.records.sensing_builder import SensingLogBuilder
@@ -28,6 +29,10 @@ from tiswarm.records.sensing_format import HeaderLine, RobotLine, line_text, par
 _AXES = 3
 _STEPS = 2
 """Steps of "shares a row" to the robots that move."""
+_OF_ROW = 40
+"""Operations for the residual of a row and its derivatives [1]."""
+_OF_PAIR = 10
+"""Operations to find whether two robots are near [1]."""
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -79,8 +84,8 @@ class Solved(NamedTuple):
     candidates: Reals
     """As in `Known`, of the one that was solved for."""
 
-    surprised: bool
-    """Whether chance does not explain its rows and overlaps."""
+    operations: float
+    """Additions and multiplications that it took, about."""
 
 
 @lru_cache(maxsize=16)
@@ -133,7 +138,7 @@ class LocalSwarm:
         layers, k = self.layers, self._index[number]
         before = Configuration(*(each.copy() for each in layers.state))
         places = layers.place(k) if anew else None
-        surprised = layers.solve_near(k, places)
+        layers.solve_near(k, places)
         if self._program.params.chains:
             moving = self._near(k)
             found = annealed(layers, moving, self._program.params, number)
@@ -141,17 +146,17 @@ class LocalSwarm:
         state = layers.state
         apart = np.linalg.norm(state.position - before.position, axis=1)
         turned = np.linalg.norm(state.turn - before.turn, axis=1)
-        has_moved = (apart > ANSWERS.moved) | (turned > ANSWERS.turned)
+        # Who sends exact numbers sends all of them.
+        least = 0.0 if self._program.params.bits is None else 1.0
+        has_moved = (apart > least * ANSWERS.moved) | (turned > least * ANSWERS.turned)
         has_moved[k] = True
-        if k:
-            has_moved[0] = False
         moved = {
             int(self.numbers[j]): Place(
                 state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j])
             )
             for j in np.flatnonzero(has_moved).tolist()
         }
-        return Solved(moved, layers.places[k], surprised)
+        return Solved(moved, layers.places[k], self._operations(k, anew=anew))
 
     def _near(self, k: int) -> Ints:
         """List the robots within two steps of sharing rows with one, ascending."""
@@ -160,6 +165,16 @@ class LocalSwarm:
             ring = {other for each in ring for other in self._sharing[each]} - near
             near |= ring
         return np.array(sorted(near), np.int64)
+
+    def _operations(self, k: int, *, anew: bool) -> float:
+        """Count what a search for candidates, linear problems and chains take, about."""
+        params, near = self._program.params, self._near(k)
+        own, rows = len(self.layers.blocks[k]), [len(self.layers.blocks[j]) for j in near.tolist()]
+        search = CANDIDATES.starts * CANDIDATES.rounds * _OF_ROW * own**2 if anew else 0
+        linear = sum(_OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
+        step = _OF_ROW * 2 * sum(rows) + _OF_PAIR * len(near) * len(self.numbers)
+        rounds = NEIGHBORS.rounds * (1 + params.chains)
+        return float(search + rounds * linear + params.chains * params.steps * step)
 
     def is_surprising(self, number: int) -> bool:
         """Judge whether chance does not explain the rows and overlaps of a robot."""

@@ -20,6 +20,7 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
+from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import (
     NUMBER,
     Place,
@@ -110,7 +111,7 @@ class Robot:
         if program.params.solver == "partner":
             self._hosts = [*self.touching, self.number]
         self._search: _Search | None = None
-        self.operations = 0
+        self.operations = 0.0
 
     @property
     def place(self) -> Place | None:
@@ -175,10 +176,10 @@ class Robot:
 
     def judge(self) -> bool:
         """Judge whether chance does not explain the robot's rows and overlaps, as far as it knows."""
-        if self.place is None:
-            return True
         if not self.number:
             return False
+        if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
+            return True
         return LocalSwarm(self._program, self._placed()).is_surprising(self.number)
 
     @property
@@ -264,10 +265,10 @@ class Robot:
                     write_candidates(answer, mine.candidates)
         head = answer.to_bytes()
         line = mine.line if wants_line else b""
-        self._say("tell", len(head).to_bytes(1, "big") + head + line, {asker: b""})
+        self._say("tell", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
 
     def _hear_answer(self, message: Message) -> None:
-        length, content = message.common[0], message.common[1:]
+        length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
         its = self._of(message.sender)
         its.line = content[length:] or its.line
         answer = _read_answer(content[:length], self._program.params.bits, self._exchanges)
@@ -333,6 +334,7 @@ class Robot:
         if 0 in held:
             near[0] = held[0]
         solved = LocalSwarm(self._program, near).solve(joiner, anew=near[joiner].place is None)
+        self.operations += solved.operations
         parts = {}
         for number, place in solved.places.items():
             part = Writer(self._program.params.bits)

@@ -17,10 +17,6 @@ class ChainSettings:
     """Gain in log-likelihood for each R more between robots that share a row [R^-1], shared among
     the rows of a robot, as in `joint`."""
 
-    elsewhere: float = 0.5
-    """Root mean square distance between likely ends of chains from which on a robot doubts where
-    it is [R]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerSettings:
@@ -32,6 +28,9 @@ class AnswerSettings:
     turned: float = 0.2
     """Turn from which on it does [standard deviations]."""
 
+
+    doubtful_sd: float = 1.0
+    """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
 
     stays_sd: float = 0.05
     """Standard deviation of each coordinate of a robot whose other rows are not here: the robots

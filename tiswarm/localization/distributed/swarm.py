@@ -1,9 +1,11 @@
 """The robots of a swarm and the channel between them: whose turn it is, and what it all cost."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.assessment import rms
+from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.distributed.channel import Channel, Message
 from tiswarm.localization.distributed.local import Program
 from tiswarm.localization.distributed.robot import Robot
@@ -70,17 +72,20 @@ class Swarm:
         position, channel = self._positions(), self.channel
         lost = np.array([robot.place is None for robot in self.robots], np.bool_)
         doubtful: Bools = np.array([robot.judge() for robot in self.robots], np.bool_)
-        problem = pose_problem(log, self._program.params)
+        params, unit = self._program.params, log.dock_radius
+        problem = pose_problem(log, params)
         sd = np.array([0.0 if r.place is None else r.place.sd for r in self.robots])
-        sd[lost] = np.linalg.norm(position, axis=1).max() if len(position) else 0.0
-        unit = log.dock_radius
+        sd[lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
         gap = problem.residual(position[None], np.zeros((1, len(position))))
+        is_guess = problem.untied | lost
+        verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)._asdict()
+        verdicts["convergence"] = self._verdict(verdicts["convergence"], int(doubtful.sum()))
         return Estimate(
             robot_id=log.robot_id,
             position=position * unit,
-            disconnected=problem.untied,
+            disconnected=is_guess,
             sd=sd * unit,
-            convergence=_verdict(doubtful),
+            **verdicts,
             iteration=np.array([len(position)]),
             trace=position[None] * unit,
             at_join=self._at_join * unit,
@@ -96,16 +101,13 @@ class Swarm:
             ),
         )
 
-
-def _verdict(doubtful: Bools) -> Convergence:
-    """Sum up what the robots say of themselves."""
-    count = int(doubtful.sum())
-    reason = f"{count} of {len(doubtful)} robots doubt their positions" if count else ""
-    return Convergence(
-        converged=not count,
-        consistent=not count,
-        misfit_sd=0.0,
-        reason=reason,
-        chains=1,
-        restarted=0,
-    )
+    def _verdict(self, found: Convergence, doubtful: int) -> Convergence:
+        """Say why the search is not to be relied on; whether noise explains rows stands."""
+        if len(self.robots) == 1:
+            return found
+        reason = "robots search near each other only, and many at once may be in a mirror image"
+        if not self._program.params.chains:
+            reason = "no robot annealed those near it, and any may be in a mirror image"
+        if doubtful:
+            reason = f"{doubtful} of {len(self.robots)} robots doubt their positions"
+        return replace(found, converged=False, reason=reason)
