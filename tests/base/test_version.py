@@ -47,7 +47,10 @@ def _edit(path):
         ("study/runner.py", {*METHODS, "all"}),
         ("scenario/validation.py", {*METHODS, "all"}),
         ("localization/registry.py", {*METHODS, "all"}),
-        ("localization/joint/chains.py", {"joint", "least-squares", "online", "distributed", "all"}),
+        (
+            "localization/joint/chains.py",
+            {"joint", "least-squares", "online", "distributed", "all"},
+        ),
         ("localization/hop_by_hop/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/together.py", {"virtual-force", "distributed", "all"}),
         ("localization/online/layers.py", {"online", "distributed", "all"}),

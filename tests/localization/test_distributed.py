@@ -14,7 +14,13 @@ from tests.localization.test_online import LOCAL, NOISY, lines_of
 from tests.structures import with_directions, with_fixes
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
-from tiswarm.localization.distributed.channel import ACKNOWLEDGMENT, ADDRESS, HEADER, Channel, Message
+from tiswarm.localization.distributed.channel import (
+    ACKNOWLEDGMENT,
+    ADDRESS,
+    HEADER,
+    Channel,
+    Message,
+)
 from tiswarm.localization.distributed.swarm import Swarm
 from tiswarm.localization.distributed.wire import (
     Reader,
@@ -70,7 +76,7 @@ def test_robots_that_hear_everything_are_where_the_local_layers_put_them(log):
 
     swarm = grown(log, EXACT)
 
-    state = tracker._layers.state
+    state = tracker._layers.state  # noqa: SLF001 - what messages are compared with
     place = np.array([robot.place.position for robot in swarm.robots])
     turn = np.array([robot.place.turn for robot in swarm.robots])
     np.testing.assert_allclose(place, state.position, rtol=0.0, atol=1e-9)

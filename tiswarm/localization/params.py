@@ -423,11 +423,11 @@ class DistributedParams(ChiSquareParams):
     bits: Annotated[int, Field(ge=8, le=32)] | None = 16
     """Bits of each number that is sent, in a range that its message states; all 64 if null."""
 
-    hops: Annotated[int, Field(ge=1)] = 3
-    """Steps of "shares a measurement" within which robots are asked [1]; those within two move."""
+    hops: Annotated[int, Field(ge=1)] = 2
+    """Steps of "shares a measurement" within which robots are asked [1]."""
 
-    robots: Annotated[int, Field(ge=2)] = 60
-    """Robots at most that a robot holds measurements of [1]."""
+    robots: Annotated[int, Field(ge=2)] = 14
+    """Robots at most that are asked, and that a robot holds measurements of [1]."""
 
     solver: Literal["joiner", "partner"] = "partner"
     """Who solves: the robot that joined, or the first robot that it touches, which has heard more

@@ -25,9 +25,7 @@ class Annealed(NamedTuple):
     """Standard deviation of each position, over the chains too [R], shape (K,)."""
 
 
-def annealed(
-    layers: LocalLayers, moving: Ints, params: DistributedParams, number: int
-) -> Annealed:
+def annealed(layers: LocalLayers, moving: Ints, params: DistributedParams, number: int) -> Annealed:
     """Anneal some robots from where they are, and keep the likeliest end.
 
     Args:
@@ -46,7 +44,7 @@ def annealed(
     anneal_near(
         (params.seed * 4_099 + number) % 2**31, reach,
         schedule(params.start_sigma, params.steps), moves,
-        *rows_of(problem, layers, len(begin)), *docks_of(problem),
+        *rows_of(problem, len(begin)), *docks_of(problem),
         view, np.zeros_like(view), np.zeros_like(view),
     )  # fmt: skip
     found = [problem.solved(Configuration(begin.copy(), layers.state.turn.copy()))]
@@ -78,7 +76,7 @@ def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float)
     return total
 
 
-def rows_of(problem: Neighborhood, layers: LocalLayers, robots: int) -> ChainRows:
+def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
     """List the rows about robots that may move, by robot; turns of orientations are noise here."""
     found = problem.gathered
     rows, pairs = found.rows, len(found.rows.other)

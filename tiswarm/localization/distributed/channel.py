@@ -11,6 +11,7 @@ Losses and the order of events depend on the seed and on numbers of messages and
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -211,7 +212,7 @@ class Channel:
             if (hop.serial, other) not in self._had:
                 self._had.add((hop.serial, other))
                 arrived = message._replace(parts=parts)
-                self._later(self._params.delay, lambda o=other, m=arrived: self._arrive(hop, o, m))
+                self._later(self._params.delay, partial(self._arrive, hop, other, arrived))
             if other in waited:
                 self.sent[other] += ACKNOWLEDGMENT
                 if not self._is_lost(hop, other, 1):

@@ -209,7 +209,9 @@ class LocalSwarm:
         if not line:
             return set()
         rows = program.decoded(line).contacts
-        return {(dock, self._index[other], its) for dock, other, its in rows if other in self._index}
+        return {
+            (dock, self._index[other], its) for dock, other, its in rows if other in self._index
+        }
 
 
 def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
@@ -233,9 +235,7 @@ def _held(line: RobotLine, place: Place, head: HeaderLine) -> RobotLine:
     """Add to a line that the robot is where it is."""
     unit, center = head.dock_radius, place.position * head.dock_radius + head.anchor_position
     axes = np.eye(_AXES)
-    fixes = [
-        (*axis.tolist(), float(axis @ center), ANSWERS.stays_sd * unit) for axis in axes
-    ]
+    fixes = [(*axis.tolist(), float(axis @ center), ANSWERS.stays_sd * unit) for axis in axes]
     return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiswarm.base.aliases import Ints
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization import virtual_force
 from tiswarm.localization.distributed.channel import HEADER, Channel
 from tiswarm.localization.distributed.wire import pose_bytes
@@ -65,7 +65,7 @@ def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
     return joined % rounds.every == 0 or joined == robots
 
 
-def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> "np.ndarray":
+def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> Reals:
     """Count the operations of each robot, which looks at all docks that it heard of, shape (N,)."""
     taken = np.full(log.robot_count, params.iterations) if steps is None else steps
     docks = len(log.dock_offset_body)

@@ -92,7 +92,7 @@ def _read_result(content: bytes, bits: int | None) -> _Answer:
     answer = Reader(content, bits)
     has_candidates, place = answer.number(1), read_place(answer)
     candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
-    return _Answer(True, (), place, candidates)
+    return _Answer(is_new=True, sharing=(), place=place, candidates=candidates)
 
 
 class Robot:
@@ -175,7 +175,11 @@ class Robot:
             self._advance()
 
     def judge(self) -> bool:
-        """Judge whether chance does not explain the robot's rows and overlaps, as far as it knows."""
+        """Judge whether the robot doubts where it is, by what it holds.
+
+        It does if chance does not explain its rows and overlaps, if its standard deviation is
+        large, or if it heard of no place.
+        """
         if not self.number:
             return False
         if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
@@ -320,7 +324,7 @@ class Robot:
         text = Writer(self._program.params.bits)
         write_numbers(text, its.sharing)
         write_place(text, its.place)
-        return zlib.crc32(text.to_bytes()) % (2**_CHECK - 1) + 1
+        return zlib.crc32(text.to_bytes()) % int(2**_CHECK - 1) + 1
 
     def _placed(self) -> dict[int, Known]:
         """List the robots whose lines and places are held."""

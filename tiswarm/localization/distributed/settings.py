@@ -28,7 +28,6 @@ class AnswerSettings:
     turned: float = 0.2
     """Turn from which on it does [standard deviations]."""
 
-
     doubtful_sd: float = 1.0
     """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
 

@@ -2,7 +2,7 @@
 
 | message | content |
 |---|---|
-| `line` | what a robot sensed: its orientations, the docks that it flipped about, contacts, ground |
+| `line` | what a robot sensed: its orientations, the docks it flipped about, contacts, ground |
 | `place` | where a robot is: position, turn of its final orientation, standard deviation |
 | `candidates` | other places that its rows allow |
 | `numbers` | which robots share rows with it |
@@ -14,7 +14,7 @@ states. Lengths in R, relative to the anchor.
 import json
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -139,7 +139,7 @@ class Reader:
 
 def step(limit: float, bits: int) -> float:
     """Distance of neighboring values among 2^bits from -limit to limit."""
-    return 2.0 * limit / (2**bits - 1)
+    return 2.0 * limit / float(2**bits - 1)
 
 
 def _level(value: float, limit: float, bits: int) -> int:
@@ -210,7 +210,8 @@ def line_bytes(line: RobotLine, docks: int, bits: int | None) -> bytes:
     to.number(line.stances is not None, 1)
     to.number(len(stances), NUMBER)
     stays: list[list[int]] = []
-    for entry in [*stances, line]:
+    every: list[RobotLine | StanceEntry] = [*stances, line]
+    for entry in every:
         _write_stance(to, entry, docks, stays)
         if isinstance(entry, StanceEntry):
             to.number(entry.pivot_dock, _dock_bits(docks))
@@ -232,7 +233,8 @@ def read_line(content: bytes, docks: int, bits: int | None) -> RobotLine:
     if source.number(1):
         entries["flip_height"] = float(source.lengths(1)[0])
     has_stances, count = source.number(1), source.number(NUMBER)
-    stances, stays = [], []
+    stances: list[dict[str, Any]] = []
+    stays: list[list[int]] = []
     for _ in range(count):
         stance = _read_stance(source, docks, stays)
         pivot = stance["pivot_dock"] = source.number(_dock_bits(docks))
@@ -245,7 +247,7 @@ def read_line(content: bytes, docks: int, bits: int | None) -> RobotLine:
         text = bytes(source.number(8) for _ in range(source.number(2 * COUNT)))
         more = json.loads(text)
         for stance, lists in zip(stances, more.pop("stances", []), strict=False):
-            stance |= lists
+            stance.update(lists)
         entries |= more
     return RobotLine.model_validate_json(json.dumps(entries))
 
@@ -304,7 +306,7 @@ def _write_stance(
         to.number(dock in ground, 1)
 
 
-def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str, object]:
+def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str, Any]:
     if source.bits is None:
         parts = source.reals(_AXES + 1, 1.0)
     else:
