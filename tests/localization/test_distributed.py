@@ -21,7 +21,7 @@ from tiswarm.localization.distributed.channel import (
     Channel,
     Message,
 )
-from tiswarm.localization.distributed.swarm import Swarm
+from tiswarm.localization.distributed.swarm import PeerSwarm
 from tiswarm.localization.distributed.wire import (
     Reader,
     Writer,
@@ -52,7 +52,7 @@ def log(towers):
 def grown(log, params, robots=None):
     """Let robots of a log join."""
     header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
-    swarm = Swarm(header, params, log.robot_count)
+    swarm = PeerSwarm(header, params, log.robot_count)
     for line in lines[:robots]:
         swarm.join(parse_robot(line))
     return swarm
@@ -109,13 +109,13 @@ def test_losses_are_the_same_at_any_number_of_threads(log, channel):
     for threads in (1, 2):
         backend.start(threads=threads)
         [estimate] = localize_many([log], [params])
-        found.append((estimate.position.tobytes(), estimate.traffic.sent.tobytes()))
+        found.append((estimate.position.tobytes(), estimate.traffic["sent"].tobytes()))
     [other] = localize_many([log], [replace(params, seed=1)])
     [lossless] = localize_many([log], [replace(params, loss=0.0)])
 
     assert found[0] == found[1]
-    assert found[0][1] != other.traffic.sent.tobytes()
-    assert other.traffic.messages.sum() > lossless.traffic.messages.sum()
+    assert found[0][1] != other.traffic["sent"].tobytes()
+    assert other.traffic["messages"].sum() > lossless.traffic["messages"].sum()
 
 
 def test_a_lost_swarm_says_so(log):
@@ -207,15 +207,15 @@ def test_bytes_of_algorithm_1_are_those_counted_by_hand(log):
     relayed = _five(log, channel="touch", poses="once")
 
     pose, position = 4 + 13, 4 + 7
-    assert once.sent.tolist() == [pose] * 5
-    assert once.heard.tolist() == [4 * pose] * 5
-    assert every.sent.tolist() == [5 * pose, 4 * pose, 3 * pose, 2 * pose, pose]
+    assert once["sent"].tolist() == [pose] * 5
+    assert once["heard"].tolist() == [4 * pose] * 5
+    assert every["sent"].tolist() == [5 * pose, 4 * pose, 3 * pose, 2 * pose, pose]
     # Rounds follow the joins of robots 2, 4 and 5.
     after = [10 * position * times for times in (3, 3, 2, 2, 1)]
-    assert (rounds.sent - every.sent).tolist() == after
-    assert once.messages.tolist() == [1] * 5
+    assert (rounds["sent"] - every["sent"]).tolist() == after
+    assert once["messages"].tolist() == [1] * 5
     # By touch, four transmissions bring a pose to all four, if all five hang together.
-    assert relayed.sent.sum() <= 5 * 4 * (pose + ACKNOWLEDGMENT)
+    assert relayed["sent"].sum() <= 5 * 4 * (pose + ACKNOWLEDGMENT)
 
 
 def test_branches_carry_the_parts_of_those_behind_them():

@@ -127,7 +127,7 @@ def by_robot(
     if estimate.doubtful is not None:
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
-        table["sent_B"], table["heard_B"] = estimate.traffic.sent, estimate.traffic.heard
+        table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
     apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
@@ -307,14 +307,11 @@ def _of_traffic(estimate: Estimate) -> dict[str, float | int]:
     if estimate.doubtful is not None:
         scores["doubtful"] = int(estimate.doubtful.sum())
     if (traffic := estimate.traffic) is not None:
-        of_robots = {
-            "sent": traffic.sent, "heard": traffic.heard, "memory": traffic.memory,
-        }  # fmt: skip
-        for name, count in of_robots.items():
+        for name in ("sent", "heard", "memory"):
+            count = traffic[name]
             scores |= {f"{name}_B": _mean(count), f"worst_{name}_B": int(count.max())}
-        scores |= {"messages": _mean(traffic.messages), "rounds": traffic.rounds}
-        scores |= {"operations": _mean(traffic.operations)}
-        scores |= {"worst_operations": float(traffic.operations.max())}
+        scores |= {name: _mean(traffic[name]) for name in ("messages", "rounds", "operations")}
+        scores |= {"worst_operations": float(traffic["operations"].max())}
     return scores
 
 

@@ -1,6 +1,6 @@
 """The estimate that a localizer returns, with its convergence and observability."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -124,29 +124,6 @@ class Observability:
         return [str(word) for word in words]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Traffic:
-    """What it cost N robots to localize themselves."""
-
-    sent: Ints
-    """Bytes that each robot transmitted, those that it passed on included, shape (N,)."""
-
-    heard: Ints
-    """Bytes that each robot heard, shape (N,)."""
-
-    messages: Ints
-    """Transmissions of each robot, shape (N,)."""
-
-    memory: Ints
-    """Bytes at most that each robot held of itself and others, shape (N,)."""
-
-    operations: Reals
-    """Additions and multiplications of each robot, about, shape (N,)."""
-
-    rounds: int
-    """Rounds in which messages were under way."""
-
-
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate:
     """Estimated positions of N robots in join order, with the trace of the iterations."""
@@ -226,8 +203,11 @@ class Estimate:
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""
 
-    traffic: Traffic | None = None
-    """What robots sent each other; None where one program has the whole log."""
+    traffic: Mapping[str, Reals] | None = None
+    """What it cost each robot to localize itself, shape (N,) each: bytes `sent`, passed on ones
+    included, and `heard`; `messages`; `memory` at most [B]; `operations`, additions and
+    multiplications, about; `rounds` with messages, which all share. None where one program has the
+    whole log."""
 
     doubtful: Bools | None = None
     """Robots that do not trust their own positions, by what each holds, shape (N,); None where

@@ -1,6 +1,6 @@
 """Chains of annealing whose robots each move by their own forces. Lengths in R.
 
-Robot i has a view: where it takes each robot to be. In a chain of one robot that solves for others,
+Peer i has a view: where it takes each robot to be. In a chain of one robot that solves for others,
 all share a view; in a swarm, the view of each is what it heard. At the temperature sigma^2 a row of
 variance v has the stiffness sigma^2 / (sigma^2 + v + e^2 / 9), so that a row missed by far gives
 way, and docks that do not touch repel with stiffness 1. Motions are Langevin dynamics: a robot

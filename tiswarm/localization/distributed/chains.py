@@ -15,7 +15,7 @@ from tiswarm.measurements.rows import SPACING
 _AXES = 3
 
 
-class Annealed(NamedTuple):
+class NearAnnealed(NamedTuple):
     """The best of several chains, for the K robots that moved."""
 
     state: Configuration
@@ -25,7 +25,9 @@ class Annealed(NamedTuple):
     """Standard deviation of each position, over the chains too [R], shape (K,)."""
 
 
-def annealed(layers: LocalLayers, moving: Ints, params: DistributedParams, number: int) -> Annealed:
+def annealed(
+    layers: LocalLayers, moving: Ints, params: DistributedParams, number: int
+) -> NearAnnealed:
     """Anneal some robots from where they are, and keep the likeliest end.
 
     Args:
@@ -52,11 +54,12 @@ def annealed(layers: LocalLayers, moving: Ints, params: DistributedParams, numbe
     score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
     best = int(score.argmin())
     state, linear = found[best]
+    # Ends that are as likely as the best one make its position uncertain.
     weight = np.exp(-0.5 * (score - score[best]))
     weight /= weight.sum()
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)
-    return Annealed(state, np.sqrt(problem.sd(linear) ** 2 + spread))
+    return NearAnnealed(state, np.sqrt(problem.sd(linear) ** 2 + spread))
 
 
 def schedule(begin: float, steps: int) -> Reals:
@@ -89,6 +92,7 @@ def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
     value[:lengths, 0] = rows.distances.length
     value[pairs:, 0] = rows.places.value
     value[:, 1] = found.variance
+    # As many rows as a robot has, they push it outward once.
     share = CHAINS.extension / np.maximum(np.bincount(own[:pairs], minlength=robots), 1)
     value[:pairs, 2] = share[own[:pairs]]
     # The partner lists the row, too, from its own end.

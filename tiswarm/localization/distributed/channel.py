@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Ints
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import uniform
 from tiswarm.localization.params import DistributedParams
 
@@ -59,7 +59,7 @@ class _Hop:
 
     message: Message
     sender: int
-    """Robot that transmits."""
+    """Peer that transmits."""
 
     tree: Mapping[int, list[int]]
     """By robot, those that it passes the message on to."""
@@ -93,6 +93,18 @@ class Channel:
         self.messages: Ints = np.zeros(robots, np.int64)
         """Transmissions of each robot, shape (N,)."""
         self._had: set[tuple[int, int]] = set()
+
+    def traffic(self, memory: Ints, operations: Reals) -> dict[str, Reals]:
+        """List what localization cost each robot, as `Estimate.traffic` has it."""
+        counted = {
+            "sent": self.sent,
+            "heard": self.heard,
+            "messages": self.messages,
+            "memory": memory,
+            "operations": operations,
+            "rounds": np.full(len(self.sent), self.rounds),
+        }
+        return {name: np.asarray(count, np.float64) for name, count in counted.items()}
 
     @property
     def rounds(self) -> int:
@@ -213,6 +225,7 @@ class Channel:
                 self._had.add((hop.serial, other))
                 arrived = message._replace(parts=parts)
                 self._later(self._params.delay, partial(self._arrive, hop, other, arrived))
+            # An acknowledgment may be lost, too: the message comes twice then, and counts twice.
             if other in waited:
                 self.sent[other] += ACKNOWLEDGMENT
                 if not self._is_lost(hop, other, 1):

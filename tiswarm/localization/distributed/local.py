@@ -15,7 +15,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.distributed.chains import annealed
 from tiswarm.localization.distributed.settings import ANSWERS
-from tiswarm.localization.distributed.wire import Place, read_line, rounding_sd
+from tiswarm.localization.distributed.wire import Whereabouts, read_line, rounding_sd
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import entries, named, standing, without
@@ -43,7 +43,7 @@ class Known:
     line: bytes = b""
     """What it sensed, as sent; empty if unknown."""
 
-    place: Place | None = None
+    place: Whereabouts | None = None
     """Where it is; None if unknown."""
 
     candidates: Reals = field(default_factory=lambda: np.empty((0, _AXES)))
@@ -78,7 +78,7 @@ class Program:
 class Solved(NamedTuple):
     """What a robot found out."""
 
-    places: Mapping[int, Place]
+    places: Mapping[int, Whereabouts]
     """Places of robots that moved, and of the one that was solved for, by number."""
 
     candidates: Reals
@@ -137,6 +137,7 @@ class LocalSwarm:
         """
         layers, k = self.layers, self._index[number]
         before = Configuration(*(each.copy() for each in layers.state))
+        # A robot that has a place keeps it, unless those near it move.
         places = layers.place(k) if anew else None
         layers.solve_near(k, places)
         if self._program.params.chains:
@@ -151,7 +152,7 @@ class LocalSwarm:
         has_moved = (apart > least * ANSWERS.moved) | (turned > least * ANSWERS.turned)
         has_moved[k] = True
         moved = {
-            int(self.numbers[j]): Place(
+            int(self.numbers[j]): Whereabouts(
                 state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j])
             )
             for j in np.flatnonzero(has_moved).tolist()
@@ -180,7 +181,7 @@ class LocalSwarm:
         """Judge whether chance does not explain the rows and overlaps of a robot."""
         return self.layers.is_surprising(self._index[number])
 
-    def _block(self, number: int, lines: Mapping[int, bytes], stays: Place | None) -> Block:
+    def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""
         program = self._program
         if number not in lines:
@@ -231,7 +232,7 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     )
 
 
-def _held(line: RobotLine, place: Place, head: HeaderLine) -> RobotLine:
+def _held(line: RobotLine, place: Whereabouts, head: HeaderLine) -> RobotLine:
     """Add to a line that the robot is where it is."""
     unit, center = head.dock_radius, place.position * head.dock_radius + head.anchor_position
     axes = np.eye(_AXES)
@@ -244,7 +245,7 @@ def _text(line: RobotLine) -> str:
 
 
 _ANCHOR = _text(RobotLine(robot=0, orientation_wxyz=list(_LEVEL), contacts=[]))
-"""An anchor of which nothing is known but where it is."""
+"""An anchor that nothing is known about but its place."""
 
 
 @lru_cache(maxsize=20_000)

@@ -13,7 +13,7 @@ import numpy as np
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization.distributed.published import algorithm_1
-from tiswarm.localization.distributed.swarm import Swarm
+from tiswarm.localization.distributed.swarm import PeerSwarm
 from tiswarm.localization.distributed.wire import MOST_ROBOTS
 from tiswarm.localization.online.lines import refuse_header, refuse_line
 from tiswarm.localization.params import DistributedParams
@@ -57,7 +57,7 @@ def localize_batch(
         if p.scheme == "algorithm-1":
             found = algorithm_1(log, p)
         else:
-            swarm = Swarm(header, p, len(lines))
+            swarm = PeerSwarm(header, p, len(lines))
             for line in lines:
                 swarm.join(line)
                 on_progress((joined + line.robot + 1) / total)

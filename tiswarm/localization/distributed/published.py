@@ -16,7 +16,7 @@ from tiswarm.localization.distributed.channel import HEADER, Channel
 from tiswarm.localization.distributed.wire import pose_bytes
 from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
 from tiswarm.measurements.contacts import contact_count
-from tiswarm.records.estimate import Estimate, Traffic
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
 _OF_DISTANCE = 8
@@ -49,14 +49,8 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
             channel.broadcast(pose)
         if rounds is not None and _follows(rounds, number + 1, robots):
             channel.broadcast(moved, rounds.sweeps)
-    traffic = Traffic(
-        sent=channel.sent,
-        heard=channel.heard,
-        messages=channel.messages,
-        memory=np.full(robots, robots * (pose - HEADER), np.int64),
-        operations=_operations(log, settings, found.steps),
-        rounds=channel.rounds,
-    )
+    memory = np.full(robots, robots * (pose - HEADER), np.int64)
+    traffic = channel.traffic(memory, _operations(log, settings, found.steps))
     return replace(found, traffic=traffic)
 
 
@@ -69,6 +63,7 @@ def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None)
     """Count the operations of each robot, which looks at all docks that it heard of, shape (N,)."""
     taken = np.full(log.robot_count, params.iterations) if steps is None else steps
     docks = len(log.dock_offset_body)
+    # Only robots that have joined before are heard.
     pairs = docks**2 * np.arange(log.robot_count)
     per_step = _OF_DISTANCE * pairs + _OF_FORCE * contact_count(log)
     return np.asarray(taken * per_step, np.float64)

@@ -23,8 +23,8 @@ from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
 from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import (
     NUMBER,
-    Place,
     Reader,
+    Whereabouts,
     Writer,
     line_bytes,
     read_candidates,
@@ -62,7 +62,7 @@ class _Answer(NamedTuple):
 
     is_new: bool
     sharing: tuple[int, ...]
-    place: Place | None
+    place: Whereabouts | None
     candidates: Reals
 
 
@@ -95,7 +95,7 @@ def _read_result(content: bytes, bits: int | None) -> _Answer:
     return _Answer(is_new=True, sharing=(), place=place, candidates=candidates)
 
 
-class Robot:
+class Peer:
     """A robot of a swarm that localizes itself."""
 
     def __init__(self, program: Program, line: RobotLine) -> None:
@@ -114,15 +114,15 @@ class Robot:
         self.operations = 0.0
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> Whereabouts | None:
         """Where the robot takes itself to be; None if it does not know."""
         return self.known[self.number].place
 
     def join(self) -> None:
-        """Tell robots that share rows; the first of the swarm is the anchor."""
+        """Let robots know that rows are shared; the first of the swarm is the anchor."""
         mine = self.known[self.number]
         if self.number == 0:
-            mine.place = Place(np.zeros(3), np.zeros(3), 0.0)
+            mine.place = Whereabouts(np.zeros(3), np.zeros(3), 0.0)
             return
         host = self._hosts.pop(0)
         # Who has been named knows that it shares rows; who solves has to know the rows.
@@ -142,7 +142,7 @@ class Robot:
                 self._answer(message.sender, message.parts[self.number])
             elif self._program.params.channel == "touch":
                 return self._hand_out(message)
-        elif message.kind == "tell":
+        elif message.kind == "answer":
             self._hear_answer(message)
         elif message.kind == "lines":
             for part in message.parts.values():
@@ -269,7 +269,7 @@ class Robot:
                     write_candidates(answer, mine.candidates)
         head = answer.to_bytes()
         line = mine.line if wants_line else b""
-        self._say("tell", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
+        self._say("answer", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
 
     def _hear_answer(self, message: Message) -> None:
         length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
@@ -279,6 +279,7 @@ class Robot:
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
+        # By radio, robots hear answers that others asked for.
         if self._search is not None:
             self._search.answered.add(message.sender)
             self._check_off()
@@ -338,6 +339,7 @@ class Robot:
         if 0 in held:
             near[0] = held[0]
         solved = LocalSwarm(self._program, near).solve(joiner, anew=near[joiner].place is None)
+        # Thinking costs a robot energy, too.
         self.operations += solved.operations
         parts = {}
         for number, place in solved.places.items():
@@ -356,6 +358,7 @@ class Robot:
         """Drop lines of the robots heard of first, beyond as many as there is room for."""
         lines = [n for n, each in self.known.items() if each.line and n != self.number]
         busy = {} if self._search is None else self._search.step
+        # Those asked about now are needed.
         beyond = max(len(lines) - self._program.params.robots, 0)
         for number in [n for n in lines if n not in busy][:beyond]:
             del self.known[number]

@@ -8,10 +8,10 @@ from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.distributed.channel import Channel, Message
 from tiswarm.localization.distributed.local import Program
-from tiswarm.localization.distributed.robot import Robot
+from tiswarm.localization.distributed.robot import Peer
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import DistributedParams
-from tiswarm.records.estimate import Convergence, Estimate, Traffic
+from tiswarm.records.estimate import Convergence, Estimate
 from tiswarm.records.sensing_format import RobotLine
 from tiswarm.records.sensing_log import SensingLog
 
@@ -19,20 +19,20 @@ _MOST_TURNS = 1000
 """Times that robots go on without an answer after a join, before the next one joins."""
 
 
-class Swarm:
+class PeerSwarm:
     """Robots that join one by one. Nothing here looks into one for the sake of another."""
 
     def __init__(self, header: str, params: DistributedParams, robots: int) -> None:
         """Begin without robots; so many will join, and all are programmed alike."""
         self._program = Program(params, header)
         self.channel = Channel(params, robots, self._hear)
-        self.robots: list[Robot] = []
+        self.robots: list[Peer] = []
         self._memory = np.zeros(robots, np.int64)
         self._at_join = np.zeros((robots, 3))
 
     def join(self, line: RobotLine) -> None:
         """Let the next robot join, and all go on until none waits for an answer."""
-        robot = Robot(self._program, line)
+        robot = Peer(self._program, line)
         self.robots.append(robot)
         self.channel.join({*robot.touching})
         robot.join()
@@ -48,6 +48,7 @@ class Swarm:
                 self._send(each)
             self.channel.settle()
         self._at_join[robot.number] = self._positions()[-1]
+        # Memory counts at its fullest.
         memory = [each.memory for each in self.robots]
         self._memory[: len(memory)] = np.maximum(self._memory[: len(memory)], memory)
 
@@ -58,7 +59,7 @@ class Swarm:
         self._send(robot)
         return passed
 
-    def _send(self, robot: Robot) -> None:
+    def _send(self, robot: Peer) -> None:
         while robot.outbox:
             self.channel.send(robot.outbox.pop(0))
 
@@ -91,13 +92,8 @@ class Swarm:
             at_join=self._at_join * unit,
             residual=rms(gap) * unit,
             doubtful=doubtful,
-            traffic=Traffic(
-                sent=channel.sent,
-                heard=channel.heard,
-                messages=channel.messages,
-                memory=self._memory,
-                operations=np.array([robot.operations for robot in self.robots], np.float64),
-                rounds=channel.rounds,
+            traffic=channel.traffic(
+                self._memory, np.array([robot.operations for robot in self.robots])
             ),
         )
 

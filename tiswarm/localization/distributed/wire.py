@@ -54,7 +54,7 @@ _PLAIN = ("contacts", "ground_docks")
 _AXES = 3
 
 
-class Place(NamedTuple):
+class Whereabouts(NamedTuple):
     """Where a robot is, as it and others know it."""
 
     position: Reals
@@ -154,7 +154,7 @@ def rounding_sd(farthest: float, bits: int | None) -> float:
     return step(limit, bits) / math.sqrt(12.0)
 
 
-def write_place(to: Writer, place: Place) -> None:
+def write_place(to: Writer, place: Whereabouts) -> None:
     """Append where a robot is."""
     to.lengths(place.position)
     to.reals(place.turn, _MOST_TURN)
@@ -165,13 +165,13 @@ def write_place(to: Writer, place: Place) -> None:
     to.number(round(min(share, 1.0) * (2**_SD - 1)), _SD)
 
 
-def read_place(source: Reader) -> Place:
+def read_place(source: Reader) -> Whereabouts:
     """Take where a robot is."""
     position, turn = source.lengths(_AXES), source.reals(_AXES, _MOST_TURN)
     if source.bits is None:
-        return Place(position, turn, float(source.reals(1, 1.0)[0]))
+        return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
     share = source.number(_SD) / (2**_SD - 1)
-    return Place(position, turn, _LEAST_SD * (_MOST_SD / _LEAST_SD) ** share)
+    return Whereabouts(position, turn, _LEAST_SD * (_MOST_SD / _LEAST_SD) ** share)
 
 
 def write_candidates(to: Writer, places: Reals) -> None:
@@ -289,6 +289,7 @@ def _write_stance(
     if to.bits is None:
         to.reals(parts, 1.0)
     else:
+        # q and -q are one rotation: the largest part is made positive, and follows from the others.
         largest = int(np.abs(parts).argmax())
         to.number(largest, 2)
         to.reals(np.delete(parts * np.copysign(1.0, parts[largest]), largest), _CORNER)
