@@ -3,6 +3,8 @@
 # Empty: the newest Python that suits, 3.14 last. Otherwise: make run PYTHON=/path/to/python3.12
 PYTHON =
 SCENARIO = scenarios/tower.yaml
+# make test CONSTRAINTS=/dev/null takes the newest versions of all libraries.
+CONSTRAINTS = constraints.txt
 # What `make gpu` examines: cuda, vulkan or metal. A quick trial of the command itself:
 # make gpu ARCH=vulkan GPU_OPTIONS='--brief --sizes 1e3 --joint-sizes 20 40'
 ARCH = cuda
@@ -87,7 +89,7 @@ $(bin)/python:
 	exit 1
 
 # The build tool comes from constraints.txt too, hence no isolated build.
-pip_install = $(bin)/python -m pip --disable-pip-version-check install -c constraints.txt
+pip_install = $(bin)/python -m pip --disable-pip-version-check install -c "$(CONSTRAINTS)"
 # Of pip's report only the large downloads are shown; errors are.
 define install
 	@echo "installing $(2) into .venv; the first time that takes minutes"

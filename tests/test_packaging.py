@@ -271,3 +271,23 @@ def test_the_wheel_installs_with_its_dependencies(wheel, tmp_path):
 
     assert done.returncode == 0, done.stderr
     assert list((tmp_path / "env").glob("reports/tower-*/report.html"))
+
+
+def test_the_workflow_runs_the_check_on_every_python():
+    """It calls what is there, on the versions that the package states."""
+    workflow = yaml.safe_load((REPOSITORY / ".github/workflows/test.yml").read_text())
+    job = workflow["jobs"]["test"]
+    stated = [
+        line.rpartition(" ")[2]
+        for line in PROJECT["classifiers"]
+        if re.fullmatch(r"Programming Language :: Python :: 3\.\d+", line)
+    ]
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+
+    assert job["strategy"]["matrix"]["python"] == stated
+    assert commands[-1] == "sh .ci/run"
+    assert (REPOSITORY / ".ci/run").exists()
+    assert commands[0].startswith("make .venv/.installed-dev ")
+    makefile = (REPOSITORY / "Makefile").read_text()
+    for name in re.findall(r" ([A-Z]+)=", commands[0]):
+        assert re.search(rf"^{name} =", makefile, re.MULTILINE), name

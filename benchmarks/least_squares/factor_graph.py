@@ -46,33 +46,54 @@ def levenberg_marquardt(problem: Problem, position: Array, yaw: Array) -> Minimu
         position: Centers to start from [R], shape (N, 3).
         yaw: Yaw corrections to start from [rad], shape (N,).
     """
-    robots = len(position)
-    turned = robots if problem.yaw_precision else 0
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for robot in range(1, robots):
-        values.insert(robot, position[robot])
-    for robot in range(turned):
-        values.insert(robots + robot, np.array([yaw[robot]]))
-    for involved, residual in _residuals(problem):
-        if turned or max(involved) > 0:
-            graph.push_back(_factor(problem, position[0], involved, residual))
-    if turned:
-        prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.yaw_precision**-0.5)
-        for robot in range(turned):
-            graph.push_back(gtsam.PriorFactorVector(robots + robot, np.zeros(1), prior))
+    for part, new in by_robot(problem, position, yaw):
+        graph.push_back(part)
+        values.insert(new)
     settings = gtsam.LevenbergMarquardtParams()
     settings.setMaxIterations(MOST_ITERATIONS)
     settings.setRelativeErrorTol(CONVERGED)
     settings.setAbsoluteErrorTol(CONVERGED)
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, settings)
     found = optimizer.optimize()
+    return minimum(problem, position[0], found, 2.0 * optimizer.error())
+
+
+def by_robot(
+    problem: Problem, position: Array, yaw: Array
+) -> Iterator[tuple["gtsam.NonlinearFactorGraph", "gtsam.Values"]]:
+    """Yield what each robot adds to the graph as it joins: factors, and new values with a start.
+
+    Arguments as for `levenberg_marquardt`, and keys as there.
+    """
+    robots = len(position)
+    is_turned = bool(problem.yaw_precision)
+    added: list[list[gtsam.CustomFactor]] = [[] for _ in range(robots)]
+    for involved, residual in _residuals(problem):
+        if is_turned or max(involved) > 0:
+            factor = _factor(problem, position[0], involved, residual)
+            added[max(involved)].append(factor)
+    for robot, factors in enumerate(added):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in factors:
+            graph.push_back(factor)
+        if robot:
+            values.insert(robot, position[robot])
+        if is_turned:
+            prior = gtsam.noiseModel.Isotropic.Sigma(1, problem.yaw_precision**-0.5)
+            values.insert(robots + robot, np.array([yaw[robot]]))
+            graph.push_back(gtsam.PriorFactorVector(robots + robot, np.zeros(1), prior))
+        yield graph, values
+
+
+def minimum(problem: Problem, anchor: Array, found: "gtsam.Values", chi_square: float) -> Minimum:
+    """Read the robots of a problem from values."""
+    robots = len(problem.part)
     places = [found.atVector(robot) for robot in range(1, robots)]
-    turns = [found.atVector(robots + robot)[0] for robot in range(turned)]
-    return Minimum(
-        np.vstack([position[:1], *places]),
-        np.array(turns) if turned else np.zeros(robots),
-        2.0 * optimizer.error(),
-    )
+    yaw = np.zeros(robots)
+    if problem.yaw_precision:
+        yaw = np.array([found.atVector(robots + robot)[0] for robot in range(robots)])
+    return Minimum(np.vstack([anchor[None], *places]), yaw, chi_square)
 
 
 def _residuals(problem: Problem) -> Iterator[tuple[list[int], Residual]]:

@@ -1,9 +1,12 @@
 """`tiswarm explain` says how the measurements of one robot narrow its place."""
 
+import numpy as np
 import pytest
 
 import tiswarm as library
+from tests.measurements.test_orientations import connected
 from tests.runs import call
+from tiswarm.app.explanation import explain
 from tiswarm.base.errors import InputError
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import write_sensing_log
@@ -37,3 +40,16 @@ def test_an_unknown_robot_is_refused(tmp_path, towers):
 
     with pytest.raises(InputError, match="there is no robot 99; choose one of the 30 of the log"):
         library.explain(log, 99, tmp_path / "truth.csv")
+
+
+def test_a_robot_without_a_compass_is_explained_too(tmp_path, towers):
+    """Its orientation follows from a connection."""
+    history = towers[0]
+    log = connected(history, sd_deg=0.0)
+    assert np.isnan(log.orientation_wxyz[7]).all()
+    whole = observe(history, SensingParams())
+    estimate = library.read_log(_write(tmp_path, history)).with_estimate(tmp_path / "truth.csv")
+
+    found = explain(log, estimate, 7)
+
+    assert found.spread == pytest.approx(explain(whole, estimate, 7).spread, rel=1e-2)

@@ -144,7 +144,11 @@ def test_ctrl_c_ends_the_command(served):
     [
         (["--live", "."], 2, f".: {NO_RUN}"),
         (["--live", "nowhere"], 2, f"nowhere: {NO_RUN}"),
-        (["--live", ".", "--out", "a.html"], 2, "--out: --live shows a run; leave it out"),
+        (
+            ["--live", ".", "--out", "a.html"],
+            2,
+            "--out: --live shows a run or a stream; leave it out",
+        ),
         (["log.jsonl", "--port", "8000"], 2, "--port: only --live serves a page; leave it out"),
     ],
 )

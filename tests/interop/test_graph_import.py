@@ -13,6 +13,8 @@ from tiswarm.base.progress import Progress
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.exports import export_view
+from tiswarm.interop.graph_lines import read_graph
+from tiswarm.interop.graph_turns import find_turns
 from tiswarm.interop.imports import import_poses, write_import
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
@@ -74,10 +76,10 @@ def test_a_graph_of_ranges_localizes(tmp_path):
     log = read_sensing_log(tmp_path / "in" / "sensing.jsonl")
     found = localize(log, JointParams(chains=8))
 
-    # Four ranges of 5 cm to beacons all around give each coordinate to about as much.
-    assert rmse(found.position, imported.position) < 2.5 * RANGE_SD
+    # Ranges alone give each coordinate to about 5 cm; steps of 2 cm tie poses to each other.
+    assert rmse(found.position, imported.position) < 1.5 * RANGE_SD
     assert found.convergence.converged
-    assert imported.notes[-1] == "16 robots, 0 contacts, 59 ranges, 9 fixes"
+    assert imported.notes[-1] == "16 robots, 0 contacts, 48 ranges, 9 fixes, 11 displacements"
 
 
 def test_every_row_agrees_with_an_exact_graph(tmp_path):
@@ -87,23 +89,109 @@ def test_every_row_agrees_with_an_exact_graph(tmp_path):
     rows = measure(imported.log, cue_names())
     residual = rows.residual(imported.position / imported.log.dock_radius)
 
-    assert len(rows) == 59 + 9
+    assert len(rows) == 48 + 9 + 3 * 11
     np.testing.assert_allclose(residual, 0.0, atol=1e-6)
 
 
 def test_what_a_log_has_no_place_for_is_counted(tmp_path):
-    """Directions of relative translations and unknown lines are listed by line."""
+    """Covariances of turns, unknown lines and vectors of unknown direction are listed by line."""
     lines = [*graph_lines(), "EDGE_LOOP 0 A1 A2 1", "# a comment"]
 
     notes = bring_in(tmp_path, lines).notes
 
-    assert f"left out: lines EDGE_LOOP, which are unknown, 1 line ({len(lines) - 1})" in notes
     first = 12 + 8 + 1
     where = f"11 lines ({first}-{first + 10})"
-    assert (
-        f"left out: directions of relative translations, whose lengths are ranges, {where}" in notes
-    )
+    assert f"left out: lines EDGE_LOOP, which are unknown, 1 line ({len(lines) - 1})" in notes
     assert f"left out: covariances of relative orientations, which are chained, {where}" in notes
+    assert not any("directions" in note for note in notes)
+
+
+def _left(lines, kept):
+    """Leave out the ranges of a graph but for those of some names."""
+    return [line for line in lines if "EDGE_RANGE" not in line or line.split()[2:4] in kept]
+
+
+@pytest.mark.parametrize("why", ["few", "on-a-line", "straight"])
+def test_directions_are_left_out_where_no_line_determines_an_orientation(tmp_path, why):
+    """Four ranges are too few; two places, or poses in a row, leave a turn about their line."""
+    lines = graph_lines(exact=True)
+    if why == "few":
+        lines = _left(lines, [["A1", "L0"], *([f"A{k}", f"L{k}"] for k in range(1, 4))])
+    elif why == "on-a-line":
+        lines = [line for line in lines if " L2 " not in line and " L3 " not in line]
+    else:
+        lines = _straight()
+
+    imported = bring_in(tmp_path, lines)
+
+    what = "directions of relative translations from poses whose orientation no line determines"
+    assert any(note.startswith(f"left out: {what}") for note in imported.notes)
+    assert len(imported.log.displacements) == 0
+    residual = measure(imported.log, cue_names()).residual(
+        imported.position / imported.log.dock_radius
+    )
+    np.testing.assert_allclose(residual, 0.0, atol=1e-6)
+
+
+def _straight():
+    """Lines of twelve poses in a row among the beacons, without noise."""
+    place = [np.array([0.5 * k, 1.0, 1.0]) for k in range(12)]
+    spread, prior = triangle(np.diag([STEP_SD**2] * 3 + [0.01**2] * 3)), triangle(1e-4 * np.eye(3))
+    words = [" ".join(map(repr, at.tolist())) for at in [*place, *BEACONS]]
+    poses, beacons = words[:12], words[12:]
+    return [
+        *(f"VERTEX_SE3:QUAT 0 A{k} {at} 0 0 0 1" for k, at in enumerate(poses)),
+        *(f"VERTEX_XYZ L{k} {at}" for k, at in enumerate(beacons)),
+        *(f"VERTEX_XYZ:PRIOR 0 L{k} {at} {prior}" for k, at in enumerate(beacons)),
+        *(f"EDGE_SE3:QUAT 0 A{k} A{k + 1} 0.5 0 0 0 0 0 1 {spread}" for k in range(11)),
+        *(
+            f"EDGE_RANGE 0 A{k} L{b} {float(np.linalg.norm(at - to))!r} {RANGE_SD**2!r}"
+            for k, at in enumerate(place)
+            for b, to in enumerate(BEACONS)
+        ),
+    ]
+
+
+def test_orientations_are_fitted_to_ranges_as_precisely_as_stated(tmp_path):
+    """Over graphs, squared errors of the first orientation average to its variance."""
+    error, variance = [], []
+    for seed in range(12):
+        lines = graph_lines(seed=seed)
+        bring_in(tmp_path, lines)
+        graph = read_graph(tmp_path / "slam.pyfg")
+        places = {line.names[0]: line for line in graph.lines if line.kind == "prior"}
+        vertex = {line.names[0]: line for line in graph.lines if line.kind == "vertex"}
+
+        found = find_turns(graph, {}, places)["A0"]
+
+        true = Rotation.from_quat(vertex["A0"].wxyz, scalar_first=True)
+        error.append((found.rotation * true.inv()).magnitude() ** 2 / 3.0)
+        variance.append(found.variance)
+    # 36 squares of normal errors have a standard deviation of 24 % about their mean.
+    assert 0.4 < np.mean(error) / np.mean(variance) < 2.0
+    assert np.sqrt(np.mean(variance)) < np.radians(5.0)
+
+
+def test_a_prior_of_one_pose_turns_all_others(tmp_path):
+    """Poses before and after it; its uncertainty and theirs add to what displacements have."""
+    wide = triangle(np.diag([1e12] * 3 + [0.02**2] * 3))
+    lines = graph_lines(exact=True)
+    at = next(line for line in lines if " A5 " in line).split()
+    lines.append(f"VERTEX_SE3:QUAT:PRIOR 0 A5 0 0 0 {' '.join(at[6:])} {wide}")
+
+    imported = bring_in(tmp_path, lines)
+
+    rows = measure(imported.log, ["displacements"])
+    residual = rows.residual(imported.position / imported.log.dock_radius)
+    np.testing.assert_allclose(residual, 0.0, atol=1e-6)
+    # From A5 to A6 the turn of A5 counts; that of A0 has five relative poses more.
+    vectors = {int(row[0]): row for row in imported.log.displacements}
+    length = np.linalg.norm(vectors[6 + 1][2:5])
+    expected = np.sqrt(STEP_SD**2 + 2.0 / 3.0 * (length * 0.02) ** 2)
+    assert vectors[6 + 1][5] == pytest.approx(expected, rel=1e-6)
+    length = np.linalg.norm(vectors[1 + 1][2:5])
+    turned = 0.02**2 + 5 * 0.01**2
+    assert vectors[2][5] == pytest.approx(np.sqrt(STEP_SD**2 + 2 / 3 * length**2 * turned))
 
 
 def test_vectors_from_the_anchor_keep_their_directions(tmp_path):

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tests.foreign import open_chain
 from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
@@ -217,24 +218,26 @@ def test_a_robot_that_is_refused_leaves_no_trace(lines):
     assert tracker.positions.tobytes() == fed(lines[:7]).positions.tobytes()
 
 
-def test_a_robot_that_leaves_is_forgotten(lines):
-    """What others sensed of it goes, too, so that the log is one of those that stay."""
+def test_a_robot_that_leaves_stays_where_others_sensed_it(lines):
+    """Nobody moves; the log and the estimate mark it as gone."""
     tracker = fed(lines[:16])
     touched = json.loads(lines[15])["contacts"][0][1]
+    before = tracker.positions.tobytes()
 
     change = tracker.leave(touched)
 
-    assert touched not in tracker.names.tolist()
-    assert len(tracker.positions) == len(tracker.sd) == 14
-    assert touched not in change.robot.tolist()
-    stances = tracker.log.stances
-    assert (
-        tracker.log.robot_id[np.r_[tracker.log.contacts[:, 0], stances.contacts[:, 2]]].min() >= 0
-    )
-    with pytest.raises(InputError, match=f"robot {touched} has not joined"):
+    assert tracker.positions.tobytes() == before
+    assert not len(change.robot)
+    assert tracker.gone.tolist() == [touched]
+    assert tracker.log.robot_id[tracker.log.gone].tolist() == [touched]
+    for estimate in (tracker.estimate(), tracker.estimate(final=True)):
+        assert estimate.robot_id[estimate.gone].tolist() == [touched]
+    with pytest.raises(InputError, match=f"robot {touched} has left"):
         tracker.leave(touched)
     with pytest.raises(InputError, match="the anchor holds all others"):
         tracker.leave(0)
+    tracker.join(lines[16])
+    assert tracker.gone.tolist() == [touched]
 
 
 def test_a_line_replaces_an_earlier_one_of_its_robot(lines):
@@ -250,6 +253,8 @@ def test_a_line_replaces_an_earlier_one_of_its_robot(lines):
     before = tracker.positions.tobytes()
     with pytest.raises(InputError, match="is not on an earlier line"):
         tracker.update({**entry, "contacts": [[0, 14, 0]]})
+    with pytest.raises(InputError, match="robot 99 is not on an earlier line; let it join"):
+        tracker.update({**entry, "robot": 99})
     assert tracker.positions.tobytes() == before
     tracker.join(lines[16])
 
@@ -326,3 +331,11 @@ def test_the_present_state_has_verdicts_and_sd(lines):
     assert estimate.sd.tobytes() == tracker.sd.tobytes()
     assert estimate.convergence.consistent
     assert not estimate.disconnected.any()
+
+
+def test_chained_orientations_are_refused():
+    """A robot's error turns all that follow; sd of robots one by one would not say so."""
+    log, _ = open_chain(6, 0)
+
+    with pytest.raises(InputError, match=r"connections: .*; choose method joint"):
+        localize(log, QUICK)

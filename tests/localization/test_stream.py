@@ -22,9 +22,18 @@ SET = ["--set", "anneal_growth=0.5", "--set", "chains=1", "--set", "steps=20"]
 
 @pytest.fixture(scope="module")
 def stream(towers):
-    """Lines of a small tower, two of them broken, as bytes."""
-    lines = lines_of(observe(towers[1], NOISY))[:10]
-    return [line.encode() for line in [*lines[:4], "{", *lines[4:8], lines[7], *lines[8:]]]
+    """Lines of a small tower with events, three of them wrong, as bytes."""
+    header, *lines = lines_of(observe(towers[1], NOISY))[:10]
+    robots = [json.loads(line) for line in lines]
+    events = [
+        {"event": "release", "robot": 5, "contacts": robots[5]["contacts"][:1]},
+        {"event": "leave", "robot": 4},
+        {"event": "leave", "robot": 4},
+        {**robots[6], "event": "replace", "stances": robots[6]["stances"][1:]},
+    ]
+    header = json.dumps({**json.loads(header), "version": 3})
+    last, lines = lines[8], [header, *lines[:3], "{", *lines[3:7], lines[6], lines[7]]
+    return [line.encode() for line in [*lines, *map(json.dumps, events), last]]
 
 
 def track(folder, source, refused=None, resumed=None):
@@ -45,20 +54,21 @@ def as_input(lines):
 
 
 def test_every_line_has_an_answer_and_broken_ones_are_skipped(tmp_path, stream):
-    """A refusal names the line; robots after it join as if it had not been there."""
+    """A refusal names the line; those after it count as if it had not been there."""
     refused = []
 
     answers = [json.loads(line) for line in track(tmp_path, as_input(stream), refused).splitlines()]
 
     assert [answer["line"] for answer in answers] == list(range(1, len(stream) + 1))
-    assert [answer["line"] for answer in answers if "refused" in answer] == [5, 10]
+    assert [answer["line"] for answer in answers if "refused" in answer] == [5, 10, 14]
     assert refused[0].startswith("-:5: not JSON at column 2")
     assert refused[1].startswith("-:10: robot: robot 6 has a line already")
+    assert refused[2].startswith("-:14: robot: robot 4 has left")
     assert all(line.endswith("; skipped") for line in refused)
     assert answers[-1]["robots"] == 9
     assert answers[-1]["moved"][-1]["robot"] == 8
     assert answers[-1]["moved"][-1]["moved"] is None
-    kept = [line for k, line in enumerate(stream) if k not in {4, 9}]
+    kept = [line for k, line in enumerate(stream) if k not in {4, 9, 13}]
     clean = track(tmp_path / "clean", as_input(kept)).splitlines()
     moved = [json.loads(line).get("moved") for line in clean]
     assert [answer.get("moved") for answer in answers if "refused" not in answer] == moved

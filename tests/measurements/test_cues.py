@@ -18,9 +18,9 @@ def test_a_new_cue_serves_every_method_and_analysis(towers, monkeypatch):
     params = JointParams(walk_contacts=False, ground=False, steps=1500, chains=4)
     before = [localize(log, params), observability(log, params.cues)]
 
-    def wall(_log, odometry, _precision):
+    def wall(centered, odometry, _precision):
         robot = np.arange(1, log.robot_count, 2)
-        x = history.position[robot, 0]
+        x = history.position[robot, 0] - log.anchor_position[0] + centered.anchor_position[0]
         dock = np.full(len(robot), CENTER)
         return Coordinates.of(odometry.final[robot], dock, np.eye(3)[0], x, variance=0.05**2)
 

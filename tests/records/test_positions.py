@@ -20,7 +20,7 @@ from tiswarm.records.positions import (
     write_positions,
 )
 
-COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,yaw_deg][,undetermined]"
+COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,gone][,yaw_deg][,undetermined]"
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +112,7 @@ def test_a_position_that_is_not_finite_is_not_written(tmp_path):
         ("robot,x_R,y_R,z_R\n1,0,-1e308,0\n", "{path}:2: y_R: '-1e308' is not a finite number up"),
         ("robot,x_R,y_R,z_R,sd_R\n1,0,0,0,inf\n", "{path}:2: sd_R: 'inf' is not a finite"),
         ("robot,x_R,y_R,z_R,known,yaw_deg\n1,0,0,0,,?\n", "{path}:2: yaw_deg: '?' is not a finite"),
+        ("robot,x_R,y_R,z_R,gone\n1,0,0,0,maybe\n", "{path}:2: gone: 'maybe' should be yes or no"),
         (
             "robot,x_R,y_R,z_R,undetermined\n1,0,0,0,zx\n",
             "{path}:2: undetermined: 'zx' should be x, ",

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.mcap_file import SENSING, encode_messages
+from tiswarm.records.sensing_events import line_schema
 from tiswarm.records.sensing_file import log_entries, read_sensing_log, write_sensing_log
-from tiswarm.records.sensing_format import NEW_LISTS, line_schema
+from tiswarm.records.sensing_format import NEW_LISTS
 from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances, canonical_contacts
 
 number = st.floats(-4.0, 4.0, allow_subnormal=False)  # within 1e10 of the smallest dock radii
@@ -80,6 +81,7 @@ def stances_of(draw, robots, radius, sources, *, ground):
         directions=draw(linked(owner, st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(owner, orientation, 8)),
         touches=draw(touches_of(owner)),
+        displacements=draw(displacements_of(owner, radius)),
     )
 
 
@@ -112,6 +114,21 @@ def ranges_of(draw, owner, radius, sources):
     ]  # fmt: skip
     rows = [(at, other, radius * far, radius * sd, of) for at, other, far, sd, of in rows]
     return table(sorted(rows), np.float64, 5)
+
+
+@st.composite
+def displacements_of(draw, owner, radius):
+    """Draw up to two displacements, perhaps equal, in some stances of these robots, sorted."""
+    rows = [
+        row
+        for stance, robot in enumerate(owner)
+        if robot > 0
+        for row in draw(repeated(st.tuples(
+            st.just(stance), st.integers(0, robot - 1), widths, number, number, widths,
+        )))
+    ]  # fmt: skip
+    rows = [(at, other, radius * x, y, z, radius * sd) for at, other, x, y, z, sd in rows]
+    return table(sorted(rows), np.float64, 6)
 
 
 def repeated(rows):
@@ -185,7 +202,11 @@ def logs(draw):
         directions=draw(linked(range(robots), st.permutations([0.6, -0.8, 0.0]), 7)),
         connections=draw(linked(range(robots), orientation, 8)),
         touches=draw(touches_of(range(robots))),
+        displacements=draw(displacements_of(range(robots), radius)),
         stances=stances,
+        gone=np.array(
+            draw(st.sets(st.integers(1, robots - 1)).map(sorted)) if robots > 1 else [], np.int64
+        ),
         noise=draw(st.none() | noises),
         source_name=tuple(sources),
         source_sd=radius * np.array([draw(widths) for _ in sources], np.float64),
@@ -229,6 +250,7 @@ STANCE = {
     "directions": [[0, 7, 2, 0.0, 0.6, 0.8]],
     "connections": [[0, 7, 2, 0.8, 0.0, 0.6, 0.0]],
     "touches": [[1, 7, None]],
+    "displacements": [[7, -4.0, 0.5, 1.0, 0.1]],
 }
 ANCHOR = {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": []}
 JOINER = {
@@ -241,6 +263,7 @@ JOINER = {
     "directions": [[0, 7, 1, -1.0, 0.0, 0.0], [2, 7, 0, 0.0, 0.0, 1.0]],
     "connections": [[2, 7, 0, 0.6, 0.8, 0.0, 0.0]],
     "touches": [[None, 7, None], [None, 7, 2], [0, 7, None]],
+    "displacements": [[7, -9.0, 0.0, 1.0, 0.5], [7, -9.0, 0.0, 1.0, 0.5]],
     "flip_height": 5.31,
     "spawn_position": [9.0, 0.0, 1.0],
     "stances": [STANCE],
@@ -452,7 +475,9 @@ def test_rows_are_put_in_order_once():
 )
 def test_a_damaged_file_is_read_or_refused(scratch, edits):
     """Bytes deleted, inserted or flipped end in a log or an InputError, never otherwise."""
-    data = bytearray(written(scratch, HEADER, ANCHOR, JOINER).read_bytes())
+    header, events = {**HEADER, "version": 3}, [{"event": "leave", "robot": -3}]
+    events.insert(0, {"event": "release", "robot": 7, "contacts": [[0, -3, 2]]})
+    data = bytearray(written(scratch, header, ANCHOR, JOINER, *events).read_bytes())
     for kind, position, new in edits:
         at = position % len(data)
         data[at : at + (0 if kind == "i" else len(new))] = b"" if kind == "d" else new

@@ -54,7 +54,7 @@ REFUSED = [
     (header(format=...), 1, "format", "is not a header; start it with"),
     (header(format="other"), 1, "format", "is not a header; start it with"),
     ([ANCHOR], 1, "format", "is not a header; start it with"),
-    (header(version=3), 1, "version", "3 is not supported; this program reads versions 1 and 2"),
+    (header(version=4), 1, "version", "4 is not supported; this program reads versions 1, 2 and 3"),
     (header(version=True), 1, "version", "true is not supported"),
     (header(dock_radius=0), 1, "dock_radius", "0 should be greater than or equal to 0.000000001"),
     (header(dock_radius=1e-200), 1, "dock_radius", "1e-200 should be greater than or equal to"),
@@ -148,7 +148,12 @@ REFUSED = [
         "spawn_position",
         "List should have at least 3 items, not 2",
     ),
-    (joiner(color="red"), 3, "color", "unknown key; the keys here are robot, orientation_wxyz"),
+    (
+        joiner(color="red"),
+        3,
+        "color",
+        "unknown key; the keys here are event, robot, orientation_wxyz",
+    ),
     (joiner(contact=[]), 3, "contact", "unknown key; did you mean contacts?"),
     # its contacts
     (joiner(contacts=...), 3, "contacts", "is missing; add it"),

@@ -121,6 +121,17 @@ MALFORMED = {
         ([None, 10, True], "[2]", "true should be a valid integer"),
         (10, "", "should be a valid tuple"),
     ],
+    "displacements": [
+        ([10, 1, 2, 3], "[4]", "is missing; add it"),
+        ([10, 1, 2, 3, 0.1, "camera"], "", "should have at most 5 items"),
+        ([12, 1, 2, 3, 0.1], "", "robot 12 is not on an earlier line"),
+        ([11, 1, 2, 3, 0.1], "", "the robot touches itself"),
+        ([10, 0, 0, 0, 0.1], "", "the vector has length 0; correct it"),
+        ([10, 1, 2, 1e99, 0.1], "", "should be within 1e+10 R of"),
+        ([10, 1, NAN, 3, 0.1], "[2]", "NaN should be a finite number"),
+        ([10, 1, 2, 3, 0], "", "should be from 1e-06 to 1e+06"),
+        (10, "", "should be a valid tuple"),
+    ],
 }
 """Of each list: an item, where in it the mistake is, and the problem."""
 
@@ -130,6 +141,7 @@ RIGHT = {
     "directions": [0, 10, 1, 1, 0, 0],
     "connections": [0, 10, 1, 1, 0, 0, 0],
     "touches": [None, 10, None],
+    "displacements": [10, 1, 2, 3, 0.1],
 }
 
 REPEATED = [

@@ -13,6 +13,7 @@ import trimesh
 from tests.browser import probe
 from tiswarm.app.drawing import draw_log, render_log
 from tiswarm.app.inspection import Findings
+from tiswarm.app.logs import Log
 from tiswarm.base.progress import Progress
 from tiswarm.cli import main
 from tiswarm.interop.exports import export_view
@@ -127,6 +128,11 @@ def _page(path, log, estimate, **more) -> tuple[str, dict]:
     return text, json.loads(found[1])
 
 
+def _viewed(path, log, estimate) -> str:
+    """Show an estimate as the command does; returns the text of the page."""
+    return Log.of(log).with_estimate(estimate).view(out=path / "view.html").read_text()
+
+
 def test_a_page_needs_no_truth(log, estimate, tmp_path):
     """It shows the standard deviation and each solution, and offers nothing that it lacks."""
     text, data = _page(tmp_path, log, estimate, notes=["one contact only: 2 robots"])
@@ -235,6 +241,39 @@ def test_spheres_contain_nine_of_ten_positions(options, log, estimate, tmp_path)
     area = 0.0 if options else np.pi * (MOST_WITHIN * 3.0 * seen["scale"]) ** 2
     assert seen["area"] == pytest.approx(area, rel=0.05)  # without lines of the box
     assert f"a ball of radius {MOST_WITHIN} sd" in text
+
+
+def test_a_page_explains_the_least_certain_robot(log, estimate, tmp_path):
+    """Of those that touch two docks of earlier robots; the caption says which and why."""
+    touched = np.bincount(log.contacts[:, 2], minlength=30)
+    expected = max(np.flatnonzero(touched >= 2), key=lambda k: np.nan_to_num(estimate.sd[k]))
+
+    text = _viewed(tmp_path, log, estimate)
+
+    caption = re.search("<figcaption>(.*?)</figcaption>", text)[1]
+    assert f"How the measurements of robot {log.robot_id[expected]} narrow its place" in caption
+    assert f"the largest standard deviation, {estimate.sd[expected]:.2f} mm." in caption
+    figure = text.partition('<div class="drawing across"')[2]
+    assert re.search(r"[125] R = [\d.]+ mm<", figure)
+
+
+def test_without_sd_a_page_explains_the_robot_that_touches_most(log, estimate, tmp_path):
+    """A table of positions alone has no standard deviations."""
+    most = int(np.bincount(log.contacts[:, 2]).argmax())
+
+    text = _viewed(tmp_path, log, replace(estimate, sd=None))
+
+    assert f"measurements of robot {most} narrow" in text
+    assert "No robot touches more docks of earlier robots than this one" in text
+
+
+def test_a_page_without_contacts_explains_no_robot(log, estimate, tmp_path):
+    """Nothing ties one place to another there."""
+    alone = replace(log, contacts=np.empty((0, 4), np.int32))
+
+    text = _viewed(tmp_path, alone, estimate)
+
+    assert "narrow its place" not in text
 
 
 def test_with_a_truth_a_page_shows_errors(log, estimate, true, tmp_path):

@@ -63,7 +63,7 @@ JOINING = {"distributed", "online"}
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Lines of a log with every key of each version, and of one with four docks and heights."""
+    """Lines of a log with every key of each version, one with four docks, and one with events."""
     [history] = grow(TowerParams(), robots=8, seeds=[0], robot=RobotGeometry())
     first = observe(history, NOISE)
     foreign = with_heights(*structure(Rule(kind="loops", docks=4), robots=8, seed=1))
@@ -77,7 +77,14 @@ def logs(tmp_path_factory):
     for log in (first, foreign, second, unknown):
         write_sensing_log(log, path)
         found.append([json.loads(line) for line in path.read_text().splitlines()])
-    return found
+    header, *robots = found[2]
+    own, other, its = robots[7]["contacts"][0]
+    events = [
+        {"event": "release", "robot": other, "contacts": [[its, 7, own]]},
+        {"event": "leave", "robot": 4},
+        {**robots[5], "event": "replace", "stances": robots[5]["stances"][1:]},
+    ]
+    return [*found, [{**header, "version": 3}, *robots[:-1], *events[1:], robots[-1], events[0]]]
 
 
 def _write_mutant(random, logs, path):

@@ -17,6 +17,7 @@ def test_a_log_holds_only_what_robots_sense():
         "robot_id", "dock_radius", "dock_offset_body", "anchor_position", "orientation_wxyz",
         "contacts", "ground_z", "ground_docks", "flip_height", "spawn_position", "stances",
         "noise", "length_unit", "fixes", "ranges", "directions", "connections", "touches",
+        "displacements",
         "orientation_sd",  # follows from connections
         "source_name", "source_sd",
     }  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
@@ -118,6 +118,7 @@ def draw_log(
     warnings: Sequence[str] = (),
     notes: Sequence[str] = (),
     advice: Sequence[Mapping[str, str]] = (),
+    figures: Sequence[Any] = (),
 ) -> None:
     """Write the page of a log and its estimate.
 
@@ -130,6 +131,7 @@ def draw_log(
         warnings: What makes the estimate doubtful.
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
+        figures: Figures, as `explanation.show_one` returns them.
 
     Raises:
         EnvironmentTroubleError: the file cannot be written.
@@ -141,8 +143,9 @@ def draw_log(
         scores = score_positions(true, estimate.position)
     view = view_log(log, estimate, true)
     page = gather_log_page(
-        view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice
-    )
+        view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
+        figures=figures,
+    )  # fmt: skip
     write_text(path, page.html())
 
 

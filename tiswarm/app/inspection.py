@@ -12,7 +12,7 @@ import numpy as np
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
-from tiswarm.measurements.consistency import HEADER_LINES, contradictions
+from tiswarm.measurements.consistency import contradictions
 from tiswarm.measurements.contacts import contact_count
 from tiswarm.measurements.cues import cue_names
 from tiswarm.measurements.observability import by_cue, common_modes
@@ -210,6 +210,8 @@ def unknowns(log: SensingLog, path: Path, found: Iterable[Observability]) -> Ite
     found = list(found)
     if found and (lost := np.flatnonzero(found[-1].disconnected)).size:
         yield f"disconnected from the anchor (positions are guesses): {named(log, lost)}"
+    if log.gone.size:
+        yield f"gone (their positions are where they last stood): {named(log, log.gone)}"
     if (single := np.flatnonzero(contact_count(log)[1:] == 1) + 1).size:
         yield f"one contact only: {named(log, single)}"
     gauge_yaw_sd = None
@@ -328,11 +330,11 @@ def _inspect_log(path: Path) -> Inspection:
     except InputError as mistake:
         return Inspection([mistake])
     found = slips(log)
-    doubts = [*_slips(path, found), *_unlikely(log, path, found)]
+    doubts = [*_slips(log, path, found), *_unlikely(log, path, found)]
     return Inspection(summary="\n".join([log.size, *doubts, *unknowns(log, path, by_cue(log))]))
 
 
-def _slips(path: Path, found: Sequence[Slip]) -> Iterator[str]:
+def _slips(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[str]:
     """Describe in lines lengths that seem to be in another unit than the rest."""
     for slip in found[:MOST_SHOWN]:
         times = slip.factor if slip.factor > 1.0 else 1.0 / slip.factor
@@ -342,7 +344,7 @@ def _slips(path: Path, found: Sequence[Slip]) -> Iterator[str]:
         either = " of either" if slip.against in COLUMNS else ""
         problem = f"{slip.what}: {size} beside {slip.against}"
         remedy = f"correct the unit{either}, or leave it out"
-        yield f"{path}:{HEADER_LINES + 1 + slip.robot}: {slip.key}: {problem}; {remedy}"
+        yield f"{path}:{log.line_of(slip.robot)}: {slip.key}: {problem}; {remedy}"
     if (more := len(found) - MOST_SHOWN) > 0:
         yield f"{path}: {counted(more, 'more such length')}"
 
@@ -367,7 +369,7 @@ def _unlikely(log: SensingLog, path: Path, found: Sequence[Slip]) -> Iterator[st
             text = (
                 f"{away[row]:.3g} {log.length_unit} {what} is unlikely; correct it or leave it out"
             )
-            yield f"{path}:{HEADER_LINES + 1 + int(robot[row])}: {key}: {text}"
+            yield f"{path}:{log.line_of(int(robot[row]))}: {key}: {text}"
 
 
 def _inspect_scenario(path: Path) -> Inspection:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiswarm.app.console import ConsoleProgress
-from tiswarm.app.explanation import Explanation, explain
+from tiswarm.app.explanation import Explanation, explain, show_one
 from tiswarm.app.inspection import AdviceTable, Findings
 from tiswarm.app.results import Figures, File, Overrides, PageFile, as_path, as_texts, plain
 from tiswarm.base.aliases import Reals
@@ -197,7 +197,7 @@ class Localized(Estimate):
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice,
+            advice=findings.advice, figures=show_one(self.log, self),
         )  # fmt: skip
         return PageFile(page)
 

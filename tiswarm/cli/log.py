@@ -134,7 +134,13 @@ def track(
 
 @app.command(epilog="Example: tiswarm view sensing.jsonl estimate.csv --truth truth.csv")
 def view(
-    log: Annotated[Path, Argument(metavar="LOG|RUN", help="Sensing log or run folder.")],
+    log: Annotated[
+        Path,
+        Argument(
+            metavar="LOG|RUN|CHANGES",
+            help="Sensing log, or for --live run folder or output of track.",
+        ),
+    ],
     estimate: EstimateTable = None,
     truth: Truth = None,
     out: Annotated[
@@ -146,7 +152,7 @@ def view(
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     live: Annotated[
-        bool, Option("--live", help="Serve a run to this machine's browser as cases finish.")
+        bool, Option("--live", help="Serve a run or a stream to this machine's browser.")
     ] = False,
     opened: Open = False,
     quiet: Quiet = False,
@@ -154,13 +160,16 @@ def view(
     """Show an estimate on a page with a 3D view.
 
     The page has the estimate's uncertainty, and what the log leaves open. With --live, it has the
-    cases of a run that is still computed, and the 3D view of one; Ctrl-C ends the command.
+    cases of a run that is still computed, and the 3D view of one; or the lines that `tiswarm track`
+    has answered in its output, and the 3D view after one. Ctrl-C ends the command.
     """
     if live:
         from tiswarm.app.live import serve
         from tiswarm.base.plugins import load_plugins
 
-        refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
+        refuse(
+            {"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run or a stream"
+        )
         load_plugins(plugins)
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return

@@ -1,14 +1,13 @@
 """Imports factor graphs of range-aided SLAM (PyFG) as sensing logs.
 
 Each variable becomes a robot: a pose of a trajectory, or a landmark. Ranges remain ranges, and
-priors become fixes along the axes of their covariance. The length of a relative translation becomes
-a range, or all of it fixes if it starts at the anchor; orientations are chained along relative
-poses. If each point is a dock, as in graphs that `tiswarm export` writes, poses are robots with
-these docks, and ranges between docks contacts.
+priors become fixes along the axes of their covariance. A relative translation becomes a
+displacement, or fixes if it starts at the anchor; its length becomes a range where no line
+determines how its pose is turned. If each point is a dock, as in graphs that `tiswarm export`
+writes, poses are robots with these docks, and ranges between docks contacts.
 """
 
 import math
-from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,9 +18,10 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.graph_lines import Graph, GraphLine, read_graph
+from tiswarm.interop.graph_turns import Turn, find_turns
 from tiswarm.interop.pose_table import line_ranges
 from tiswarm.records.messages import counted
-from tiswarm.records.sensing_log import SensingLog, canonical_contacts
+from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
 
 _NEAREST = 0.1
 """Radius of a dock of points, per shortest measured distance: points must not push each other."""
@@ -33,10 +33,15 @@ _SD = (1e-6, 1e6)
 """Least and greatest standard deviation of a measurement [dock radii]."""
 
 _FIRM_TURN = 0.3
-"""Greatest standard deviation of the anchor's orientation that gives vectors directions [rad]."""
+"""Greatest standard deviation of an orientation that gives vectors directions [rad]."""
 
 _SAME = 1e-6
 """Relative difference of lengths that are equal but for rounding."""
+
+
+_EXACT = SensingNoise(tilt_deg=0.0, yaw_deg=0.0)
+_NOT_TURNED = Turn(np.eye(4)[0], math.nan)
+_OPEN = "poses whose orientation no line determines, whose lengths are ranges"
 
 
 class _Docks(NamedTuple):
@@ -69,15 +74,18 @@ def import_graph(path: Path, assumed: Assumptions) -> tuple[SensingLog, Reals, l
     )
     first = robots[0] if anchor is None else anchor.names[0]
     order = {name: index for index, name in enumerate([first, *(n for n in robots if n != first)])}
-    turns = _orientations(graph, order, first, vertex)
-    maker = _LogMaker(graph, order, vertex[first] if anchor is None else anchor, docks, radius)
-    log = maker.log(np.array([turns[name] for name in order]), assumed.length_unit)
+    turns = _orientations(graph, order, first, vertex, radius)
+    start = vertex[first] if anchor is None else anchor
+    maker = _LogMaker(graph, order, start, docks, radius, turns)
+    log = maker.log(assumed.length_unit)
     notes = [f"robots are numbered from 0 as variables are listed, the anchor {first} first"]
     if anchor is None:
         notes.append(f"no prior of a position: the anchor {first} is at its vertex")
     notes += maker.left_out()
     size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}, "
     size += f"{counted(len(log.ranges), 'range')}, {counted(len(log.fixes), 'fix')}"
+    if len(log.displacements):
+        size += f", {counted(len(log.displacements), 'displacement')}"
     truth = np.array([vertex[name].vector for name in order])
     return log, truth, [*notes, size.replace("fixs", "fixes")]
 
@@ -153,31 +161,22 @@ def _states_place(prior: GraphLine, radius: float) -> bool:
 
 
 def _orientations(
-    graph: Graph, order: dict[str, int], anchor: str, vertex: dict[str, GraphLine]
-) -> dict[str, Reals]:
-    """Take orientations of priors, chain others along relative poses; others are not turned."""
-    turn = {
-        line.names[0]: line.wxyz
+    graph: Graph, order: dict[str, int], anchor: str, vertex: dict[str, GraphLine], radius: float
+) -> dict[str, Turn]:
+    """Take orientations and places of priors, and find how all other poses are turned."""
+    known = {
+        line.names[0]: Turn(line.wxyz, line.turn_variance)
         for line in graph.lines
         if line.kind == "prior" and line.names[0] in order and not np.isnan(line.wxyz).any()
     }
-    if anchor not in turn and not np.isnan(vertex[anchor].wxyz).any():
-        turn[anchor] = vertex[anchor].wxyz
-    near: dict[str, list[tuple[str, Rotation]]] = {}
-    for line in graph.lines:
-        if line.kind == "pose":
-            (a, b), way = line.names, Rotation.from_quat(line.wxyz, scalar_first=True)
-            near.setdefault(a, []).append((b, way))
-            near.setdefault(b, []).append((a, way.inv()))
-    waiting = deque(turn)
-    while waiting:
-        name = waiting.popleft()
-        here = Rotation.from_quat(turn[name], scalar_first=True)
-        for other, way in near.get(name, ()):
-            if other not in turn:
-                turn[other] = (here * way).as_quat(scalar_first=True)
-                waiting.append(other)
-    return {name: turn.get(name, np.array([1.0, 0.0, 0.0, 0.0])) for name in order}
+    if anchor not in known and not np.isnan(vertex[anchor].wxyz).any():
+        known[anchor] = Turn(vertex[anchor].wxyz, 0.0)
+    places = {
+        line.names[0]: line
+        for line in graph.lines
+        if line.kind == "prior" and _states_place(line, radius)
+    }
+    return find_turns(graph, known, places)
 
 
 class _LogMaker:
@@ -190,9 +189,11 @@ class _LogMaker:
         anchor: GraphLine,
         docks: _Docks | None,
         radius: float,
+        turns: dict[str, Turn],
     ) -> None:
         self._graph, self._order, self._anchor, self._docks = graph, order, anchor, docks
-        self._radius = radius
+        self._radius, self._turns = radius, turns
+        self._displacements: list[tuple[float, ...]] = []
         self._ranges: list[tuple[float, ...]] = []
         self._fixes: list[tuple[float, ...]] = []
         self._contacts: list[tuple[int, ...]] = []
@@ -205,8 +206,9 @@ class _LogMaker:
             level = (*np.eye(3)[2], 0.0, 1e-3 * self._radius, -1)
             self._fixes += [(index, *level) for index in range(1, len(order))]
 
-    def log(self, orientation_wxyz: Reals, length_unit: str) -> SensingLog:
-        """Make the log of robots with some orientations, shape (N, 4)."""
+    def log(self, length_unit: str) -> SensingLog:
+        """Make the log."""
+        turns = [self._turns.get(name, _NOT_TURNED).wxyz for name in self._order]
         count = len(self._order)
         dock = np.zeros((1, 3)) if self._docks is None else self._docks.offset
         contacts = np.array(self._contacts, np.int32).reshape(-1, 4)
@@ -215,11 +217,14 @@ class _LogMaker:
             dock_radius=self._radius,
             dock_offset_body=dock,
             anchor_position=self._anchor.vector,
-            orientation_wxyz=orientation_wxyz,
+            orientation_wxyz=np.array(turns),
             contacts=canonical_contacts(contacts),
             ground_docks=np.empty((0, 2), np.int32),
             fixes=np.array(sorted(self._fixes)).reshape(-1, 7),
             ranges=np.array(sorted(self._ranges)).reshape(-1, 5),
+            displacements=np.array(sorted(self._displacements)).reshape(-1, 6),
+            # Displacements have the noise of orientations; points have no arms for it to turn.
+            noise=_EXACT if self._displacements and self._docks is None else None,
             flip_height=np.full(count, np.nan),
             spawn_position=np.full((count, 3), np.nan),
             length_unit=length_unit,
@@ -262,24 +267,35 @@ class _LogMaker:
             self._lose("ranges between a dock and another variable", line)
 
     def _add_vector(self, line: GraphLine) -> None:
-        (a, b), anchor = line.names, self._anchor
+        (a, b), anchor, turn = line.names, self._anchor, self._turns.get(line.names[0])
         if line.kind == "pose":
             self._lose("covariances of relative orientations, which are chained", line)
         length = float(np.linalg.norm(line.vector))
         is_firm = not anchor.turn_variance > _FIRM_TURN**2 and not np.isnan(anchor.wxyz).any()
         if a == anchor.names[0] and is_firm:
-            turn = Rotation.from_quat(anchor.wxyz, scalar_first=True)
-            matrix = turn.as_matrix()
+            matrix = Rotation.from_quat(anchor.wxyz, scalar_first=True).as_matrix()
             across = np.eye(3) * length**2 - np.outer(line.vector, line.vector)
             spread = line.spread + across * (np.nan_to_num(anchor.turn_variance))
             place = anchor.vector + matrix @ line.vector
             self._add_fixes(self._order[b], place, matrix @ spread @ matrix.T)
+        elif length > 0.0 and turn is not None and turn.variance <= _FIRM_TURN**2:
+            self._displace(a, b, line, turn)
         elif length > 0.0:
             along = line.vector / length
             self._measure(a, b, length, float(along @ line.spread @ along))
-            self._lose("directions of relative translations, whose lengths are ranges", line)
+            self._lose(f"directions of relative translations from {_OPEN}", line)
         else:
             self._lose("relative translations of length 0", line)
+
+    def _displace(self, a: str, b: str, line: GraphLine, turn: Turn) -> None:
+        """Add the vector from b to a, or to b, in the frame of the later robot."""
+        seen, across = turn.rotation.apply(line.vector), np.dot(line.vector, line.vector)
+        later, other, sign = (b, a, -1.0) if self._order[b] > self._order[a] else (a, b, 1.0)
+        vector = self._turns.get(later, _NOT_TURNED).rotation.inv().apply(sign * seen)
+        # A turn moves the end along two of three axes.
+        variance = float(np.trace(line.spread) + 2.0 * across * turn.variance) / 3.0
+        ends = float(self._order[later]), float(self._order[other])
+        self._displacements.append((*ends, *vector.tolist(), self._sd(variance)))
 
     def _measure(self, first: str, second: str, length: float, variance: float) -> None:
         later, earlier = sorted((self._order[first], self._order[second]), reverse=True)

@@ -193,11 +193,12 @@ def _moved_fixes(fixes: Reals, by: Reals) -> Reals:
 
 
 def uncentered(estimate: Estimate, log: SensingLog) -> Estimate:
-    """Put an estimate relative to the anchor where the anchor of its log is."""
+    """Put an estimate relative to the anchor where that of its log is, and mark who has left."""
     by = log.anchor_position
     return replace(
         estimate,
         length_unit=log.length_unit,
+        gone=log.is_gone if log.gone.size else None,
         position=estimate.position + by,
         trace=estimate.trace + by,
         at_join=None if estimate.at_join is None else estimate.at_join + by,

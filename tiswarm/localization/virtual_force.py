@@ -93,7 +93,8 @@ def localize_batch(
     direction = np.concatenate([_directions(log.orientation_wxyz, p) for log, p in both])
     height = np.concatenate([_heights(log, p) for log, p in both])
     planar = np.concatenate([_planar(log) for log in logs]).astype(np.int32)
-    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar)
+    gone = np.concatenate([log.is_gone for log in logs]).astype(np.int32)
+    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar, gone)
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
@@ -279,8 +280,9 @@ class Localizer:
         count, every = self._count, self._params.iterations
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(
-            self._contact_start, contact, self._direction, self._height, self._is_planar
-        )
+            self._contact_start, contact, self._direction, self._height, self._is_planar,
+            np.zeros_like(self._is_planar),
+        )  # fmt: skip
         capacity = len(self._height)
         trace = Trace.allocate(2, capacity, np.float64)
         backend.processor()

@@ -66,6 +66,9 @@ class LogArrays(NamedTuple):
     is_planar: Ints1
     """Whether each robot stays at the anchor's y, shape (N,)."""
 
+    is_gone: Ints1
+    """Whether each robot has left, so that its docks are in nobody's way, shape (N,)."""
+
 
 class PlacedRobots(NamedTuple):
     """Estimated positions of N robots."""

@@ -99,7 +99,7 @@ def _virtual_force(
 ):  # fmt: skip
     """Sum Eqs. (1) to (3) on a robot, from the first `placed` robots of its structure."""
     force = _connected_force(gains, robot, base, placed, ramp, attract_inward, measured, robots)
-    if gains.undocked != NO_DOCKS:
+    if gains.undocked != NO_DOCKS and measured.is_gone[robot] == 0:
         force += _undocked_force(gains, robot, base, structure, ramp, measured, robots, cells)
     if gains.height_last == 0.0:
         force[2] += gains.height_gain * _height_missing(measured, robot, robots.position[robot, 2])
@@ -188,11 +188,17 @@ def _step_of(gains: Ref, robot, force, share, measured: Ref, robots: Ref):
 
 
 @ti.func
-def _move(gains: Ref, robot, base, structure, step, robots: Ref, cells: Ref):
+def _docks_in_cells(robot, measured: Ref, robots: Ref):
+    """Count the docks of a robot that are in the cell list: none of a robot that has left."""
+    return (1 - measured.is_gone[robot]) * robots.dock_offset.shape[1]
+
+
+@ti.func
+def _move(gains: Ref, robot, base, structure, step, measured: Ref, robots: Ref, cells: Ref):
     """Let a robot that has been placed take a step, its docks in the cell list with it."""
     docks = robots.dock_offset.shape[1]
     there = vector_at(robots.position, robot) + step  # as rounded, so that docks are found again
-    for k in range(docks):
+    for k in range(_docks_in_cells(robot, measured, robots)):
         item = (robot - base) * docks + k
         old = cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing)
         new = cube_of(there + vector_in(robots.dock_offset, robot, k), 1.0 / gains.spacing)
@@ -206,7 +212,7 @@ def localize_in_join_order(
     gains_table: Reals2, start: Ints1, placed_before: Ints1,
     # LogArrays
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
-    is_planar: Ints1,
+    is_planar: Ints1, is_gone: Ints1,
     head_out: Ints2, following_out: Ints2,  # CellList of the robots placed before
     dock_offset: Reals3, position_out: Reals2,  # PlacedRobots
     trace_position_out: Reals3, step_length_out: Reals2, steps_out: Ints1,  # Trace
@@ -228,7 +234,9 @@ def localize_in_join_order(
         start: First robot of each structure, shape (S + 1,).
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
-    measured = ti.static(LogArrays(contact_start, contact, initial_direction, height, is_planar))
+    measured = ti.static(
+        LogArrays(contact_start, contact, initial_direction, height, is_planar, is_gone)
+    )
     cells = ti.static(CellList(head_out, following_out))
     robots = ti.static(PlacedRobots(dock_offset, position_out))
     trace = ti.static(Trace(trace_position_out, step_length_out, steps_out))
@@ -263,7 +271,7 @@ def localize_in_join_order(
                         moved = step.norm()
                         here += step
                 steps_out[robot] = taken
-                for k in range(dock_offset.shape[1]):
+                for k in range(_docks_in_cells(robot, measured, robots)):
                     item = (robot - base) * dock_offset.shape[1] + k
                     link(cells, s, item, cube_of(_dock_at(robots, robot, k), 1.0 / gains.spacing))
                 placed = robot - base + 1
@@ -277,7 +285,7 @@ def localize_in_join_order(
                             )
                             share = ti.select(j > base, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
-                            _move(gains, j, base, s, step, robots, cells)
+                            _move(gains, j, base, s, step, measured, robots, cells)
                             there = vector_at(position_out, j)
                             _record(trace, frame + sweep // trace_every, j, there, step.norm())
                             steps_out[j] += j > base

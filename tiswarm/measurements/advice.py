@@ -223,7 +223,7 @@ def advise(
         change = question.change(further)
         modes = _rank(jacobian, question.motions.of_robots(), size)
         if kind == "position":
-            modes -= question.fixes_gauge[1:]
+            modes -= question.fixes_gauge[further.robot[::size]]
         before, after = np.nan, modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
         if posterior is not None:
@@ -320,7 +320,10 @@ def advise_together(
 
 
 def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
-    """List contacts of close docks, and the height and the position of each but the anchor."""
+    """List contacts of close docks, and the height and the position of each but the anchor.
+
+    Nobody can measure robots that have left.
+    """
     final, precision = odometry.final, Precision()
     docks = center[:, None] + odometry.arm[final]
     later, own, earlier, its = close_docks(log, docks, SPACING + _GAP).T
@@ -330,12 +333,13 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
     yield _Candidates("contact", Measurements.gather(odometry, [contacts]), 1)
     kinds: list[tuple[Kind, Reals]] = [("height", np.eye(3)[2:]), ("position", np.eye(3))]
     for kind, axes in kinds:
-        stance = np.repeat(final[1:], len(axes))
+        there = np.flatnonzero(~log.is_gone[1:]) + 1
+        stance = np.repeat(final[there], len(axes))
         places = Coordinates.of(
             stance,
             np.full_like(stance, CENTER),
-            np.tile(axes, (len(final) - 1, 1)),
-            (center[1:] @ axes.T).ravel(),
+            np.tile(axes, (len(there), 1)),
+            (center[there] @ axes.T).ravel(),
             variance=precision.height**2,
         )
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
@@ -347,9 +351,11 @@ def _ranges(log: SensingLog, odometry: Odometry, pair: Images) -> _Candidates:
     change, (i, j) = np.abs(second - first), log.ranges[:, :2].astype(np.int64).T
     change[first > log.ranges[:, 2].max() / log.dock_radius] = 0.0
     change[i, j] = change[j, i] = 0.0
+    change[log.gone] = change[:, log.gone] = 0.0
     robot, other = np.arange(len(change)), change.argmax(axis=1)
     later, earlier = np.maximum(robot, other), np.minimum(robot, other)
     chosen = np.unique(np.column_stack([later, earlier])[later > earlier], axis=0)
+    chosen = chosen[~log.is_gone[chosen].any(axis=1)]
     later, earlier = chosen.T
     center = np.full(len(chosen), CENTER)
     sd = float(np.median(log.ranges[:, 3])) / log.dock_radius

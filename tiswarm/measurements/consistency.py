@@ -29,8 +29,6 @@ _ALLOWED_GAP = 0.05
 _MOST_PAIRS = 4_000_000
 """Pairs of coordinates that are compared; of more than 2,000, a sample is compared with all."""
 
-HEADER_LINES = 1
-
 
 class Contradiction(NamedTuple):
     """Contacts that cannot all be true."""
@@ -43,11 +41,9 @@ class Contradiction(NamedTuple):
 
 
 def contradictions(log: SensingLog) -> list[Contradiction]:
-    """Find the contradictions of a log, in the order of its lines."""
+    """Find the contradictions of a log, in join order."""
     found = [*_by_height(log), *_by_chain(log, measure(log, ["contacts"]))]
-    return [
-        Contradiction(HEADER_LINES + 1 + joiner, problem) for joiner, problem in sorted(set(found))
-    ]
+    return [Contradiction(log.line_of(joiner), problem) for joiner, problem in sorted(set(found))]
 
 
 def stuck_robots(log: SensingLog) -> Ints:

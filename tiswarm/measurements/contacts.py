@@ -100,6 +100,8 @@ def spans(group: AnyInts, direction: Reals, groups: int, weight: float | Reals =
 def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:
     """List docks of different robots that are close to each other and not in contact.
 
+    Robots that have left have no docks: later ones may stand in their places.
+
     Args:
         log: What was sensed.
         point: Centers of the docks, shape (N, docks, 3).
@@ -112,6 +114,7 @@ def close_docks(log: SensingLog, point: Reals, within: float) -> Ints:
     shape = (robots, docks, robots, docks)
     pair = dock_pairs(point, within)
     in_contact = np.ravel_multi_index(tuple(log.contacts.T), shape)
+    pair = pair[~log.is_gone[pair[:, [0, 2]]].any(axis=1)]
     apart = pair[~np.isin(np.ravel_multi_index(tuple(pair.T), shape), in_contact)]
     return apart[:, [2, 3, 0, 1]]
 

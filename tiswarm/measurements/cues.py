@@ -156,6 +156,16 @@ def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Of
     )  # fmt: skip
 
 
+def _displacements(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:  # noqa: ARG001
+    """The vector between two centers was measured, at the end or at an earlier stance."""
+    stance, rows = _of_all_stances("displacements", log, odometry)
+    other, center = odometry.final[rows[:, 0].astype(np.int64)], np.full_like(stance, CENTER)
+    body_axes = dock_offsets(odometry.orientation_wxyz[stance], np.eye(3))
+    vector = (rows[:, None, 1:4] @ body_axes)[:, 0] / log.dock_radius
+    sd = rows[:, 4] / log.dock_radius
+    return Offsets.of(stance, center, other, center, vector, along_sd=sd, across_sd=sd)
+
+
 def _touches(log: SensingLog, odometry: Odometry, precision: Precision) -> Distances:
     """Docks that are not known touched, at the end or at an earlier stance."""
     stance, rows = _of_all_stances("touches", log, odometry)
@@ -191,6 +201,7 @@ CUES: list[tuple[tuple[str, ...], _Producer]] = [
     (("ranges",), _ranges),
     (("directions",), _directions),
     (("touches",), _touches),
+    (("displacements",), _displacements),
 ]
 """Every producer, after the names of the cues that must be in use for it."""
 
@@ -286,8 +297,8 @@ def measure(
 def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     """Sort rows, and drop those that a dock which stays put repeats at its next stance.
 
-    Where the direction of a contact was measured, its rows replace the distance. All ranges and
-    fixes count, those of the same robots or along the same axis, too.
+    Where the direction of a contact was measured, its rows replace the distance. All ranges,
+    displacements and fixes count, those of the same robots or along the same axis, too.
     """
     d, o, p, walks = rows.distances, rows.offsets, rows.places, rows.odometry
     docks = len(log.dock_offset_body)
@@ -304,6 +315,7 @@ def _once_each(rows: Measurements, log: SensingLog) -> Measurements:
     of_distance, of_offset = np.split(number, [len(d.stance)])
     after_distance, after_offset = np.split(following, [len(d.stance)])
     has_direction = np.isin(of_distance, np.concatenate([of_offset, after_offset]))
+    has_direction &= rows.is_contact[: len(d.stance)]
     order = np.argsort(of_distance, kind="stable")
     order = order[~(np.isin(after_distance, number) | has_direction)[order]]
     directed = np.argsort(of_offset, kind="stable")

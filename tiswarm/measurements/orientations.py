@@ -166,8 +166,8 @@ def _without(log: SensingLog, is_lost: Bools) -> SensingLog:
     """Leave out what docks of some robots, shape (N,), sensed or were sensed at."""
     final, earlier = {}, {}
     for key, kinds in STANCE_LISTS.items():
-        if "dock" in kinds:
-            ends = [0, 2] if "robot" in kinds else [0]
+        if "dock" in kinds or key == "displacements":
+            ends = [0, 2] if "robot" in kinds[1:] else [0]
             rows = getattr(log, key)
             final[key] = rows[~is_lost[rows[:, ends].astype(np.int64)].any(axis=1)]
             if log.stances is not None and len(ends) > 1:

@@ -124,10 +124,12 @@ def _directions(draw: np.random.Generator) -> Reals:
 def _is_free(log: SensingLog, arms: Reals, robot: int, position: Reals, places: Reals) -> Bools:
     """Find the places where docks that do not touch keep D from all earlier ones, shape (n,)."""
     free = np.ones(len(places), np.bool_)
+    if log.is_gone[robot]:
+        return free
     touched = log.contacts[log.contacts[:, 2] == robot]
     for dock in range(arms.shape[1]):
         others = position[:robot, None] + arms[:robot]
-        is_apart = np.ones(others.shape[:2], np.bool_)
+        is_apart = np.repeat(~log.is_gone[:robot, None], others.shape[1], axis=1)
         # Docks in contact may be a little nearer than D, by noise.
         is_apart[tuple(touched[touched[:, 3] == dock, :2].T)] = False
         if is_apart.any():

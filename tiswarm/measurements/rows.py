@@ -106,8 +106,8 @@ class Offsets(NamedTuple):
         other_dock: AnyInts,
         vector: Reals,
         *,
-        along_sd: float,
-        across_sd: float,
+        along_sd: float | Reals,
+        across_sd: float | Reals,
     ) -> "Offsets":
         """Make the rows of n vectors other than 0, with standard deviations [R].
 
@@ -117,11 +117,11 @@ class Offsets(NamedTuple):
             other_stance: Stance of the other robot, shape (n,).
             other_dock: Its dock, shape (n,).
             vector: Vectors in the world frame [R], shape (n, 3).
-            along_sd: Standard deviation of their lengths.
-            across_sd: Standard deviation across, along each of two axes.
+            along_sd: Standard deviation of their lengths, of all or of each, shape (n,).
+            across_sd: Standard deviation across, along each of two axes, as for lengths.
         """
         axis = _frames(vector / np.linalg.norm(vector, axis=1, keepdims=True))
-        sd = np.array([along_sd, across_sd, across_sd])
+        along, across = (np.broadcast_to(sd, len(vector)) for sd in (along_sd, across_sd))
         number = np.column_stack([stance, dock, other_stance, other_dock]).astype(np.int64)
         thrice = np.repeat(number, _AXES, axis=0)
         return cls(
@@ -131,7 +131,7 @@ class Offsets(NamedTuple):
             other_dock=thrice[:, 3],
             vector=np.repeat(vector, _AXES, axis=0),
             axis=axis.reshape(-1, _AXES),
-            own_variance=np.tile(sd**2, len(vector)),
+            own_variance=np.column_stack([along, across, across]).ravel() ** 2,
         )
 
 

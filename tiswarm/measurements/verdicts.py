@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Ints, Reals
-from tiswarm.measurements.consistency import HEADER_LINES
 from tiswarm.measurements.contacts import parts, reach
 from tiswarm.measurements.cues import Measured, measure
 from tiswarm.measurements.odometry import CENTER, UNKNOWN
@@ -166,11 +165,11 @@ def describe_outliers(log: SensingLog, path: Path, estimate: Estimate) -> Iterat
     rows = [*_outlier_pairs(log, estimate), *_outlier_places(log, estimate)]
     for robot, stance, key, what in rows:
         of_robot = key in {"flip_height", "spawn_position"} or stance == flips[robot]
-        place = f"{_line(path, robot)}: {'' if of_robot else f'stances[{stance}].'}{key}"
+        place = f"{_line(log, path, robot)}: {'' if of_robot else f'stances[{stance}].'}{key}"
         yield f"{place}: robot {name[robot]}'s {what} is an outlier"
     for robot in [] if estimate.outlier_robots is None else estimate.outlier_robots.tolist():
         yield (
-            f"{_line(path, robot)}: orientation_wxyz: robot {name[robot]}'s orientation is an "
+            f"{_line(log, path, robot)}: orientation_wxyz: robot {name[robot]}'s orientation is an "
             "outlier: its measurements all disagree; look at its IMU"
         )
 
@@ -181,8 +180,8 @@ def named(log: SensingLog, rows: AnyInts, most: int = MOST_SHOWN) -> str:
     return counted(len(rows), "robot") + (f" ({', '.join(names)})" if names else "")
 
 
-def _line(path: Path, robot: int) -> str:
-    return f"{path}:{HEADER_LINES + 1 + robot}"
+def _line(log: SensingLog, path: Path, robot: int) -> str:
+    return f"{path}:{log.line_of(robot)}"
 
 
 def _fitting(estimate: Estimate) -> Iterator[str]:
@@ -229,9 +228,14 @@ def _outlier_pairs(log: SensingLog, estimate: Estimate) -> Iterator[_Outlier]:
     if estimate.outlier_contacts is None:
         return
     name = log.robot_id.tolist()
-    directed = set(map(tuple, measure(log, ["directions"]).sensed_contacts.tolist()))
+    directed, displaced = (
+        set(map(tuple, measure(log, [cue]).sensed_contacts.tolist()))
+        for cue in ("directions", "displacements")
+    )
     for robot, stance, own, other, dock in estimate.outlier_contacts.tolist():
-        if own == CENTER:
+        if (robot, stance, own, other, dock) in displaced:
+            yield robot, stance, "displacements", f"displacement to robot {name[other]}"
+        elif own == CENTER:
             yield robot, stance, "ranges", f"range to robot {name[other]}"
         elif UNKNOWN in (own, dock):
             yield robot, stance, "touches", f"touch of robot {name[other]}"

@@ -177,6 +177,10 @@ class Estimate:
     """Whether solutions put the robot farther apart than its sd within one of them, shape (N,);
     None where the method does not look for several."""
 
+    gone: Bools | None = None
+    """Whether each robot has left, so that its position is where it last stood, shape (N,); None
+    where none has."""
+
     free_frame: tuple[str, ...] = ()
     """Rigid motions of all robots that change no measurement: "rotation" about every axis through
     the anchor, "axis" about one axis, and "hand", a mirror image. `sd` is that of the shape
@@ -269,6 +273,8 @@ class Estimate:
             found[f"sd_{unit}"] = self.sd.tolist()
         if self.observability is not None:
             found["known"] = self.known
+        if self.gone is not None:
+            found["gone"] = np.where(self.gone, "yes", "no").tolist()
         if self.yaw is not None:
             found["yaw_deg"] = np.degrees(self.yaw).tolist()
         if self.undetermined is not None:

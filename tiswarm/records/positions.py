@@ -23,6 +23,7 @@ from tiswarm.records.sensing_log import SensingLog
 
 _WORDS = {
     "known": ("yes", "mirrored", "floppy", "disconnected"),
+    "gone": ("yes", "no"),
     "undetermined": ("x", "y", "z", "xy", "xz", "yz", "xyz"),
 }
 """Words that the cells of a column may have, besides none."""
@@ -118,6 +119,7 @@ def read_estimate(log: SensingLog, path: Path) -> Estimate:
         if axes is None
         else np.array([[*map(w.count, "xyz")] for w in axes[order]], np.bool_),
         yaw=None if yaw_deg is None else np.radians(yaw_deg[order]),
+        gone=log.is_gone if log.gone.size else None,
         mirrored=known == "mirrored" if (known != "").all() else None,
         observability=Observability(
             cues=(),
@@ -190,4 +192,4 @@ def read_length_unit(path: Path) -> str:
 
 def _header(length_unit: str) -> list[str]:
     lengths = [f"{name}_{length_unit}" for name in ("x", "y", "z", "sd")]
-    return ["robot", *lengths, "known", "yaw_deg", "undetermined"]
+    return ["robot", *lengths, "known", "gone", "yaw_deg", "undetermined"]

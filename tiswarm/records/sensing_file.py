@@ -19,6 +19,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.records.io import at_line, numbered_lines, replacing
 from tiswarm.records.mcap_file import sensing_lines
 from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_events import EVENT_VERSION, parse_line
 from tiswarm.records.sensing_format import (
     FORMAT,
     NEW_LISTS,
@@ -26,7 +27,6 @@ from tiswarm.records.sensing_format import (
     ROBOT_NUMBERS,
     STANCE_LISTS,
     parse_header,
-    parse_robot,
 )
 from tiswarm.records.sensing_log import SensingLog, canonical_contacts
 
@@ -56,7 +56,7 @@ def read_sensing_log(path: Path) -> SensingLog:
         builder = SensingLogBuilder(parse_header(text))
     for number, text in lines:
         with at_line(path, number):
-            builder.add(parse_robot(text))
+            builder.take(parse_line(text, builder.header))
     if number == 1:
         problem = "there are no robots; add a line for each, the anchor first"
         raise InputError(problem, path=path, line=2)
@@ -76,8 +76,9 @@ def write_sensing_log(log: SensingLog, path: Path) -> None:
 
 
 def log_entries(log: SensingLog) -> Iterator[dict[str, Any]]:
-    """Yield the content of each line of a sensing file: the header, then robot by robot."""
-    return chain([_header_entries(log)], _robot_entries(log))
+    """Yield the content of each line of a sensing file: the header, robot by robot, who left."""
+    left = ({"event": "leave", "robot": robot} for robot in log.robot_id[log.gone].tolist())
+    return chain([_header_entries(log)], _robot_entries(log), left)
 
 
 def check_header(log: SensingLog) -> None:
@@ -88,7 +89,7 @@ def check_header(log: SensingLog) -> None:
 def _header_entries(log: SensingLog) -> dict[str, object]:
     entries: dict[str, object] = {
         "format": FORMAT,
-        "version": 2 if _needs_version_2(log) else 1,
+        "version": _version(log),
         "dock_radius": log.dock_radius,
         "dock_offsets": log.dock_offset_body.tolist(),
         "anchor_position": log.anchor_position.tolist(),
@@ -135,11 +136,14 @@ def _robot_entries(log: SensingLog) -> Iterator[dict[str, object]]:
         yield entries
 
 
-def _needs_version_2(log: SensingLog) -> bool:
+def _version(log: SensingLog) -> int:
+    """Return the first version that has all keys and events of a log."""
+    if len(log.gone):
+        return EVENT_VERSION
     states_new = any(getattr(log.noise, key, None) is not None for key in NEW_NOISE)
     has_null = bool(np.isnan(log.orientation_wxyz).any())
     is_new = states_new or has_null or bool(log.source_name)
-    return is_new or any(_is_used(key, log) for key in NEW_LISTS)
+    return 2 if is_new or any(_is_used(key, log) for key in NEW_LISTS) else 1
 
 
 def _is_used(key: str, log: SensingLog) -> bool:

@@ -3,7 +3,8 @@
 A header comes first, then one robot a line, the anchor first. Each line is a JSON object, and an
 optional key may be left out or null. A new optional key takes three declarations: its type in
 `RobotLine` or `StanceEntry`, its entry in `ROBOT_NUMBERS` or `STANCE_LISTS`, and its array in
-`SensingLog` or `Stances`. Reader and writer loop over the entries.
+`SensingLog` or `Stances`. Reader and writer loop over the entries. Events are in
+`sensing_events.py`.
 """
 
 import json
@@ -11,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +22,6 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetPydanticSchema,
-    TypeAdapter,
     ValidationError,
     model_validator,
 )
@@ -33,7 +33,7 @@ from tiswarm.records.messages import dotted, explain, shown
 from tiswarm.records.sensing_log import FARTHEST, SensingNoise
 
 FORMAT = "tiswarm-sensing"
-VERSIONS = (1, 2)
+VERSIONS = (1, 2, 3)
 """Versions of the format; a log is written as the first that has all of its keys."""
 
 MOST_DOCKS = 64
@@ -94,8 +94,11 @@ _Direction = Annotated[tuple[int, int, int, float, float, float], _AS_LIST]
 _Directions = Annotated[list[_Direction], Field(fail_fast=True)]
 _Connection = Annotated[tuple[int, int, int, float, float, float, float], _AS_LIST]
 _Connections = Annotated[list[_Connection], Field(fail_fast=True)]
+_Displacement = Annotated[tuple[int, float, float, float, float], _AS_LIST]
+_Displacements = Annotated[list[_Displacement], Field(fail_fast=True)]
 _Touch = Annotated[tuple[int | None, int, int | None], _AS_LIST]
-_Touches = Annotated[list[_Touch], Field(fail_fast=True)]
+Touches = Annotated[list[_Touch], Field(fail_fast=True)]
+Name = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 
 
 class SourceEntry(BaseModel):
@@ -113,7 +116,7 @@ class HeaderLine(BaseModel):
     model_config = STRICT
 
     format: Literal["tiswarm-sensing"]
-    version: Literal[1, 2]
+    version: Literal[1, 2, 3]
     dock_radius: _Radius
     """Radius of a dock sphere [length unit]."""
 
@@ -205,7 +208,8 @@ class StanceEntry(BaseModel):
     ranges: _Ranges | None = None
     directions: _Directions | None = None
     connections: _Connections | None = None
-    touches: _Touches | None = None
+    touches: Touches | None = None
+    displacements: _Displacements | None = None
 
 
 class RobotLine(BaseModel):
@@ -213,7 +217,7 @@ class RobotLine(BaseModel):
 
     model_config = STRICT
 
-    robot: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
+    robot: Name
     """Name, an integer that no other robot has."""
 
     orientation_wxyz: _Quaternion | None
@@ -245,9 +249,14 @@ class RobotLine(BaseModel):
     y, z]: a unit quaternion from the body of the other robot, which is on an earlier line, to the
     own body. Version 2."""
 
-    touches: _Touches | None = None
+    touches: Touches | None = None
     """Contacts of unknown docks, rows of [own dock or null, other robot, other dock or null], at
     least one of them null; the other robot is on an earlier line. Version 2."""
+
+    displacements: _Displacements | None = None
+    """Measured vectors between centers, rows of [other robot, x, y, z, sd] [length unit]: from the
+    own center to that of the other robot, which is on an earlier line, in the own body frame. The
+    sd holds along each axis, beside the noise of the own orientation. Version 2."""
 
     flip_height: float | None = None
     """Height of the center that the flips imply [length unit]."""
@@ -258,6 +267,10 @@ class RobotLine(BaseModel):
     stances: Annotated[list[StanceEntry], Field(fail_fast=True)] | None = None
     """Stances before the final one, in time order."""
 
+    event: Literal["replace"] | None = None
+    """Replace: this is the line of a robot that has one, and that has sensed more since. Version
+    3."""
+
 
 STANCE_LISTS = {
     "contacts": ("dock", "robot", "dock"),
@@ -267,17 +280,21 @@ STANCE_LISTS = {
     "directions": ("dock", "robot", "dock", *("number",) * 3),
     "connections": ("dock", "robot", "dock", *("number",) * 4),
     "touches": ("dock or null", "robot", "dock or null"),
+    "displacements": ("robot", *("number",) * 4),
 }
 """Lists of every stance, in the order in which they are written, and the numbers in an item.
 
 The log has an array for each list: a row for each item, after a column that names the stance. A
 dock that is null is -1 there, as is a source that is left out or null; others are indices."""
 
-REPEATABLE = ("fixes", "ranges")
+REPEATABLE = ("fixes", "ranges", "displacements")
 """Lists whose items may be equal: a device may measure twice, and get the same number."""
 
-NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches")
+NEW_LISTS = ("fixes", "ranges", "directions", "connections", "touches", "displacements")
 """Lists that version 1 does not have."""
+
+CONTACT_LISTS = ("contacts", "directions", "connections", "touches")
+"""Lists whose items start with docks that touch: own dock, other robot, other dock."""
 
 NEW_NOISE = ("direction_deg", "connection_deg")
 """Keys of the noise that version 1 does not have."""
@@ -288,6 +305,8 @@ ROBOT_NUMBERS: dict[str, float | list[float]] = {
 }
 """Optional numbers of a robot, with the value that stands in the log where a line has none."""
 
+
+_Model = TypeVar("_Model", bound=BaseModel)
 
 Line = str | Mapping[str, object]
 """A line of a sensing file, as text or as the value of its JSON."""
@@ -300,13 +319,14 @@ def line_text(line: Line) -> str:
 
 def parse_header(text: str) -> HeaderLine:
     """Read the first line; an InputError names the key at fault, but neither file nor line."""
-    entries = _parse_json(text)
+    entries = parse_json(text)
     if entries.get("format") != FORMAT:
         problem = f'the first line is not a header; start it with {{"format": "{FORMAT}", ...'
         raise InputError(problem, key="format")
     version = entries.get("version", VERSIONS[-1])
     if type(version) is not int or version not in VERSIONS:
-        known = " and ".join(map(str, VERSIONS))
+        known = ", ".join(map(str, VERSIONS[:-1]))
+        known = f"{known} and {VERSIONS[-1]}"
         problem = f"{shown(version)} is not supported; this program reads versions {known}"
         raise InputError(problem, key="version")
     try:
@@ -316,16 +336,20 @@ def parse_header(text: str) -> HeaderLine:
 
 
 def parse_robot(text: str) -> RobotLine:
-    """Read a further line; an InputError names the key at fault, but neither file nor line."""
+    """Read the line of a robot that joins; errors as for `parse_header`."""
+    entries = parse_json(text)
+    if (event := entries.get("event")) is not None:
+        problem = "is about a robot that has joined; give the line of one that joins"
+        raise InputError(f"{shown(event)} {problem}", key="event")
+    return parsed(entries, RobotLine)
+
+
+def parsed(entries: dict[str, object], model: type[_Model]) -> _Model:
+    """Check the content of a line; errors as for `parse_header`."""
     try:
-        return RobotLine.model_validate(_parse_json(text))
+        return model.model_validate(entries)
     except ValidationError as found:
-        raise _mistake(found, RobotLine) from found
-
-
-def line_schema() -> dict[str, object]:
-    """Return the JSON Schema of a line, the header or a robot."""
-    return TypeAdapter(HeaderLine | RobotLine).json_schema()
+        raise _mistake(found, model) from found
 
 
 def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
@@ -348,7 +372,8 @@ def _mistake(found: ValidationError, model: type[BaseModel]) -> InputError:
     return InputError(explain(error, allowed or list(model.model_fields)), key=dotted(path))
 
 
-def _parse_json(text: str) -> dict[str, object]:
+def parse_json(text: str) -> dict[str, object]:
+    """Read a line as a JSON object; errors as for `parse_header`."""
     if not text.strip():
         raise InputError("the line is empty; delete it")
     try:

@@ -9,7 +9,7 @@ import pydantic
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.params import STRICT
 from tiswarm.records.messages import counted
 
@@ -99,6 +99,9 @@ class Stances:
     touches: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 4), np.int32))
     """Touches as in `SensingLog`, rows that start with the stance, shape (H, 4)."""
 
+    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Displacements as in `SensingLog`, rows that start with the stance, shape (V, 6)."""
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SensingLog:
@@ -106,8 +109,8 @@ class SensingLog:
 
     Robots are numbered 0 to N - 1 in join order; robot 0 is the anchor. The log holds no true
     position except the anchor's. Rows of lists, here and in `stances`, are sorted, so two logs with
-    equal content have equal arrays. They are unique but for fixes and ranges, which a device may
-    repeat.
+    equal content have equal arrays. They are unique but for fixes, ranges and displacements, which
+    a device may repeat.
     """
 
     robot_id: Ints
@@ -165,6 +168,11 @@ class SensingLog:
     """Contacts of unknown docks at the final stance, rows of (robot, dock or -1, earlier robot, its
     dock or -1), shape (H, 4). A dock that is not known is -1."""
 
+    displacements: Reals = field(default_factory=lambda: np.empty((0, 6)))
+    """Measured vectors from the final center to that of an earlier robot, rows of (robot, other
+    robot, vector in the robot's body frame (3), standard deviation along each axis), shape (V, 6).
+    The standard deviation is without the noise of the robot's orientation."""
+
     flip_height: Reals
     """Height of the center inferred from the flip history; NaN where missing, shape (N,)."""
 
@@ -184,6 +192,13 @@ class SensingLog:
     """Standard deviation of the error that all measurements of a source share [log unit], shape
     (sources,)."""
 
+    gone: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """Robots that have left, ascending, shape (G,). What they sensed and what others sensed of them
+    stays, and is about where they last stood; later robots may stand there, too."""
+
+    line: Ints | None = None
+    """Line of each robot in its file, shape (N,); None where robots follow the header in order."""
+
     length_unit: str = "R"
     """Name of the log's unit of length."""
 
@@ -195,6 +210,15 @@ class SensingLog:
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot has left, shape (N,)."""
+        return np.isin(np.arange(self.robot_count), self.gone)
+
+    def line_of(self, robot: int) -> int:
+        """Return the number of a robot's line in its file, the header being 1."""
+        return 2 + robot if self.line is None else int(self.line[robot])
 
     @property
     def size(self) -> str:

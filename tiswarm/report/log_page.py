@@ -14,6 +14,7 @@ from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted, percent
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.page import Page
+from tiswarm.report.page_pictures import Shown
 from tiswarm.report.page_tables import MOST_ROWS, PageTable
 from tiswarm.report.space import MOST_ROBOTS, SD, Coloring, View, space_data, view_data
 from tiswarm.report.swarm_view import SwarmView
@@ -28,6 +29,7 @@ def gather_log_page(
     warnings: Sequence[str],
     notes: Sequence[str],
     advice: Sequence[Mapping[str, str]],
+    figures: Sequence[Shown],
 ) -> Page:
     """Gather what the page of a log shows.
 
@@ -39,6 +41,7 @@ def gather_log_page(
         warnings: What makes the estimate doubtful.
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
+        figures: How measurements narrow the place of a robot.
     """
     return Page(
         name=name,
@@ -49,6 +52,7 @@ def gather_log_page(
         headline=_summary(view, estimate, scores),
         tables=[*_solutions(view, estimate), *_advice(advice)],
         view=_space(view, estimate),
+        figures=figures,
         rows=_robots(view, estimate),
         rows_example="mirrored" if "mirrored" in estimate.known else "floppy",
     )
@@ -161,7 +165,8 @@ def _advice(rows: Sequence[Mapping[str, str]]) -> Iterator[PageTable]:
 def _space(view: SwarmView, estimate: Estimate) -> View:
     """Show the estimate, then each solution."""
     radius, unit = view.log.dock_radius, view.log.length_unit
-    sd = np.where(estimate.disconnected, np.nan, view.sd)
+    gone = view.log.is_gone
+    sd = np.where(estimate.disconnected | gone, np.nan, view.sd)
     values = [("error", view.error), (SD, sd)]
     colorings = [Coloring(label, unit, value * radius) for label, value in values]
     shown = [view_data(replace(view, name="estimate"), colorings)]
@@ -177,6 +182,8 @@ def _space(view: SwarmView, estimate: Estimate) -> View:
         values = [("distance from the estimate", away), (SD, sd)]
         shown.append(view_data(moved, [Coloring(label, unit, value) for label, value in values]))
     notes = []
+    if estimate.sd is not None and gone.any():
+        notes.append("Where sd is the color, robots that have left are gray.")
     if estimate.sd is not None and estimate.disconnected.any():
         notes.append(
             "Where sd is the color, robots that are disconnected from the anchor are gray."
@@ -204,6 +211,8 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
         if np.isfinite(values).any():
             columns[f"{label} [{unit}]"] = ["" if math.isnan(v) else f"{v:.3g}" for v in values]
     columns["contacts"] = [str(many) for many in contact_count(log)]
+    if estimate.gone is not None:
+        columns["gone"] = ["yes" if gone else "" for gone in estimate.gone.tolist()]
     if estimate.observability is not None:
         columns["known"] = estimate.known
     left_out = len(view.robot) - MOST_ROWS
@@ -219,5 +228,8 @@ def _robots(view: SwarmView, estimate: Estimate) -> PageTable:
     )
     note += f" {counted(left_out, 'more robot')} in the estimate's file." if left_out > 0 else ""
     return PageTable(
-        frame=pd.DataFrame(columns).head(MOST_ROWS), words=["known"], title="Robots", note=note
+        frame=pd.DataFrame(columns).head(MOST_ROWS),
+        words=["gone", "known"],
+        title="Robots",
+        note=note,
     )

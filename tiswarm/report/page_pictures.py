@@ -104,6 +104,16 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
     return pictures
 
 
+def show_drawing(file: str, caption: str, drawing: bytes, stacked: bytes) -> Shown:
+    """Embed a figure that was encoded as SVG, and the same one for narrow screens.
+
+    `file` is the name that the page gives it.
+    """
+    wide, width = _drawn(Path(file), drawing)
+    narrow, _ = _drawn(Path(file), stacked)
+    return Shown("", file, caption, 0, 0, wide=round(width), drawing=wide, stacked=narrow)
+
+
 def _place(path: Path) -> tuple[int, str]:
     """Return the place of a picture among others: first the ones that show most."""
     first = (place for place, name in enumerate(_FIRST) if path.stem.startswith(name))
@@ -114,9 +124,9 @@ def _shown(path: Path) -> Shown:
     """Read a picture, or the SVG beside it, without its caption."""
     vector = path.with_suffix(".svg")
     if path.parent.name == "figures" and vector.exists():
-        drawing, width = _drawn(vector)
+        drawing, width = _drawn(vector, _read(vector))
         stacked = path.with_name(f"{path.stem}{STACKED}.svg")
-        narrow = _drawn(stacked)[0] if stacked.exists() else ""
+        narrow = _drawn(stacked, _read(stacked))[0] if stacked.exists() else ""
         return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, stacked=narrow)
     kind, data, (width, height) = _encoded(path)
     share = {"renders": _RENDER_SHARE}.get(path.parent.name, _FIGURE_SHARE)
@@ -142,14 +152,18 @@ def _encoded(path: Path) -> tuple[str, bytes, tuple[int, int]]:
         raise _unreadable(path, error) from error
 
 
-def _drawn(path: Path) -> tuple[str, float]:
-    """Read an SVG as an element of the page, in its colors; returns its width too [pixels].
+def _read(vector: Path) -> bytes:
+    """Read a file of an SVG."""
+    return run_file(vector, LARGEST).read_bytes()
+
+
+def _drawn(path: Path, data: bytes) -> tuple[str, float]:
+    """Write an SVG as an element of the page, in its colors; returns its width too [pixels].
 
     What a figure does not need, such as a script, is left out: others may have made the file.
     """
-    run_file(path, LARGEST)
     try:
-        root = ET.fromstring(path.read_bytes())  # noqa: S314 - expat limits expansion
+        root = ET.fromstring(data)  # noqa: S314 - expat limits expansion
         width = float(root.attrib["viewBox"].split()[2]) * _PIXELS
         return "".join(_written(root)), width
     except (ET.ParseError, LookupError, ValueError) as error:

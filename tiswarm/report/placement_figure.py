@@ -9,8 +9,16 @@ import numpy as np
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import write_bytes
+from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import ESTIMATE_ORANGE, PAGE_WIDTH, TRUE_BLUE, new_figure
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    ESTIMATE_ORANGE,
+    PAGE_WIDTH,
+    TRUE_BLUE,
+    new_figure,
+)
+from tiswarm.report.page_pictures import Shown, show_drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,18 +28,40 @@ _MOST_POINTS = 3_000
 _VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
 _MARGIN = 1.0
 _MOST_COLUMNS = 8
+_BARS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # lengths of the scale bar [R]
+_LONGEST_BAR = 0.4  # of the width of a panel
+_PAGE_DPI = 150  # of the points of a figure on a page
 
 
 class Panel(NamedTuple):
-    """A column of the figure."""
+    """What one more measurement leaves."""
 
     title: str
     places: Reals
     """Places that remain [R], shape (n, 3)."""
 
 
-def write_placement(path: Path, panels: Sequence[Panel], center: Reals, docks: Reals) -> None:
-    """Write the figure, as vectors if the name ends in .pdf; arguments of `draw_placement`.
+class Placement(NamedTuple):
+    """Places of a robot by measurement, and what is around them."""
+
+    panels: Sequence[Panel]
+    """One for each measurement, the first one first."""
+
+    center: Reals
+    """Where the robot was estimated to be [R], shape (3,)."""
+
+    docks: Reals
+    """Centers of the docks of robots that joined earlier [R], shape (n, 3)."""
+
+    radius: float = 1.0
+    """R in the log's unit."""
+
+    unit: str = "R"
+    """The log's unit."""
+
+
+def write_placement(path: Path, placement: Placement) -> None:
+    """Write the figure, as vectors if the name ends in .pdf.
 
     Raises:
         InputError: the name ends in neither .png nor .pdf.
@@ -42,35 +72,72 @@ def write_placement(path: Path, panels: Sequence[Panel], center: Reals, docks: R
         raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
     encode = figure_style.pdf if path.suffix == ".pdf" else figure_style.png
     with style.context(["default", figure_style.STYLE]):
-        write_bytes(path, encode(draw_placement(panels, center, docks)))
+        write_bytes(path, encode(draw_placement(placement)))
 
 
-def draw_placement(panels: Sequence[Panel], center: Reals, docks: Reals) -> "Figure":
+def show_placement(placement: Placement, caption: str) -> Shown:
+    """Draw the figure for a page, in columns and, for narrow screens, in rows."""
+    from matplotlib import style
+
+    with style.context(["default", figure_style.STYLE]):
+        figures = [draw_placement(placement, in_rows=rows) for rows in (False, True)]
+        for figure in figures:
+            figure.set_dpi(_PAGE_DPI)
+        wide, narrow = map(figure_style.svg, figures)
+    return show_drawing("explain.svg", caption, wide, narrow)
+
+
+def draw_placement(placement: Placement, *, in_rows: bool = False) -> "Figure":
     """Draw the places that remain after each measurement, seen from two sides.
 
-    Args:
-        panels: One for each measurement.
-        center: Where the robot was estimated to be [R], shape (3,).
-        docks: Centers of the docks of robots that joined earlier [R], shape (n, 3).
+    Measurements are columns, or rows of a figure as wide as a column of a paper.
     """
-    panels = panels[:_MOST_COLUMNS]
-    height = 0.6 + len(_VIEWS) * PAGE_WIDTH / max(len(panels), 4)
-    figure = new_figure(PAGE_WIDTH, height)
+    panels = placement.panels[:_MOST_COLUMNS]
+    figure, grid = _grid(len(panels), in_rows=in_rows)
     middle = panels[0].places.mean(axis=0)
     half = abs(panels[0].places - middle).max() + _MARGIN
-    near = docks[(abs(docks - middle) <= half + 1.0).all(axis=1)]
+    near = placement.docks[(abs(placement.docks - middle) <= half + 1.0).all(axis=1)]
     limits = np.column_stack([middle - half, middle + half])
-    axes = figure.subplots(len(_VIEWS), len(panels), squeeze=False)
-    for row, (title, view) in zip(axes, _VIEWS.items(), strict=True):
-        for column, panel in zip(row, panels, strict=True):
-            _draw(column, panel.places[:, view], center[[*view]], near[:, view])
-            column.set(xlim=limits[view[0]], ylim=limits[view[1]], aspect="equal")
-            column.set_xticks([])
-            column.set_yticks([])
-        row[0].set_ylabel(title)
-    for column, panel in zip(axes[0], panels, strict=True):
-        column.set_title(panel.title.replace(" of ", "\nof "), fontsize=7.0)
+    for panel, views in zip(panels, grid, strict=True):
+        for axes, view in zip(views, _VIEWS.values(), strict=True):
+            _draw(axes, panel.places[:, view], placement.center[[*view]], near[:, view])
+            axes.set(xlim=limits[view[0]], ylim=limits[view[1]], aspect="equal")
+            axes.set_xticks([])
+            axes.set_yticks([])
+        title = panel.title.replace(" of ", "\nof ")
+        if in_rows:
+            views[0].set_ylabel(title, fontsize=6.0, parse_math=False)
+        else:
+            views[0].set_title(title, fontsize=7.0, parse_math=False)
+    for axes, title in zip(grid[0], _VIEWS, strict=True):
+        if in_rows:
+            axes.set_title(title, fontsize=7.0)
+        else:
+            axes.set_ylabel(title)
+    _add_scale(grid[0][-1], limits, placement)
     return figure
+
+
+def _grid(panels: int, *, in_rows: bool) -> "tuple[Figure, list[list[Axes]]]":
+    """Make a figure and its axes: for each panel, one for each view."""
+    views = len(_VIEWS)
+    if in_rows:
+        figure = new_figure(COLUMN_WIDTH, 0.3 + panels * (COLUMN_WIDTH - 0.4) / views)
+        return figure, [[*row] for row in figure.subplots(panels, views, squeeze=False)]
+    figure = new_figure(PAGE_WIDTH, 0.6 + views * PAGE_WIDTH / max(panels, 4))
+    return figure, [[*column] for column in figure.subplots(views, panels, squeeze=False).T]
+
+
+def _add_scale(axes: "Axes", limits: Reals, placement: Placement) -> None:
+    """Add a bar of a round number of R below a panel, with its length in the log's unit too."""
+    size = float(limits[0, 1] - limits[0, 0])
+    length = max(step for step in _BARS if step <= max(_LONGEST_BAR * size, _BARS[0]))
+    text = f"{length:g} R"
+    if placement.unit != "R":
+        text += f" = {three_digits(length * placement.radius)} {placement.unit}"
+    left, low = limits[list(_VIEWS.values())[-1], 0] + 0.04 * size
+    axes.plot([left, left + length], [low, low], color="black", linewidth=1.5, gid="scale")
+    axes.text(left, low + 0.03 * size, text, fontsize=6.0, parse_math=False)
 
 
 def _draw(axes: "Axes", places: Reals, center: Reals, docks: Reals) -> None:
@@ -80,7 +147,8 @@ def _draw(axes: "Axes", places: Reals, center: Reals, docks: Reals) -> None:
     size = np.full(len(docks), 2.0)
     circles = EllipseCollection(
         size, size, np.zeros(len(docks)), units="xy", offsets=docks,
-        offset_transform=axes.transData, facecolor="0.93", edgecolor="0.75", linewidth=0.3,
+        offset_transform=axes.transData, facecolor=(0.5, 0.5, 0.5, 0.15),
+        edgecolor=(0.5, 0.5, 0.5, 0.5), linewidth=0.3, rasterized=True,
     )  # fmt: skip
     axes.add_collection(circles)
     some = np.random.default_rng(0).permutation(places)[:_MOST_POINTS]

@@ -155,7 +155,7 @@ class _HopByHopSwarm:
     ) -> None:
         """Place the anchor."""
         self.robots = rows.robots
-        self.non_overlap = non_overlap
+        self.non_overlap, self.is_gone = non_overlap, log.is_gone
         self.part = parts(rows)
         self.docks = rows.odometry.arm[rows.odometry.final]
         self.position = np.zeros((self.robots + 1, 3))
@@ -294,8 +294,10 @@ class _HopByHopSwarm:
         """Compute the chi-square of docks in the way at points (n, K, 3), shape (n, K)."""
         if not self.non_overlap:
             return np.zeros(point.shape[:2])
-        there = (self.position[:-1, None] + self.docks)[self.is_placed[:-1]].reshape(-1, 3)
+        is_there = self.is_placed[:-1] & ~self.is_gone
+        there = (self.position[:-1, None] + self.docks)[is_there].reshape(-1, 3)
         dock = point[:, :, None] + self.docks[robots][:, None]
         overlap = np.maximum(SPACING - cKDTree(there).query(dock)[0], 0.0)
         square: Reals = ((overlap / _OVERLAP_SD) ** 2).sum(axis=2)
+        square[self.is_gone[robots]] = 0.0
         return square

@@ -29,6 +29,9 @@ class Traits(Flag):
     TOUCHES = auto()
     """Some entry of the contacts is a touch."""
 
+    GONE = auto()
+    """Some robot has left, so that its docks are in nobody's way."""
+
 
 class KernelVariant(NamedTuple):
     """The same for functions of kernels, which ask in `ti.static`."""
@@ -47,6 +50,9 @@ class KernelVariant(NamedTuple):
 
     has_touches: bool
     """Whether `TOUCHES` is."""
+
+    has_gone: bool
+    """Whether `GONE` is."""
 
 
 def variant_of(docks: int, traits: Traits) -> KernelVariant:
@@ -79,7 +85,7 @@ class Robots(NamedTuple):
 
     STRUCTURE: Structure that the robot is of.
     NUMBER: Join number within it; 0 is the anchor.
-    NON_OVERLAP: Whether docks that do not touch repel.
+    NON_OVERLAP: Whether docks that do not touch repel; those of a robot that has left never do.
     SUBTREE: Subtree that the robot belongs to.
     CONTACT, CONTACT_END: First entry of its contacts, and the one after their last.
     PLANE, PLANE_END: First of its planes, and the one after their last.

@@ -56,11 +56,21 @@ def sigma_of(i, step: Ref, robots: Ref):
 
 
 @ti.func
-def _push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref):
+def _is_there(robot, variant: Static, robots: Ref):
+    """Whether a robot's docks are in the way of others: not if it has left."""
+    there = 1
+    if ti.static(variant.has_gone):
+        there = robots.label[robot, NON_OVERLAP]
+    return there == 1
+
+
+@ti.func
+def _push_of_overlaps(r, i, variant: Static, slope, robots: Ref, grid: Ref, rows: Ref, swarm: Ref):
     """Sum the forces of docks that are too near to copy r, with their stiffness and inertia.
 
     Integers make the sum independent of the order of a row.
     """
+    docks = ti.static(variant.docks)
     here = vector_at(swarm.position, r)
     own = ti.Matrix([[swarm.arm[r, k, c] for c in range(3)] for k in range(docks)])
     units = ti.cast(with_torque(0.0 * here, here), ti.i64)
@@ -70,7 +80,8 @@ def _push_of_overlaps(r, docks: Static, slope, grid: Ref, rows: Ref, swarm: Ref)
     for e in range(rows.count[r]):
         other = rows.entry[rows.first[r] + e * grid.entry_stride] >> (grid.own_bits + 1)
         between = here - vector_at(swarm.position, other)
-        if between.norm_sqr() < grid.near * grid.near:
+        is_near = between.norm_sqr() < grid.near * grid.near
+        if is_near and _is_there(other - r + i, variant, robots):
             for m in range(docks):
                 its = ti.Vector([swarm.arm[other, m, c] for c in range(3)])
                 off = between - its
@@ -140,7 +151,7 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
         r, i, slope, square, variant, robots, measured.contacts, swarm
     )
     if robots.label[i, NON_OVERLAP] == 1:
-        push, hardness, lag = _push_of_overlaps(r, variant.docks, slope, grid, rows, swarm)
+        push, hardness, lag = _push_of_overlaps(r, i, variant, slope, robots, grid, rows, swarm)
         pull += push
         stiffness += hardness
         inertia += lag

@@ -31,7 +31,7 @@ def initial_guess(log: SensingLog, problem: Problem, seed: int, chains: int) -> 
     toward = np.concatenate([across, -across])
     partner = np.concatenate([problem.other, problem.robot])
     rows = _rows(np.concatenate([problem.robot, problem.other]), log.robot_count)
-    is_range = np.tile(~problem.rows.is_contact[problem.link], 2)
+    is_range = np.tile(~problem.rows.is_contact[problem.link] & ~problem.is_offset, 2)
     length = np.tile(problem.length, 2)
     place, is_measured = problem.sensed_place()
     guess[:, 0] = log.anchor_position / log.dock_radius

@@ -28,8 +28,8 @@ def batch_key(log: SensingLog, params: JointParams) -> Hashable:
     parts = [part for part in (log, log.stances) if part is not None]
     is_directed = "directions" in params.cues and any(len(part.directions) for part in parts)
     has_touches = "touches" in params.cues and any(len(part.touches) for part in parts)
-    docks = len(log.dock_offset_body)
-    return (docks, is_directed, has_touches, params.seed, chains, steps, params.hold_steps)
+    traits = (len(log.dock_offset_body), is_directed, has_touches, bool(len(log.gone)))
+    return (*traits, params.seed, chains, steps, params.hold_steps)
 
 
 def localize_batch(

@@ -72,6 +72,20 @@ class Problem:
     yaw_precision: float
     """Precision of a bias of yaw that is solved for [rad^-2], 0 if none is."""
 
+    gone: Ints
+    """Robots that have left, whose docks are in nobody's way, shape (G,)."""
+
+    @property
+    def is_gone(self) -> Bools:
+        """Whether each robot has left, shape (N,)."""
+        return np.isin(np.arange(len(self.part)), self.gone)
+
+    @property
+    def is_present(self) -> Bools:
+        """Which links are of robots that have not left, shape (C,)."""
+        is_present: Bools = np.logical_not(self.is_gone[self.pair].any(axis=1))
+        return is_present
+
     @property
     def untied(self) -> Bools:
         """Robots of parts that nothing ties to the world, shape (N,)."""
@@ -252,6 +266,7 @@ def pose_problem(
         part=parts(rows),
         connections=None if log.orientation_sd is None else connections_of(log),
         yaw_precision=bias**-2 if is_solved else 0.0,
+        gone=log.gone,
     )
     apart = _separating(problem, log.anchor_position / log.dock_radius, params.height_sd)
     every = zip(problem.planes, apart, strict=True)

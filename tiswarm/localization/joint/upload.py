@@ -75,6 +75,8 @@ def traits_of(problems: Sequence[Problem], *, by_block: bool) -> Traits:
         traits |= Traits.OFFSETS
     if any(p.is_touch.any() for p in problems):
         traits |= Traits.TOUCHES
+    if any(len(p.gone) for p in problems):
+        traits |= Traits.GONE
     return traits
 
 
@@ -100,12 +102,14 @@ def measured_arrays(
     size = [len(p.part) for p in problems]
     number = np.concatenate([np.arange(robots) for robots in size])[order]
     own = np.concatenate([np.diff(tree.first) for tree in trees])
+    pairs = zip(params, problems, strict=True)
+    repels = np.concatenate([p.non_overlap & ~e.is_gone for p, e in pairs])[order]
     contact, contacts = _contact_arrays(memory, problems, params, order)
     plane, planes = _plane_array(memory, problems, params, order)
     label = {
         STRUCTURE: np.repeat(np.arange(len(size)), size),
         NUMBER: number,
-        NON_OVERLAP: np.repeat([int(p.non_overlap) for p in params], size),
+        NON_OVERLAP: repels.astype(np.int64),
         SUBTREE: np.repeat(np.arange(len(own)), own),
         CONTACT: contact[:-1],
         CONTACT_END: contact[1:],
@@ -148,7 +152,7 @@ def _contact_arrays(
     touch[:, is_touch] = np.arange(2 * len(arms)).reshape(2, -1)
     label = {
         PARTNER: other,
-        IS_FINAL: np.concatenate([e.is_final for e in problems]).astype(np.int64),
+        IS_FINAL: np.concatenate([e.is_final & e.is_present for e in problems]).astype(np.int64),
         IS_OWN: np.ones_like(robot),
         TOUCH: touch[0],
     }

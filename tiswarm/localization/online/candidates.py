@@ -135,8 +135,8 @@ def _overlap(block: Block, place: Reals, state: Configuration, shapes: Shapes) -
     center = place.mean(axis=0)
     spread = float(np.linalg.norm(place - center, axis=1).max())
     away = np.linalg.norm(state.position - center, axis=1)
-    # It does not overlap with itself.
-    away[own] = np.inf
+    # It does not overlap with itself, nor with robots that have left.
+    away[[own, *shapes.gone]] = np.inf
     near = np.flatnonzero(away < reach + spread)
     point = state.position[near, None] + turned_docks(state, shapes, near)
     mine = place[:, None] + shapes.arm[own]

@@ -32,7 +32,11 @@ class LocalLayers:
         """Standard deviation of each position [R], shape (N,)."""
         self._sharing: list[set[int]] = []
         self._touching: dict[int, set[tuple[int, int, int]]] = {}
-        self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
+        self.gone: set[int] = set()
+        """Robots that have left; what was sensed of them stays."""
+        self._shapes = Shapes(
+            np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching, self.gone
+        )
 
     @property
     def mean(self) -> Reals:
@@ -54,11 +58,9 @@ class LocalLayers:
         self.state = Configuration(*(np.concatenate([each, zero]) for each in self.state))
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
-        arm, turn_sd, every = self._shapes
-        self._shapes = Shapes(
-            np.concatenate([arm, block.arm[None]]),
-            np.concatenate([turn_sd, block.turn_sd[None]]),
-            every,
+        self._shapes = self._shapes._replace(
+            arm=np.concatenate([self._shapes.arm, block.arm[None]]),
+            turn_sd=np.concatenate([self._shapes.turn_sd, block.turn_sd[None]]),
         )
 
     def place(self, number: int) -> Reals:

@@ -1,12 +1,7 @@
 """Lines of robots as a tracker takes them: what it refuses, and what it leaves out."""
 
-from collections.abc import Iterator
-from typing import TypeVar
-
 from tiswarm.base.errors import InputError
-from tiswarm.records.sensing_format import STANCE_LISTS, HeaderLine, RobotLine, StanceEntry
-
-_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
+from tiswarm.records.sensing_format import STANCE_LISTS, HeaderLine, RobotLine
 
 
 def standing(line: RobotLine) -> RobotLine:
@@ -16,37 +11,25 @@ def standing(line: RobotLine) -> RobotLine:
     )
 
 
-def entries(line: RobotLine) -> Iterator[RobotLine | StanceEntry]:
-    """Yield the stances of a robot, the final one first."""
-    yield line
-    yield from line.stances or []
+def mentioned(line: RobotLine) -> set[int]:
+    """List the robots that any stance of a robot names."""
+    return {
+        item[kinds.index("robot")]
+        for entry in (line, *(line.stances or []))
+        for key, kinds in STANCE_LISTS.items()
+        if "robot" in kinds
+        for item in getattr(entry, key) or []
+    }
 
 
-def named(entry: RobotLine | StanceEntry) -> list[int]:
-    """List the robots that a stance names."""
-    lists = [(getattr(entry, key) or [], kinds) for key, kinds in STANCE_LISTS.items()]
-    pairs = [
-        (item, kinds.index("robot")) for items, kinds in lists if "robot" in kinds for item in items
-    ]
-    return [item[place] for item, place in pairs]
-
-
-def without(line: RobotLine, robot: int) -> RobotLine:
-    """Leave out what a line says of a robot; the line itself if it says nothing."""
-    if not any(robot in named(entry) for entry in entries(line)):
-        return line
-    stances = line.stances and [_cleared(entry, robot) for entry in line.stances]
-    return _cleared(line, robot).model_copy(update={"stances": stances})
-
-
-def _cleared(entry: _Entry, robot: int) -> _Entry:
-    """Drop the items of a stance that name a robot."""
-    kept = {}
-    for key, kinds in STANCE_LISTS.items():
-        items = getattr(entry, key)
-        if items and "robot" in kinds:
-            kept[key] = [item for item in items if item[kinds.index("robot")] != robot]
-    return entry.model_copy(update=kept)
+def released(line: RobotLine, contact: tuple[int | None, int, int | None]) -> RobotLine:
+    """Drop the items of the final stance that begin with these docks in contact."""
+    kept = {
+        key: [item for item in items if tuple(item[:3]) != contact]
+        for key, kinds in STANCE_LISTS.items()
+        if kinds[1:2] == ("robot",) and (items := getattr(line, key))
+    }
+    return line.model_copy(update=kept)
 
 
 def refuse_header(head: HeaderLine) -> None:
@@ -64,6 +47,6 @@ def refuse_line(line: RobotLine) -> None:
     if line.orientation_wxyz is None:
         problem = "null follows from the lines of later robots, too; choose method joint"
         raise InputError(problem, key="orientation_wxyz")
-    if any(entry.touches for entry in entries(line)):
+    if line.touches or any(entry.touches for entry in line.stances or []):
         problem = "online cannot find docks that are unknown; leave touches out, or choose joint"
         raise InputError(problem, key="touches")

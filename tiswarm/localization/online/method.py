@@ -7,9 +7,11 @@ placed as they join: the first frame is the error at joining, the last one that 
 import json
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
+from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
 from tiswarm.localization.assessment import rms
 from tiswarm.localization.joint.problem import pose_problem
@@ -43,18 +45,28 @@ def localize_batch(
     Returns:
         One estimate a log: the final answer of its tracker. An iteration of the trace is a number
         of joins. The residual is as for `joint`.
+
+    Raises:
+        InputError: orientations were chained by connections; robots share errors then.
     """
+    for log in logs:
+        if log.orientation_sd is not None and len(log.connections):
+            shared = "robots share errors of orientations that were chained; choose method joint"
+            raise InputError(shared, key="connections")
     estimates = []
     total, joined = sum(log.robot_count for log in logs), 0
     for log, p in zip(logs, params, strict=True):
         # Through text, as the lines of real robots come: one way in.
-        header, *robots = map(json.dumps, log_entries(log))
+        header, *robots = map(json.dumps, islice(log_entries(log), 1 + log.robot_count))
         tracker = Tracker(header, p)
         every = np.unique(np.linspace(1, len(robots), _FRAMES).astype(np.int64))
         at_join = np.empty((len(robots), 3))
         frames = []
         for count, line in enumerate(robots, start=1):
             tracker.join(line)
+            # The log does not say when: a robot that will have left is in nobody's way.
+            if count - 1 in log.gone:
+                tracker.leave(int(log.robot_id[count - 1]))
             at_join[count - 1] = tracker.positions[-1]
             if count in every:
                 frames.append(tracker.positions)

@@ -47,6 +47,9 @@ class Shapes(NamedTuple):
     touching: Mapping[int, AbstractSet[tuple[int, int, int]]]
     """By robot, its docks in contact: its own, an earlier robot, and the dock of that one."""
 
+    gone: AbstractSet[int]
+    """Robots that have left, whose docks are in nobody's way."""
+
 
 class Linearized(NamedTuple):
     """The cost near a state: cost + 2 slope . step + step . information . step.
@@ -113,6 +116,7 @@ class Neighborhood:
         # Three axes share the variance.
         stays = np.zeros(robots) if sd is None else sd / np.sqrt(_AXES)
         self._stays = np.where(self._column < 0, stays, 0.0)
+        self._is_there = ~np.isin(np.arange(robots), [*shapes.gone])
         self._reach = 2.0 * float(np.linalg.norm(shapes.arm, axis=2).max()) + SPACING
 
     def linearized(self, state: Configuration) -> Linearized:
@@ -252,7 +256,8 @@ class Neighborhood:
         robot = self.moving[row]
         # A pair that may both move is listed once.
         is_first = (robot > other) | ((robot < other) & (self._column[other] < 0))
-        pair = np.column_stack([robot, other])[is_first]
+        is_there = self._is_there[robot] & self._is_there[other]
+        pair = np.column_stack([robot, other])[is_first & is_there]
         return pair.max(axis=1), pair.min(axis=1)
 
     def solved(self, state: Configuration) -> tuple[Configuration, Linearized]:

@@ -79,10 +79,10 @@ def follow(
 def _answered(
     tracker: Tracker, number: int, raw: bytes, name: Path, on_refused: Callable[[str], None]
 ) -> dict[str, object]:
-    """Let the robot of a line join, and say what changed; or say why the line is refused."""
+    """Take a line, and say what changed; or say why the line is refused."""
     try:
         with at_line(name, number):
-            change = tracker.join(_text(raw, name, number))
+            change = tracker.take(_text(raw, name, number))
     except InputError as mistake:
         on_refused(f"{mistake}; skipped")
         return {"line": number, "refused": ": ".join(filter(None, (mistake.key, mistake.problem)))}

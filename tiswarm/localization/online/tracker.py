@@ -6,8 +6,8 @@ The whole structure is annealed, from where it is, once it has grown by a tenth.
 in R, and relative to the anchor.
 """
 
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +21,13 @@ from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
-    entries,
-    named,
+    mentioned,
     refuse_header,
     refuse_line,
+    released,
     standing,
-    without,
 )
-from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.online.neighborhood import Neighborhood
 from tiswarm.localization.online.settings import (
     TIMES,
 )
@@ -36,6 +35,7 @@ from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_events import parse_line
 from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
@@ -89,10 +89,6 @@ class Tracker:
         self._params, self._head = chosen, head
         self._unit, self._anchor = head.dock_radius, np.array(head.anchor_position)
         self._lines: dict[int, RobotLine] = {}
-        self._start()
-
-    def _start(self) -> None:
-        """Begin without robots."""
         self._builder = SensingLogBuilder(self._head)
         self._index: dict[int, int] = {}
         self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
@@ -120,6 +116,25 @@ class Tracker:
         scaled: Reals = self._layers.sd * self._unit
         return scaled
 
+    @property
+    def gone(self) -> Ints:
+        """Names of the robots that have left, in join order, shape (G,)."""
+        return self.names[sorted(self._layers.gone)]
+
+    @program.exclusive()
+    def take(self, line: Line) -> Change:
+        """Take the next line of a sensing file: a robot that joins, or an event.
+
+        Raises:
+            InputError: as for `join`, `update`, `leave` and `release`. Nothing changes then.
+        """
+        entry = parse_line(line_text(line), self._head)
+        if entry.event == "leave":
+            return self.leave(entry.robot)
+        if entry.event == "release":
+            return self.release(entry.robot, entry.contacts)
+        return self._updated(entry) if entry.event == "replace" else self._joined(entry)
+
     @program.exclusive()
     def join(self, robot: Line) -> Change:
         """Add the next robot; the first one is the anchor.
@@ -131,11 +146,7 @@ class Tracker:
             InputError: the line is malformed, or says what a tracker cannot use. The robot leaves
                 no trace then.
         """
-        line = parse_robot(line_text(robot))
-        refuse_line(line)
-        before = self._layers.mean
-        annealed = self._join(line)
-        return self._change(before, annealed=annealed)
+        return self._joined(parse_robot(line_text(robot)))
 
     @program.exclusive()
     def update(self, robot: Line) -> Change:
@@ -145,44 +156,46 @@ class Tracker:
             robot: Its new line, which names robots that joined before it, as the first one did.
 
         Raises:
-            InputError: the line is malformed, or no such robot has joined. Nothing changes then.
+            InputError: the line is malformed, or no such robot is there. Nothing changes then.
         """
-        line = parse_robot(line_text(robot))
-        refuse_line(line)
-        self._require(line.robot)
-        before = self._layers.mean
-        self._rebuild({**self._lines, line.robot: line}, {line.robot})
-        annealed = self._settle([self._index[line.robot]])
-        return self._change(before, annealed=annealed)
+        return self._updated(parse_robot(line_text(robot)))
 
     @program.exclusive()
     def leave(self, robot: int) -> Change:
-        """Remove a robot, with all that later robots sensed of it.
+        """Mark a robot as gone. What was sensed of it stays; later robots may stand in its place.
 
         Args:
             robot: Its name.
 
-        Returns:
-            Who moved of those that stay.
+        Raises:
+            InputError: no such robot is there, or it is the anchor. Nothing changes then.
+        """
+        self._builder.leave(robot)
+        self._layers.gone.add(self._index[robot])
+        return self._change(self._layers.mean, annealed=False)
+
+    @program.exclusive()
+    def release(self, robot: int, contacts: Sequence[tuple[int | None, int, int | None]]) -> Change:
+        """Drop contacts that a robot has let go of.
+
+        Args:
+            robot: Its name.
+            contacts: Rows of (own dock, name of the other robot, its dock).
 
         Raises:
-            InputError: no such robot has joined, or it is the anchor. Nothing changes then.
+            InputError: the two do not touch so, or one of them is not there. Nothing changes then.
         """
-        self._require(robot)
-        number = self._index[robot]
-        if number == 0:
-            raise InputError("the anchor holds all others; start anew from another one")
-        stay = {name: line for name, line in self._lines.items() if name != robot}
-        lines = {name: without(line, robot) for name, line in stay.items()}
-        changed = {name for name in stay if lines[name] is not stay[name]}
-        before = np.delete(self._layers.mean, number, axis=0)
-        self._rebuild(lines, changed)
-        annealed = self._settle([self._index[name] for name in sorted(changed)])
+        before = self._layers.mean
+        self._builder.release(robot, contacts)
+        owners = []
+        for own, name, its in contacts:
+            contact, owner = (own, name, its), robot
+            if self._index[name] > self._index[robot]:
+                contact, owner = (its, robot, own), name
+            self._lines[owner] = released(self._lines[owner], contact)
+            owners.append(self._index[owner])
+        annealed = self._measured_anew({*owners}, sorted({*owners}))
         return self._change(before, annealed=annealed)
-
-    def _require(self, robot: int) -> None:
-        if robot not in self._index:
-            raise InputError(f"robot {robot} has not joined; join it first", key="robot")
 
     def neighborhood(self, robots: Ints) -> Neighborhood:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
@@ -230,6 +243,26 @@ class Tracker:
             residual=rms(gap[None]) * self._unit,
         )
 
+    def _joined(self, line: RobotLine) -> Change:
+        """Add a robot, and solve for what is near."""
+        refuse_line(line)
+        before = self._layers.mean
+        annealed = self._join(line)
+        return self._change(before, annealed=annealed)
+
+    def _updated(self, line: RobotLine) -> Change:
+        """Take a new line of a robot, and solve for what is near."""
+        refuse_line(line)
+        before = self._layers.mean
+        # The builder refuses what is wrong before anything changes.
+        self._builder.replace(line)
+        self._lines[line.robot] = line
+        number = self._index[line.robot]
+        # Blocks of later robots know which way its docks point.
+        about = [k for k, block in enumerate(self._layers.blocks) if number in block.members]
+        annealed = self._measured_anew({number, *about}, [number])
+        return self._change(before, annealed=annealed)
+
     def _join(self, line: RobotLine) -> bool:
         """Add a checked robot, and solve for what is near; return whether all was annealed."""
         # A line that is refused here or in the builder leaves no trace.
@@ -264,8 +297,7 @@ class Tracker:
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
-        mentioned = {other for entry in entries(line) for other in named(entry)}
-        earlier = {self._index[name] for name in mentioned if name in self._index}
+        earlier = {self._index[name] for name in mentioned(line) if name in self._index}
         own = self._index.get(line.robot, len(self._index))
         members = sorted(earlier | {0}) if own else []
         names = list(self._index)
@@ -276,32 +308,24 @@ class Tracker:
         every = np.array([*members, own], np.int64)
         return block_of(centered(builder.log()), self._params, every)
 
-    def _rebuild(self, lines: dict[int, RobotLine], changed: AbstractSet[int]) -> None:
-        """Take other lines, and measure those of some robots anew; positions stay.
+    def _measured_anew(self, changed: AbstractSet[int], solved: list[int]) -> bool:
+        """Measure the rows of some robots anew, and solve for what is near some of them.
 
-        An InputError leaves everything as it was.
+        Positions are where they were before; return whether all robots were annealed.
         """
-        builder = SensingLogBuilder(self._head)
-        for line in lines.values():
-            builder.add(line)
-        # Nothing has changed so far: the builder refuses what is wrong.
-        kept = {name: self._index[name] for name in lines}
-        before, annealed_at = self._layers, self._annealed_at
-        self._start()
-        self._builder, self._lines, self._annealed_at = builder, lines, annealed_at
-        self._index = {name: number for number, name in enumerate(kept)}
-        renumbered = np.zeros(len(before.blocks), np.int64)
-        old = np.array(list(kept.values()))
-        renumbered[old] = np.arange(len(old))
-        now = self._layers
-        for name, number in kept.items():
-            block = before.blocks[number]
-            block = replace(block, members=renumbered[block.members])
-            block = self._measured(lines[name]) if name in changed else block
-            now.append(block, self._touching(lines[name]))
-        now.places = [before.places[number] for number in kept.values()]
-        now.state = Configuration(*(each[old] for each in before.state))
-        now.shift, now.sd = before.shift[old], before.sd[old]
+        before = self._layers
+        self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
+        for number, line in enumerate(self._lines.values()):
+            block = self._measured(line) if number in changed else before.blocks[number]
+            self._layers.append(block, self._touching(line))
+        self._layers.places, self._layers.state = before.places, before.state
+        self._layers.shift, self._layers.sd = before.shift, before.sd
+        self._layers.gone.update(before.gone)
+        for number in solved:
+            # Where it may be by fewer or other rows; without partners, anywhere.
+            self._layers.places[number] = np.empty((0, _AXES))
+            self._layers.place(number)
+        return self._settle(solved)
 
     def _touching(self, line: RobotLine) -> set[tuple[int, int, int]]:
         """List the docks of a robot in contact, as `Shapes` has them."""

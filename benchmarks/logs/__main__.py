@@ -1,0 +1,125 @@
+"""Runs methods on the benchmark's logs, or grades estimates that somebody else made.
+
+    python -m benchmarks.logs joint least-squares                # methods of tiswarm
+    python -m benchmarks.logs scipy gtsam isam2                  # needs pip install '.[bench]'
+    python -m benchmarks.logs chain --plugin chain.py            # a method of yours
+    python -m benchmarks.logs --estimates my-estimates           # NAME.csv for each NAME.jsonl
+    python -m benchmarks.logs joint --logs tower-a room          # some logs
+
+The table has a row a log and method, and the summary one a method. Both are written to --out, too.
+"""
+
+import argparse
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import tiswarm
+from benchmarks.logs.grade import Bound, Grade, grade, refused, summary
+from benchmarks.logs.limit import tied_robots
+from tiswarm.base.errors import TiswarmError
+from tiswarm.base.plugins import load_plugins
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.positions import read_estimate, read_positions_of
+from tiswarm.records.sensing_log import SensingLog
+
+FOLDER = Path(__file__).parent / "data"
+PEERS = ("scipy", "gtsam", "isam2")
+
+
+def main() -> int:
+    """Grade methods or estimates, and print and write the tables."""
+    options = _options()
+    bounds = _bounds(options.logs)
+    load_plugins(options.plugin)
+    if set(PEERS) & set(options.methods):
+        import benchmarks.logs.peers  # noqa: F401, PLC0415 - needs an extra
+    grades: list[Grade] = []
+    for found in _graded(options, bounds):
+        grades.append(found)
+        print(_line(found), flush=True)
+    table = pd.DataFrame([asdict(each) for each in grades])
+    total = summary(table)
+    options.out.mkdir(parents=True, exist_ok=True)
+    table.to_csv(options.out / "grades.csv", index=False, float_format="%.4g")
+    total.to_csv(options.out / "summary.csv", index=False, float_format="%.4g")
+    print(f"\n{total.to_string(index=False, float_format='{:.3g}'.format)}")
+    print(f"\ntables in {options.out}")
+    return 0
+
+
+def _graded(options: argparse.Namespace, bounds: list[Bound]) -> Iterator[Grade]:
+    """Localize each log by each method, or read its estimate, and grade it."""
+    for bound in bounds:
+        log = tiswarm.read_log(FOLDER / f"{bound.log}.jsonl")
+        truth = read_positions_of(log, FOLDER / f"{bound.log}.truth.csv")
+        tied = tied_robots(log)
+        if options.estimates is not None:
+            path = options.estimates / f"{bound.log}.csv"
+            if path.exists():
+                estimate = read_estimate(log, path)
+                yield grade(options.estimates.name, bound, estimate, truth, tied, np.nan)
+            continue
+        for method in options.methods:
+            begun = time.process_time()
+            try:
+                found: Estimate = _localized(log, method)
+            except TiswarmError as problem:
+                yield refused(method, bound, str(problem).partition(";")[0])
+                continue
+            yield grade(method, bound, found, truth, tied, time.process_time() - begun)
+
+
+def _localized(log: SensingLog, method: str) -> Estimate:
+    with warnings.catch_warnings():
+        # Verdicts are in the table.
+        warnings.simplefilter("ignore")
+        return tiswarm.localize(log, method)
+
+
+def _line(found: Grade) -> str:
+    """Describe a grade in a line."""
+    if np.isnan(found.rmse):
+        return f"{found.log:<22} {found.method:<16} {found.verdict}"
+    over = "open" if np.isnan(found.over_limit) else f"{found.over_limit:.2f} times the limit"
+    silent = ", SILENT" if found.silent else ""
+    return f"{found.log:<22} {found.method:<16} {found.rmse:.3g} R, {over}, {found.verdict}{silent}"
+
+
+def _bounds(names: list[str]) -> list[Bound]:
+    """Read the limits of some logs, of all if none is named."""
+    table = pd.read_csv(FOLDER / "limits.csv")
+    if unknown := set(names) - set(table["log"]):
+        sys.exit(f"benchmarks.logs: there is no log {min(unknown)}; see {FOLDER / 'limits.csv'}")
+    chosen = table[table["log"].isin(names)] if names else table
+    keys = [field.name for field in fields(Bound)]
+    return [
+        Bound(**dict(zip(keys, row, strict=True))) for row in chosen[keys].itertuples(index=False)
+    ]
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.logs",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("methods", nargs="*", metavar="METHOD", help="names of methods")
+    parser.add_argument("--plugin", nargs="*", default=[], type=Path, help="files with methods")
+    parser.add_argument("--estimates", type=Path, metavar="FOLDER", help="estimates to grade")
+    parser.add_argument("--logs", nargs="*", default=[], metavar="NAME", help="some logs alone")
+    parser.add_argument("--out", type=Path, default=Path("reports/logs"))
+    options = parser.parse_args()
+    if bool(options.methods) == bool(options.estimates):
+        parser.error("name methods, or a folder of estimates")
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())
