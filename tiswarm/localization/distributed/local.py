@@ -6,9 +6,10 @@ the anchor.
 """
 
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,13 +19,22 @@ from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import Whereabouts, read_line, rounding_sd
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
-from tiswarm.localization.online.lines import entries, named, standing, without
+from tiswarm.localization.online.lines import mentioned, standing
 from tiswarm.localization.online.neighborhood import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered
 from tiswarm.records.sensing_builder import SensingLogBuilder
-from tiswarm.records.sensing_format import HeaderLine, RobotLine, line_text, parse_header
+from tiswarm.records.sensing_format import (
+    STANCE_LISTS,
+    HeaderLine,
+    RobotLine,
+    StanceEntry,
+    line_text,
+    parse_header,
+)
+
+_Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 
 _AXES = 3
 _STEPS = 2
@@ -72,7 +82,7 @@ class Program:
 
     def partners(self, line: bytes) -> set[int]:
         """List the robots that a line has rows about."""
-        return {other for entry in entries(self.decoded(line)) for other in named(entry)}
+        return mentioned(self.decoded(line))
 
 
 class Solved(NamedTuple):
@@ -187,14 +197,13 @@ class LocalSwarm:
         if number not in lines:
             return self._renumbered(_measured(program.header, self._params, _ANCHOR, ()))
         line = program.decoded(lines[number])
-        mentioned = program.partners(lines[number])
-        for other in mentioned - lines.keys():
-            line = without(line, other)
+        partners = program.partners(lines[number])
+        line = _about(line, lines.keys())
         if stays is not None:
             line = _held(line, stays, _head(program.header))
         if not number:
             return self._renumbered(_measured(program.header, self._params, _text(line), ()))
-        members = sorted((mentioned & lines.keys()) | {0})
+        members = sorted((partners & lines.keys()) | {0})
         standing_lines = tuple(
             _text(standing(program.decoded(lines[each]))) if each in lines else _ANCHOR
             for each in members
@@ -230,6 +239,21 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
             "height_sd": float(np.hypot(params.height_sd, rounding)),
         }
     )
+
+
+def _about(line: RobotLine, robots: AbstractSet[int]) -> RobotLine:
+    """Leave of a line what it says of some robots, and of its own."""
+
+    def cleared(entry: _Entry) -> _Entry:
+        kept = {
+            key: [item for item in items if item[kinds.index("robot")] in robots]
+            for key, kinds in STANCE_LISTS.items()
+            if "robot" in kinds and (items := getattr(entry, key))
+        }
+        return entry.model_copy(update=kept)
+
+    stances = line.stances and [cleared(entry) for entry in line.stances]
+    return cleared(line).model_copy(update={"stances": stances})
 
 
 def _held(line: RobotLine, place: Whereabouts, head: HeaderLine) -> RobotLine:

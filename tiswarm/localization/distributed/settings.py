@@ -1,6 +1,6 @@
 """Constants of robots that localize themselves, each with its unit and its reason. Lengths in R.
 
-Chosen on towers and cantilevers of the seeds 1000 to 1009, which no result is reported on.
+Chosen on towers and cantilevers of the seeds 1000 to 1005, which no result is reported on.
 """
 
 from dataclasses import dataclass
