@@ -29,6 +29,7 @@ assert tiswarm.read_log(log).localize(chains=1, steps=10, hold_steps=5).position
 ASKED = {
     "tiswarm.app.live": "view runs --live",
     "tiswarm.interop": "export sensing.jsonl estimate.csv",
+    "tiswarm.localization.distributed": "localize sensing.jsonl --method distributed",
     "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
     "tiswarm.localization.online": "localize sensing.jsonl --method online",
@@ -45,7 +46,10 @@ ASKED = {
 }
 """By part, a command that needs it."""
 
-ALSO_LACKING = {"tiswarm.localization.hop_by_hop": ["tiswarm.localization.least_squares"]}
+ALSO_LACKING = {
+    "tiswarm.localization.hop_by_hop": ["tiswarm.localization.least_squares"],
+    "tiswarm.localization.online": ["tiswarm.localization.distributed"],
+}
 """By part, others that begin where it ends, and cannot do without it."""
 
 ASK = f"""

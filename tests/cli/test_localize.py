@@ -85,7 +85,7 @@ def test_a_solution_is_written_with_its_own_sd(localize):
     ("convergence", "verdict"), [(AT_ODDS, "not consistent"), (LOST, "not converged")]
 )
 @pytest.mark.parametrize(
-    "method", ["joint", "virtual-force", "least-squares", "hop-by-hop", "online"]
+    "method", ["joint", "virtual-force", "least-squares", "hop-by-hop", "online", "distributed"]
 )
 def test_an_estimate_that_is_not_trusted_ends_with_status_4(localize, method, convergence, verdict):
     """Scripts see it of any method; the estimate is written all the same."""

@@ -74,7 +74,7 @@ def test_what_cannot_join_is_told(lines):
 
 
 @pytest.mark.parametrize(
-    "method", ["virtual-force", "least-squares", "joint", "hop-by-hop", "online"]
+    "method", ["virtual-force", "least-squares", "joint", "hop-by-hop", "online", "distributed"]
 )
 def test_an_anchor_alone_is_where_it_is(lines, tmp_path, method):
     """The first line of a log that robots have yet to join is a log."""

@@ -53,6 +53,7 @@ METHODS = {
     "least-squares": [],
     "hop-by-hop": [],
     "online": ["steps=20", "hold_steps=5", "chains=1"],
+    "distributed": ["steps=20", "chains=1"],
 }
 """Methods with settings that keep an attempt short."""
 

@@ -35,7 +35,7 @@ def localize(
         str,
         Option(
             help="joint (most accurate), virtual-force (the paper's), least-squares, hop-by-hop, "
-            "online, or that of a plug-in."
+            "online, distributed, or that of a plug-in."
         ),
     ] = "joint",
     cues: Annotated[

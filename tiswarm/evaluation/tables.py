@@ -65,6 +65,7 @@ def score(
         **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[1:])}),
         **_of_located(truth, estimate),
         **_calibration(truth, estimate),
+        **_of_traffic(estimate),
     }
 
 
@@ -123,6 +124,10 @@ def by_robot(
     rigidly_aligned = metrics.rigidly_aligned(estimated, true)
     if estimate.at_join is not None:
         table["error_at_join_R"] = metrics.robot_errors(estimate.at_join, true)
+    if estimate.doubtful is not None:
+        table["doubtful"] = estimate.doubtful
+    if estimate.traffic is not None:
+        table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
     apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
@@ -294,6 +299,20 @@ def _of_located(truth: Truth, estimate: Estimate) -> dict[str, float]:
     located = estimate.located[1:]
     square = metrics.robot_errors(estimate.position, truth.position)[1:][located] ** 2
     return {"located": _mean(located), "rmse_located_R": _mean(square) ** 0.5}
+
+
+def _of_traffic(estimate: Estimate) -> dict[str, float | int]:
+    """Return what robots sent each other and held, in the mean and at worst; and the doubtful."""
+    scores: dict[str, float | int] = {}
+    if estimate.doubtful is not None:
+        scores["doubtful"] = int(estimate.doubtful.sum())
+    if (traffic := estimate.traffic) is not None:
+        for name in ("sent", "heard", "memory"):
+            count = traffic[name]
+            scores |= {f"{name}_B": _mean(count), f"worst_{name}_B": int(count.max())}
+        scores |= {name: _mean(traffic[name]) for name in ("messages", "rounds", "operations")}
+        scores |= {"worst_operations": float(traffic["operations"].max())}
+    return scores
 
 
 def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:

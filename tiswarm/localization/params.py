@@ -386,6 +386,69 @@ class OnlineParams(ChiSquareParams):
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
+class DistributedParams(ChiSquareParams):
+    """What robots send each other to find out where they are, and by which channel.
+
+    A robot computes from its own rows and from what it was sent.
+    """
+
+    method: Literal["distributed"] = "distributed"
+    """Name of the method."""
+
+    touches: Literal[False] = False
+    """Touches do not count: only `joint` finds their docks."""
+
+    solve_yaw: Literal[False] = False
+    """No bias of yaw is solved for."""
+
+    scheme: Literal["joiner", "algorithm-1"] = "joiner"
+    """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
+    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
+    `virtual-force`, whose positions are those without losses and rounding."""
+
+    poses: Literal["once", "every-join"] = "every-join"
+    """When robots send their poses in `algorithm-1`: once they are placed, or at each join."""
+
+    back_propagation: BackPropagation | None = None
+    """Rounds of `algorithm-1` in which all robots move again; off if null."""
+
+    channel: Literal["touch", "radio"] = "touch"
+    """touch: robots in contact pass on what they hear, robot by robot. radio: all robots hear what
+    one of them sends."""
+
+    loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of transmissions that are lost [1]."""
+
+    delay: Annotated[int, Field(ge=0, le=1000)] = 0
+    """Rounds that a transmission takes beyond the next one [1]."""
+
+    retries: Annotated[int, Field(ge=0, le=100)] = 4
+    """Times at most that a transmission without an answer is repeated [1]."""
+
+    bits: Annotated[int, Field(ge=8, le=32)] | None = 16
+    """Bits of each number that is sent, in a range that its message states; all 64 if null."""
+
+    hops: Annotated[int, Field(ge=1)] = 2
+    """Steps of "shares a measurement" within which robots are asked [1]."""
+
+    robots: Annotated[int, Field(ge=2)] = 14
+    """Robots at most that are asked, and that a robot holds measurements of [1]."""
+
+    solver: Literal["joiner", "partner"] = "partner"
+    """Who solves: the robot that joined, or the first robot that it touches, which has heard more
+    of those nearby."""
+
+    chains: Annotated[int, Field(ge=0, le=1000)] = 4
+    """Annealings of the robots nearby by the robot that solves; 0 for none."""
+
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
+    """Steps of each of them."""
+
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
+    """Square root of the temperature at which annealing begins [R]."""
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class HopByHopParams(CueParams):
     """Order in which robots solve for their own positions, each once.
 
@@ -406,7 +469,12 @@ class HopByHopParams(CueParams):
 
 LocalizationParams = Annotated[
     # | the settings of each further method
-    VirtualForceParams | LeastSquaresParams | JointParams | HopByHopParams | OnlineParams,
+    VirtualForceParams
+    | LeastSquaresParams
+    | JointParams
+    | HopByHopParams
+    | OnlineParams
+    | DistributedParams,
     Field(discriminator="method"),
 ]
 """Settings of any method."""

@@ -34,7 +34,7 @@ KIND = "method"
 """What plug-ins register here."""
 
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
-_BUILT_IN = ("joint", "virtual-force", "least-squares", "hop-by-hop", "online")
+_BUILT_IN = ("joint", "virtual-force", "least-squares", "hop-by-hop", "online", "distributed")
 _TAKEN = ("method", "cues", "settings")
 _USUAL = tuple(cue for cue in CUES if cue != "touches")  # only `joint` finds docks of touches
 

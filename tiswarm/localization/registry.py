@@ -25,6 +25,7 @@ METHODS = {
     "least-squares": "tiswarm.localization.least_squares",
     "hop-by-hop": "tiswarm.localization.hop_by_hop.method",
     "online": "tiswarm.localization.online.method",
+    "distributed": "tiswarm.localization.distributed.method",
 }
 OWN = "tiswarm.localization.plugins"
 """Modules with the functions `batch_key` and `localize_batch`, imported when they are used; `OWN`

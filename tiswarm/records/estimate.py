@@ -1,6 +1,6 @@
 """The estimate that a localizer returns, with its convergence and observability."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -206,6 +206,16 @@ class Estimate:
     residual_sd: float | None = None
     """RMS residual of the estimate's contacts in standard deviations; None where the method has
     none."""
+
+    traffic: Mapping[str, Reals] | None = None
+    """What it cost each robot to localize itself, shape (N,) each: bytes `sent`, passed on ones
+    included, and `heard`; `messages`; `memory` at most [B]; `operations`, additions and
+    multiplications, about; `rounds` with messages, which all share. None where one program has the
+    whole log."""
+
+    doubtful: Bools | None = None
+    """Robots that do not trust their own positions, by what each holds, shape (N,); None where
+    robots do not judge for themselves."""
 
     steps: Ints | None = None
     """Steps of each robot, those in rounds of back-propagation too, shape (N,); None where the

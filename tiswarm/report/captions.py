@@ -27,6 +27,10 @@ CAPTIONS = {
     "joining": "RMSE of the robots that joined last, as many as a quarter of the smallest "
     "structure, against the number of robots by then. Lines are conditions; methods that place "
     "robots as they join have a second, dashed line for the same robots once all have joined.",
+    "traffic": "RMSE against the bytes that a robot sends in the mean, those that it passes on for "
+    "others included, both logarithmic: a marker for each condition whose robots localize "
+    "themselves. Lines are conditions that have the log of all robots in one place. Bars and bands "
+    "are 95 % CI. Farther left and lower is better.",
     "price-and-error": "Mean RMSE of all robots against the price of the sensors of 100 robots and "
     "of what they need around them, if the paper's Table I states it; below 200 USD the axis is "
     "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "

@@ -22,6 +22,7 @@ FIGURES = (
     "tiswarm.report.error_figures:error_painters",
     "tiswarm.report.building_figure:building_painters",
     "tiswarm.report.joining_figure:joining_painters",
+    "tiswarm.report.traffic_figure:traffic_painters",
     "tiswarm.report.curve_figures:scaling_painters",
     "tiswarm.report.grade_figure:grade_painters",
     "tiswarm.report.table_figures:table_painters",

@@ -45,7 +45,9 @@ _AVERAGED = (
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "suspects", "steps_per_robot", "located", "rmse_located_R",
-    "rmse_at_join_R", "within_dock", "contacts_within_dock",
+    "rmse_at_join_R", "within_dock", "contacts_within_dock", "doubtful", "sent_B", "worst_sent_B",
+    "heard_B", "worst_heard_B", "memory_B", "worst_memory_B", "messages", "rounds", "operations",
+    "worst_operations",
     "first_on_anchor", "second_on_anchor", "third_on_anchor", *_ACCURACY,
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")

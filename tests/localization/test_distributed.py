@@ -1,0 +1,242 @@
+"""Robots localize themselves by their own rows and by what they hear, and bytes are counted."""
+
+import copy
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.localization.test_online import LOCAL, NOISY, lines_of
+from tests.structures import with_directions, with_fixes
+from tiswarm.base.errors import InputError
+from tiswarm.compute import backend
+from tiswarm.localization.distributed.channel import (
+    ACKNOWLEDGMENT,
+    ADDRESS,
+    HEADER,
+    Channel,
+    Message,
+)
+from tiswarm.localization.distributed.swarm import PeerSwarm
+from tiswarm.localization.distributed.wire import (
+    Reader,
+    Writer,
+    line_bytes,
+    read_line,
+    rounding_sd,
+    step,
+)
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.params import BackPropagation, DistributedParams
+from tiswarm.localization.registry import centered, localize_many
+from tiswarm.records.sensing_format import parse_robot
+from tiswarm.sensing import observe
+
+QUICK = DistributedParams(chains=2, steps=40)
+EXACT = DistributedParams(
+    bits=None, hops=1000, robots=1000, chains=0, solver="joiner", channel="radio"
+)
+"""Settings with which a robot that joins knows all that a tracker knows."""
+
+
+@pytest.fixture(scope="module")
+def log(towers):
+    """Log of a noisy tower."""
+    return observe(towers[0], NOISY)
+
+
+def grown(log, params, robots=None):
+    """Let robots of a log join."""
+    header, *lines = lines_of(centered(replace(log, robot_id=np.arange(log.robot_count))))
+    swarm = PeerSwarm(header, params, log.robot_count)
+    for line in lines[:robots]:
+        swarm.join(parse_robot(line))
+    return swarm
+
+
+class _Local(Tracker):
+    """The local layers of a tracker, which never anneals."""
+
+    def _settle(self, numbers, places=None):
+        for number in numbers:
+            self._layers.solve_near(number, places)
+        return False
+
+
+def test_robots_that_hear_everything_are_where_the_local_layers_put_them(log):
+    """Without losses, rounding and limits, messages change nothing."""
+    header, *lines = lines_of(log)
+    tracker = _Local(header, LOCAL)
+    for line in lines:
+        tracker.join(line)
+
+    swarm = grown(log, EXACT)
+
+    state = tracker._layers.state  # noqa: SLF001 - what messages are compared with
+    place = np.array([robot.place.position for robot in swarm.robots])
+    turn = np.array([robot.place.turn for robot in swarm.robots])
+    np.testing.assert_allclose(place, state.position, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(turn, state.turn, rtol=0.0, atol=1e-9)
+
+
+def test_a_robot_reads_its_own_memory_only(log):
+    """All other robots may be spoiled, or the robot be sent away alone: it does the same."""
+    swarm = grown(log, QUICK, 12)
+    sender, robot = swarm.robots[11], swarm.robots[10]
+    message = Message("join", 11, b"", {10: sender.known[11].line})
+    alone = pickle.loads(pickle.dumps(robot))  # noqa: S301 - made here
+    for other in swarm.robots:
+        if other is not robot:
+            for known in other.known.values():
+                known.line, known.place, known.sharing = b"\xff", None, {3000}
+
+    robot.hear(copy.deepcopy(message))
+    alone.hear(message)
+
+    assert robot.outbox
+    assert robot.outbox == alone.outbox
+
+
+@pytest.mark.parametrize("channel", ["touch", "radio"])
+def test_losses_are_the_same_at_any_number_of_threads(log, channel):
+    """What robots send, hear and conclude depends on the seed alone; some is sent again."""
+    params = replace(QUICK, loss=0.3, delay=1, channel=channel)
+    found = []
+    for threads in (1, 2):
+        backend.start(threads=threads)
+        [estimate] = localize_many([log], [params])
+        found.append((estimate.position.tobytes(), estimate.traffic["sent"].tobytes()))
+    [other] = localize_many([log], [replace(params, seed=1)])
+    [lossless] = localize_many([log], [replace(params, loss=0.0)])
+
+    assert found[0] == found[1]
+    assert found[0][1] != other.traffic["sent"].tobytes()
+    assert other.traffic["messages"].sum() > lossless.traffic["messages"].sum()
+
+
+def test_a_lost_swarm_says_so(log):
+    """If next to nothing is heard, robots doubt where they are."""
+    [estimate] = localize_many([log], [replace(QUICK, loss=0.99, retries=0)])
+
+    assert np.isfinite(estimate.position).all()
+    assert estimate.doubtful.sum() > log.robot_count // 2
+    assert not estimate.convergence.converged
+    assert "doubt" in estimate.convergence.reason
+
+
+def test_who_never_annealed_does_not_converge(log):
+    """Residuals of a wrong mirror image may be as small as those of the right one."""
+    [estimate] = localize_many([log], [replace(QUICK, chains=0)])
+
+    assert not estimate.convergence.converged
+
+
+@settings(deadline=None)
+@given(
+    values=st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=9),
+    bits=st.sampled_from([8, 12, 16, 32]),
+)
+def test_rounding_is_within_half_a_step(values, bits):
+    """Lengths come back within half a step of the range that they were sent in."""
+    to = Writer(bits)
+    to.lengths(values)
+
+    back = Reader(to.to_bytes(), bits).lengths(len(values))
+
+    farthest = max(1.0, *map(abs, values))
+    half = 0.5 * step(2.0 ** np.ceil(np.log2(farthest)), bits)
+    np.testing.assert_allclose(back, values, rtol=0.0, atol=half * (1.0 + 1e-6))
+    assert rounding_sd(farthest, bits) == pytest.approx(2.0 * half / np.sqrt(12.0))
+
+
+def test_numbers_without_a_limit_of_bits_are_exact():
+    """Not a bit changes."""
+    values = [0.1, -1e-300, 7e9, 1.0 / 3.0]
+    to = Writer(None)
+    to.lengths(values)
+
+    assert Reader(to.to_bytes(), None).lengths(4).tolist() == values
+
+
+@pytest.mark.parametrize("kind", ["walks", "directions", "fixes"])
+@pytest.mark.parametrize("bits", [None, 16])
+def test_lines_survive_the_way(towers, kind, bits):
+    """Contacts and grounds as they are; orientations within their rounding."""
+    log = observe(towers[0], NOISY)
+    if kind == "directions":
+        log = with_directions(log, towers[0], sd_deg=1.0)
+    if kind == "fixes":
+        log = with_fixes(log, towers[0], [3, 5, 7], each=2, sd=0.1)
+    _, *lines = lines_of(log)
+
+    for text in lines:
+        line = parse_robot(text)
+        back = read_line(line_bytes(line, 3, bits), 3, bits)
+        assert sorted(back.contacts) == sorted(line.contacts)
+        assert back.ground_docks == sorted(line.ground_docks or [])
+        assert json.dumps(back.directions) == json.dumps(line.directions or None)
+        for mine, its in zip(line.stances or [], back.stances or [], strict=True):
+            assert sorted(mine.contacts) == sorted(its.contacts)
+            assert mine.pivot_dock == its.pivot_dock
+            along = abs(np.dot(mine.orientation_wxyz, its.orientation_wxyz))
+            assert along == pytest.approx(1.0, abs=1e-12 if bits is None else 1e-8)
+
+
+def _five(log, **settings):
+    """Localize five robots by Algorithm 1; return their traffic."""
+    keep = (log.contacts < 5)[:, [0, 2]].all(axis=1)
+    header, *lines = lines_of(log)
+    tracker = Tracker(header, LOCAL)
+    for line in lines[:5]:
+        tracker.join(line)
+    assert keep.any()
+    params = DistributedParams(scheme="algorithm-1", **settings)
+    [estimate] = localize_many([tracker.log], [params])
+    return estimate.traffic
+
+
+def test_bytes_of_algorithm_1_are_those_counted_by_hand(log):
+    """5 + 3 x 16 bits of a position, 2 + 3 x 16 of an orientation: 13 bytes after the header."""
+    once = _five(log, channel="radio", poses="once")
+    every = _five(log, channel="radio")
+    rounds = _five(log, channel="radio", back_propagation=BackPropagation(every=2, sweeps=10))
+    relayed = _five(log, channel="touch", poses="once")
+
+    pose, position = 4 + 13, 4 + 7
+    assert once["sent"].tolist() == [pose] * 5
+    assert once["heard"].tolist() == [4 * pose] * 5
+    assert every["sent"].tolist() == [5 * pose, 4 * pose, 3 * pose, 2 * pose, pose]
+    # Rounds follow the joins of robots 2, 4 and 5.
+    after = [10 * position * times for times in (3, 3, 2, 2, 1)]
+    assert (rounds["sent"] - every["sent"]).tolist() == after
+    assert once["messages"].tolist() == [1] * 5
+    # By touch, four transmissions bring a pose to all four, if all five hang together.
+    assert relayed["sent"].sum() <= 5 * 4 * (pose + ACKNOWLEDGMENT)
+
+
+def test_branches_carry_the_parts_of_those_behind_them():
+    """Three robots in a row: the first transmission has both parts, the second one is left."""
+    heard = []
+    channel = Channel(DistributedParams(), 4, lambda n, m: (heard.append((n, dict(m.parts))), m)[1])
+    for touching in ({*()}, {0}, {1}, {*()}):
+        channel.join(touching)
+
+    channel.send(Message("place", 0, b"", {1: b"ab", 2: b"cde", 3: b"lost"}))
+    channel.settle()
+
+    assert heard == [(1, {1: b"ab", 2: b"cde"}), (2, {2: b"cde"})]
+    both, last = HEADER + 2 * ADDRESS + 5, HEADER + ADDRESS + 3
+    assert channel.sent.tolist() == [both, last + ACKNOWLEDGMENT, ACKNOWLEDGMENT, 0]
+    assert channel.heard.tolist() == [ACKNOWLEDGMENT, both + ACKNOWLEDGMENT, last, 0]
+
+
+def test_a_log_that_robots_cannot_send_is_refused(log):
+    """The message names the key and a method that can do it."""
+    unknown = replace(log, touches=np.array([[5, -1, 3, -1]], np.int32))
+
+    with pytest.raises(InputError, match="touches"):
+        localize_many([unknown], [QUICK])

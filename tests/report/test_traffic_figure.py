@@ -1,0 +1,50 @@
+"""The figure of traffic has a marker for robots that send, and a line for all others."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tiswarm.report.run_data import RunData
+from tiswarm.report.traffic_figure import traffic_painters
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Two towers, by robots that send 1,000 B and err by 0.5 R, and by `joint`."""
+    rows = [
+        {
+            "case": f"{condition}-{seed}",
+            "series": condition,
+            "condition": condition,
+            "point": "",
+            "kind": "tower",
+            "robots": 100,
+            "status": "done",
+            "reason": "",
+            "seed": seed,
+            "rmse_R": error,
+            "sent_B": sent,
+        }
+        for condition, error, sent in (("touch", 0.5, 1000.0), ("joint", 0.2, np.nan))
+        for seed in (0, 1)
+    ]
+    return RunData(tmp_path, pd.DataFrame(rows))
+
+
+def test_means_are_drawn_on_logarithmic_axes(run):
+    """Who has all logs in one place sends nothing, and is a line."""
+    [axes] = traffic_painters(run)["traffic"](run).axes
+
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    [bars] = axes.containers
+    assert (bars[0].get_xdata()[0], bars[0].get_ydata()[0]) == (1000.0, 0.5)
+    lines = {line.get_label(): line.get_ydata() for line in axes.lines}
+    assert list(lines["joint"]) == [0.2, 0.2]
+
+
+def test_runs_in_which_nobody_sends_have_no_such_figure(run):
+    """It would have nothing to show."""
+    silent = run.summary.assign(sent_B=np.nan)
+
+    assert traffic_painters(RunData(run.folder, silent)) == {}
+    assert traffic_painters(RunData(run.folder, silent.drop(columns="sent_B"))) == {}

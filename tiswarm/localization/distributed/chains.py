@@ -1,0 +1,119 @@
+"""Annealing of the robots near one, by that robot alone. Lengths in R, relative to the anchor."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows, anneal_near
+from tiswarm.localization.distributed.settings import CHAINS
+from tiswarm.localization.online.layers import LocalLayers
+from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.params import DistributedParams
+from tiswarm.measurements.rows import SPACING
+
+_AXES = 3
+
+
+class NearAnnealed(NamedTuple):
+    """The best of several chains, for the K robots that moved."""
+
+    state: Configuration
+    """All robots."""
+
+    sd: Reals
+    """Standard deviation of each position, over the chains too [R], shape (K,)."""
+
+
+def annealed(
+    layers: LocalLayers, moving: Ints, params: DistributedParams, number: int
+) -> NearAnnealed:
+    """Anneal some robots from where they are, and keep the likeliest end.
+
+    Args:
+        layers: The robots that are held.
+        moving: Those that may move, ascending, shape (K,).
+        params: Settings.
+        number: Number of the robot that is solved for, which kicks depend on.
+    """
+    problem = layers.neighborhood(moving)
+    arm = problem.shapes.arm
+    begin = layers.state.position
+    moves = np.zeros(len(begin), np.int32)
+    moves[moving[moving > 0]] = 1
+    view = np.tile(begin, (params.chains, 1, 1))
+    reach = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
+    anneal_near(
+        (params.seed * 4_099 + number) % 2**31, reach,
+        schedule(params.start_sigma, params.steps), moves,
+        *rows_of(problem, len(begin)), *docks_of(problem),
+        view, np.zeros_like(view), np.zeros_like(view),
+    )  # fmt: skip
+    found = [problem.solved(Configuration(begin.copy(), layers.state.turn.copy()))]
+    found += [problem.solved(Configuration(end, layers.state.turn.copy())) for end in view]
+    score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
+    best = int(score.argmin())
+    state, linear = found[best]
+    # Ends that are as likely as the best one make its position uncertain.
+    weight = np.exp(-0.5 * (score - score[best]))
+    weight /= weight.sum()
+    away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
+    spread = weight @ np.array(away)
+    return NearAnnealed(state, np.sqrt(problem.sd(linear) ** 2 + spread))
+
+
+def schedule(begin: float, steps: int) -> Reals:
+    """Cool from a sigma to the least by the same factor at each step, shape (steps,)."""
+    return begin * (CHAINS.end_sigma / begin) ** (np.arange(steps) / max(steps - 1, 1))
+
+
+def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float) -> float:
+    """Compute what some robots gain by their extension [1], up to the reach of a contact [R]."""
+    total = 0.0
+    for k in moving.tolist():
+        partners = layers.blocks[k].partners
+        if len(partners):
+            apart = np.linalg.norm(state.position[partners] - state.position[k], axis=1)
+            # Beyond its reach a contact would give way, and the robot would gain by that.
+            total += 2.0 * CHAINS.extension * float(np.minimum(apart, reach).mean())
+    return total
+
+
+def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
+    """List the rows about robots that may move, by robot; turns of orientations are noise here."""
+    found = problem.gathered
+    rows, pairs = found.rows, len(found.rows.other)
+    own, other = rows.robot, np.concatenate([rows.other, np.full(len(rows) - pairs, -1)])
+    arm = rows.arm.copy()
+    arm[:pairs] -= rows.other_arm
+    lengths = len(rows.distances.length)
+    axis = np.concatenate([np.zeros((lengths, _AXES)), rows.offsets.axis, rows.places.direction])
+    value = np.zeros((len(rows), _AXES))
+    value[:lengths, 0] = rows.distances.length
+    value[pairs:, 0] = rows.places.value
+    value[:, 1] = found.variance
+    # As many rows as a robot has, they push it outward once.
+    share = CHAINS.extension / np.maximum(np.bincount(own[:pairs], minlength=robots), 1)
+    value[:pairs, 2] = share[own[:pairs]]
+    # The partner lists the row, too, from its own end.
+    robot = np.concatenate([own, other[:pairs]])
+    order = np.argsort(robot, kind="stable")
+    both = [
+        np.concatenate([other, own[:pairs]]),
+        np.concatenate([arm, -arm[:pairs]]),
+        np.concatenate([axis, -axis[:pairs]]),
+        np.concatenate([value, value[:pairs]]),
+    ]
+    start = np.searchsorted(robot[order], np.arange(robots + 1)).astype(np.int32)
+    partner, arms, axes, values = (np.ascontiguousarray(each[order]) for each in both)
+    return ChainRows(start, partner.astype(np.int32), arms, axes, values)
+
+
+def docks_of(problem: Neighborhood) -> ChainDocks:
+    """List the docks of all robots, and by robot those in contact."""
+    arm, touching = problem.shapes.arm, problem.shapes.touching
+    every = [(i, k, j, m) for i, rows in touching.items() for k, j, m in sorted(rows)]
+    every += [(j, m, i, k) for i, k, j, m in every]
+    contact = np.array(sorted(every), np.int32).reshape(-1, 4)
+    start = np.searchsorted(contact[:, 0], np.arange(len(arm) + 1)).astype(np.int32)
+    return ChainDocks(np.ascontiguousarray(arm), start, np.ascontiguousarray(contact[:, 1:]))

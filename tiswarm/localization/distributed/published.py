@@ -1,0 +1,69 @@
+"""Algorithm 1 of the paper between robots: what it sends, beside the estimate of `virtual-force`.
+
+A robot that joins needs the poses of those that it touches, and of all near it: the paper's minimal
+global channel, on which robots "periodically broadcast an estimated pose proxy (e.g., center and
+dock position)". In a round of back-propagation each robot sends its position after each of its
+steps. By touch, robots pass on what they hear.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization import virtual_force
+from tiswarm.localization.distributed.channel import HEADER, Channel
+from tiswarm.localization.distributed.wire import pose_bytes
+from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
+from tiswarm.measurements.contacts import contact_count
+from tiswarm.records.estimate import Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+_OF_DISTANCE = 8
+"""Operations for the distance of two docks [1]."""
+
+_OF_FORCE = 30
+"""Operations for the force between them [1]."""
+
+
+def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
+    """Localize a log by Algorithm 1, and count what robots send.
+
+    Returns:
+        The estimate without losses and rounding, with the traffic of the channel. Robots do not
+        judge for themselves.
+    """
+    settings = VirtualForceParams(back_propagation=params.back_propagation)
+    [found] = virtual_force.localize_batch([log], [settings])
+    robots = log.robot_count
+    channel = Channel(params, robots, lambda _, message: message)
+    touching: list[set[int]] = [set() for _ in range(robots)]
+    for i, _, j, _ in log.contacts.tolist():
+        touching[max(i, j)].add(min(i, j))
+    pose = HEADER + pose_bytes(params.bits, with_orientation=True)
+    moved = HEADER + pose_bytes(params.bits, with_orientation=False)
+    rounds = params.back_propagation
+    for number in range(robots):
+        channel.join(touching[number])
+        if params.poses == "every-join" or number == robots - 1:
+            channel.broadcast(pose)
+        if rounds is not None and _follows(rounds, number + 1, robots):
+            channel.broadcast(moved, rounds.sweeps)
+    memory = np.full(robots, robots * (pose - HEADER), np.int64)
+    traffic = channel.traffic(memory, _operations(log, settings, found.steps))
+    return replace(found, traffic=traffic)
+
+
+def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
+    """Judge whether a round follows a join."""
+    return joined % rounds.every == 0 or joined == robots
+
+
+def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> Reals:
+    """Count the operations of each robot, which looks at all docks that it heard of, shape (N,)."""
+    taken = np.full(log.robot_count, params.iterations) if steps is None else steps
+    docks = len(log.dock_offset_body)
+    # Only robots that have joined before are heard.
+    pairs = docks**2 * np.arange(log.robot_count)
+    per_step = _OF_DISTANCE * pairs + _OF_FORCE * contact_count(log)
+    return np.asarray(taken * per_step, np.float64)

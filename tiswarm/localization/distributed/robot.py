@@ -1,0 +1,364 @@
+"""One robot: what it holds, what it answers, and how it solves for the robots near it.
+
+A robot reads its own memory and the bytes that it hears. It has no other way to another robot.
+
+1. It joins, and sends its line to the robots that it has rows about. They know now that they share
+   rows with it; one of them, or it itself, is to solve.
+2. That one asks robots step by step of "shares a row": whom they share rows with, where they are,
+   and what they sensed unless it holds that.
+3. It solves, and sends each robot that moved its new place.
+"""
+
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.localization.distributed.channel import Message
+from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
+from tiswarm.localization.distributed.settings import ANSWERS
+from tiswarm.localization.distributed.wire import (
+    NUMBER,
+    Reader,
+    Whereabouts,
+    Writer,
+    line_bytes,
+    read_candidates,
+    read_numbers,
+    read_place,
+    write_candidates,
+    write_numbers,
+    write_place,
+)
+from tiswarm.records.sensing_format import RobotLine
+
+_SIZE = 2
+"""Bytes of a number or a length between lines."""
+
+_CHECK = 15
+"""Bits of the checksum by which a robot knows that what another one holds of it is current."""
+
+
+@dataclass
+class _Search:
+    """What a robot that solves has asked so far."""
+
+    joiner: int
+    step: dict[int, int]
+    """Steps of "shares a row" to each robot that it knows to be near."""
+    current: int = 0
+    """Robots within so many steps have answered."""
+    waiting: set[int] = field(default_factory=set)
+    answered: set[int] = field(default_factory=set)
+    attempt: int = 0
+
+
+class _Answer(NamedTuple):
+    """What a robot says of itself, or one that solved says of it."""
+
+    is_new: bool
+    sharing: tuple[int, ...]
+    place: Whereabouts | None
+    candidates: Reals
+
+
+def _asking(wants_line: int, checksum: int) -> bytes:
+    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
+    part = Writer(None)
+    part.number(wants_line, 1)
+    part.number(checksum, _CHECK)
+    return part.to_bytes()
+
+
+_NO_CANDIDATES: Reals = np.empty((0, 3))
+
+
+@lru_cache(maxsize=20_000)
+def _read_answer(content: bytes, bits: int | None, with_candidates: bool) -> _Answer:  # noqa: FBT001
+    answer = Reader(content, bits)
+    is_new, is_placed = answer.number(1) == 1, answer.number(1)
+    sharing = tuple(read_numbers(answer)) if is_new else ()
+    place = read_place(answer) if is_placed else None
+    candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
+    return _Answer(is_new, sharing, place, candidates)
+
+
+@lru_cache(maxsize=20_000)
+def _read_result(content: bytes, bits: int | None) -> _Answer:
+    answer = Reader(content, bits)
+    has_candidates, place = answer.number(1), read_place(answer)
+    candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
+    return _Answer(is_new=True, sharing=(), place=place, candidates=candidates)
+
+
+class Peer:
+    """A robot of a swarm that localizes itself."""
+
+    def __init__(self, program: Program, line: RobotLine) -> None:
+        """Begin with what the robot sensed, under its number in join order."""
+        self._program = program
+        self.number = line.robot
+        content = line_bytes(line, program.docks, program.params.bits)
+        partners = program.partners(content)
+        self.known: dict[int, Known] = {line.robot: Known(content, sharing=partners)}
+        self.touching = sorted({other for _, other, _ in line.contacts})
+        self.outbox: list[Message] = []
+        self._hosts = [self.number]
+        if program.params.solver == "partner":
+            self._hosts = [*self.touching, self.number]
+        self._search: _Search | None = None
+        self.operations = 0.0
+
+    @property
+    def place(self) -> Whereabouts | None:
+        """Where the robot takes itself to be; None if it does not know."""
+        return self.known[self.number].place
+
+    def join(self) -> None:
+        """Let robots know that rows are shared; the first of the swarm is the anchor."""
+        mine = self.known[self.number]
+        if self.number == 0:
+            mine.place = Whereabouts(np.zeros(3), np.zeros(3), 0.0)
+            return
+        host = self._hosts.pop(0)
+        # Who has been named knows that it shares rows; who solves has to know the rows.
+        parts = dict.fromkeys(sorted(self._program.partners(mine.line) - {host}), b"")
+        if host == self.number:
+            self._say("join", b"", parts)
+            self._begin(host)
+        else:
+            self._say("join", b"", parts | {host: mine.line})
+
+    def hear(self, message: Message) -> Message:
+        """Take in a message, whether it was for this robot or passes by; return what goes on."""
+        if message.kind == "join":
+            self._hear_join(message)
+        elif message.kind == "ask":
+            if self.number in message.parts:
+                self._answer(message.sender, message.parts[self.number])
+            elif self._program.params.channel == "touch":
+                return self._hand_out(message)
+        elif message.kind == "answer":
+            self._hear_answer(message)
+        elif message.kind == "lines":
+            for part in message.parts.values():
+                self._hear_lines(part)
+        elif message.kind == "place":
+            for number, part in message.parts.items():
+                self._hear_place(number, part)
+        return message
+
+    @property
+    def _exchanges(self) -> bool:
+        """Whether candidates travel: who anneals finds other images without them."""
+        return not self._program.params.chains
+
+    @property
+    def waits(self) -> bool:
+        """Whether the robot still waits for something."""
+        return self._search is not None or (self.place is None and bool(self._hosts))
+
+    def expire(self) -> None:
+        """Go on although nothing more was heard."""
+        search = self._search
+        if search is None:
+            self.join()
+        elif search.attempt < self._program.params.retries:
+            search.attempt += 1
+            self._ask(search.waiting)
+        else:
+            search.waiting.clear()
+            self._advance()
+
+    def judge(self) -> bool:
+        """Judge whether the robot doubts where it is, by what it holds.
+
+        It does if chance does not explain its rows and overlaps, if its standard deviation is
+        large, or if it heard of no place.
+        """
+        if not self.number:
+            return False
+        if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
+            return True
+        return LocalSwarm(self._program, self._placed()).is_surprising(self.number)
+
+    @property
+    def memory(self) -> int:
+        """Bytes of what the robot holds."""
+        bits = self._program.params.bits or 64
+        return sum(
+            len(each.line)
+            + (NUMBER * (1 + len(each.sharing)) + bits * (6 + each.candidates.size) + 8 + 7) // 8
+            for each in self.known.values()
+        )
+
+    def _say(self, kind: str, common: bytes, parts: dict[int, bytes]) -> None:
+        if parts:
+            self.outbox.append(Message(kind, self.number, common, parts))
+
+    def _of(self, number: int) -> Known:
+        return self.known.setdefault(number, Known())
+
+    def _hear_join(self, message: Message) -> None:
+        """Take in that a robot shares rows with others, and what it sensed."""
+        joiner = self._of(message.sender)
+        for partner in message.parts.keys() & self.known.keys():
+            self.known[partner].sharing.add(message.sender)
+        for line in filter(None, message.parts.values()):
+            joiner.line = line
+            joiner.sharing |= self._program.partners(line)
+        if message.parts.get(self.number):
+            self._begin(message.sender)
+        self._forget()
+
+    def _begin(self, joiner: int) -> None:
+        """Begin to solve for a robot."""
+        self._search = _Search(joiner, {joiner: 0})
+        self._advance()
+
+    def _advance(self) -> None:
+        """Ask the robots a step farther; solve once there are no more."""
+        search = self._search
+        params = self._program.params
+        while search is not None and not search.waiting:
+            if search.current == params.hops or not self._widen(search):
+                self._search = None
+                self._solve(search)
+                return
+            search.current += 1
+            search.attempt = 0
+            there = {n for n, step in search.step.items() if step == search.current}
+            search.waiting = there - {self.number}
+            if search.waiting:
+                self._ask(search.waiting)
+
+    def _widen(self, search: _Search) -> bool:
+        """Number the robots a step farther; return whether there are any."""
+        last = [n for n, step in search.step.items() if step == search.current]
+        further = {other for n in last for other in self._of(n).sharing} - search.step.keys()
+        room = self._program.params.robots - len(search.step)
+        # The last that joined are the least known.
+        chosen = sorted(further, reverse=True)[: max(room, 0)]
+        search.step |= dict.fromkeys(chosen, search.current + 1)
+        return bool(chosen)
+
+    def _ask(self, robots: Iterable[int]) -> None:
+        """Ask robots for what this one does not hold of them."""
+        parts = {}
+        for number in sorted(robots):
+            parts[number] = _asking(not self._of(number).line, self._checksum(number))
+        self._say("ask", b"", parts)
+
+    def _answer(self, asker: int, part: bytes) -> None:
+        """Answer what a robot asked."""
+        asked, mine = Reader(part, None), self.known[self.number]
+        wants_line, held = asked.number(1), asked.number(_CHECK)
+        is_new = held != self._checksum(self.number)
+        answer = Writer(self._program.params.bits)
+        answer.number(is_new, 1)
+        answer.number(is_new and mine.place is not None, 1)
+        if is_new:
+            write_numbers(answer, mine.sharing)
+            if mine.place is not None:
+                write_place(answer, mine.place)
+                if self._exchanges:
+                    write_candidates(answer, mine.candidates)
+        head = answer.to_bytes()
+        line = mine.line if wants_line else b""
+        self._say("answer", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
+
+    def _hear_answer(self, message: Message) -> None:
+        length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
+        its = self._of(message.sender)
+        its.line = content[length:] or its.line
+        answer = _read_answer(content[:length], self._program.params.bits, self._exchanges)
+        if answer.is_new:
+            its.sharing, its.place = {*answer.sharing}, answer.place or its.place
+            its.candidates = answer.candidates
+        # By radio, robots hear answers that others asked for.
+        if self._search is not None:
+            self._search.answered.add(message.sender)
+            self._check_off()
+
+    def _hand_out(self, message: Message) -> Message:
+        """Answer with lines that this robot holds of others that are asked for them."""
+        found, parts = b"", {**message.parts}
+        for number, part in message.parts.items():
+            line = self.known[number].line if number in self.known else b""
+            asked = Reader(part, None)
+            if asked.number(1) and line:
+                found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
+                parts[number] = _asking(0, asked.number(_CHECK))
+        if found:
+            self._say("lines", b"", {message.sender: found})
+        return message._replace(parts=parts)
+
+    def _hear_lines(self, part: bytes) -> None:
+        while part:
+            number, size = (int.from_bytes(part[k : k + _SIZE], "big") for k in (0, _SIZE))
+            self._of(number).line, part = part[2 * _SIZE :][:size], part[2 * _SIZE + size :]
+        if self._search is not None:
+            self._check_off()
+
+    def _check_off(self) -> None:
+        """Wait no longer for robots that have answered and whose lines are here."""
+        search = self._search
+        if search is not None and search.waiting:
+            search.waiting -= {n for n in search.answered if self._of(n).line}
+            self._advance()
+
+    def _hear_place(self, number: int, part: bytes) -> None:
+        answer, its = _read_result(part, self._program.params.bits), self._of(number)
+        its.place = answer.place
+        if len(answer.candidates):
+            its.candidates = answer.candidates
+
+    def _checksum(self, number: int) -> int:
+        """Check what this robot holds of one, against what that holds of itself."""
+        its = self._of(number)
+        if its.place is None:
+            return 0
+        text = Writer(self._program.params.bits)
+        write_numbers(text, its.sharing)
+        write_place(text, its.place)
+        return zlib.crc32(text.to_bytes()) % int(2**_CHECK - 1) + 1
+
+    def _placed(self) -> dict[int, Known]:
+        """List the robots whose lines and places are held."""
+        return {n: each for n, each in self.known.items() if each.line and each.place is not None}
+
+    def _solve(self, search: _Search) -> None:
+        """Solve for a robot with what is held, and send new places."""
+        joiner = search.joiner
+        held = self._placed()
+        near = {n: held[n] for n in search.step if n in held} | {joiner: self.known[joiner]}
+        if 0 in held:
+            near[0] = held[0]
+        solved = LocalSwarm(self._program, near).solve(joiner, anew=near[joiner].place is None)
+        # Thinking costs a robot energy, too.
+        self.operations += solved.operations
+        parts = {}
+        for number, place in solved.places.items():
+            part = Writer(self._program.params.bits)
+            part.number(number == joiner and self._exchanges, 1)
+            write_place(part, place)
+            if number == joiner and self._exchanges:
+                write_candidates(part, solved.candidates)
+            parts[number] = part.to_bytes()
+            # The robot holds what others hear, rounded as it is.
+            self._hear_place(number, parts[number])
+        parts.pop(self.number, None)
+        self._say("place", b"", parts)
+
+    def _forget(self) -> None:
+        """Drop lines of the robots heard of first, beyond as many as there is room for."""
+        lines = [n for n, each in self.known.items() if each.line and n != self.number]
+        busy = {} if self._search is None else self._search.step
+        # Those asked about now are needed.
+        beyond = max(len(lines) - self._program.params.robots, 0)
+        for number in [n for n in lines if n not in busy][:beyond]:
+            del self.known[number]

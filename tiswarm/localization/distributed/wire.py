@@ -1,0 +1,330 @@
+"""Messages as bytes: what robots say to each other, and how many bits it takes.
+
+| message | content |
+|---|---|
+| `line` | what a robot sensed: its orientations, the docks it flipped about, contacts, ground |
+| `place` | where a robot is: position, turn of its final orientation, standard deviation |
+| `candidates` | other places that its rows allow |
+| `numbers` | which robots share rows with it |
+
+A coordinate is rounded to one of 2^bits values within a range, a power of two, that the message
+states. Lengths in R, relative to the anchor.
+"""
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tiswarm.base.aliases import Reals
+from tiswarm.records.sensing_format import STANCE_LISTS, RobotLine, StanceEntry
+
+NUMBER = 12
+"""Bits of a robot's number."""
+
+MOST_ROBOTS = 2**NUMBER
+"""Robots that have a number."""
+
+COUNT = 8
+"""Bits of a count."""
+
+_RANGE = 5
+"""Bits of the power of two that limits coordinates."""
+
+_SD = 8
+"""Bits of a standard deviation."""
+
+_LEAST_SD, _MOST_SD = 1e-3, 1e3
+"""Range of standard deviations, in logarithmic steps [R]."""
+
+_MOST_TURN = 8.0
+"""Range of turns [standard deviations]."""
+
+_EXACT = 64
+"""Bits of a number that is not rounded."""
+
+_CORNER = 1.0 / math.sqrt(2.0)
+"""Range of the three smaller parts of a unit quaternion."""
+
+_PLAIN = ("contacts", "ground_docks")
+"""Lists of a stance that have a code of their own; all others are sent as text."""
+
+_AXES = 3
+
+
+class Whereabouts(NamedTuple):
+    """Where a robot is, as it and others know it."""
+
+    position: Reals
+    """Center [R], shape (3,)."""
+
+    turn: Reals
+    """Error of its final orientation [standard deviations], shape (3,)."""
+
+    sd: float
+    """Standard deviation of the position [R]."""
+
+
+def pose_bytes(bits: int | None, *, with_orientation: bool) -> int:
+    """Count the bytes of a robot's position, and of its orientation."""
+    size = bits or _EXACT
+    count = _RANGE + _AXES * size
+    if with_orientation:
+        count += (_AXES + 1) * size if bits is None else 2 + _AXES * size
+    return -(-count // 8)
+
+
+class Writer:
+    """Packs numbers into bytes."""
+
+    def __init__(self, bits: int | None) -> None:
+        """Begin; each real number takes so many bits, and is exact if None."""
+        self.bits = bits
+        self._value, self._length = 1, 0
+
+    def number(self, value: int, bits: int) -> None:
+        """Append a whole number of so many bits."""
+        self._value = self._value << bits | value
+        self._length += bits
+
+    def reals(self, values: Iterable[float], limit: float) -> None:
+        """Append numbers from -limit to limit; those beyond are cut."""
+        for value in values:
+            if self.bits is None:
+                self.number(int(np.float64(value).view(np.uint64)), _EXACT)
+            else:
+                self.number(_level(value, limit, self.bits), self.bits)
+
+    def lengths(self, values: Iterable[float]) -> None:
+        """Append lengths [R] with the range that they are in."""
+        every = [float(value) for value in values]
+        power = max(math.ceil(math.log2(max(max(map(abs, every), default=0.0), 1.0))), 0)
+        self.number(power, _RANGE)
+        self.reals(every, 2.0**power)
+
+    def to_bytes(self) -> bytes:
+        """Fill the last byte with zeros."""
+        spare = -self._length % 8
+        whole = (self._value << spare) ^ 1 << (self._length + spare)
+        return whole.to_bytes((self._length + spare) // 8, "big")
+
+
+class Reader:
+    """Takes numbers from bytes, in the order in which they were packed."""
+
+    def __init__(self, content: bytes, bits: int | None) -> None:
+        """Begin; each real number takes so many bits, and is exact if None."""
+        self.bits = bits
+        self._value, self._left = int.from_bytes(content, "big"), 8 * len(content)
+
+    def number(self, bits: int) -> int:
+        """Take a whole number of so many bits."""
+        self._left -= bits
+        return self._value >> self._left & (1 << bits) - 1
+
+    def reals(self, count: int, limit: float) -> Reals:
+        """Take numbers from -limit to limit, shape (count,)."""
+        if self.bits is None:
+            exact = [self.number(_EXACT) for _ in range(count)]
+            return np.array(exact, np.uint64).view(np.float64)
+        levels = [self.number(self.bits) for _ in range(count)]
+        return np.array(levels, np.float64) * step(limit, self.bits) - limit
+
+    def lengths(self, count: int) -> Reals:
+        """Take lengths [R], shape (count,)."""
+        return self.reals(count, 2.0 ** self.number(_RANGE))
+
+
+def step(limit: float, bits: int) -> float:
+    """Distance of neighboring values among 2^bits from -limit to limit."""
+    return 2.0 * limit / float(2**bits - 1)
+
+
+def _level(value: float, limit: float, bits: int) -> int:
+    return round((min(max(value, -limit), limit) + limit) / step(limit, bits))
+
+
+def rounding_sd(farthest: float, bits: int | None) -> float:
+    """Standard deviation that rounding gives a coordinate at most so far from the anchor [R]."""
+    if bits is None:
+        return 0.0
+    limit = 2.0 ** math.ceil(math.log2(max(farthest, 1.0)))
+    return step(limit, bits) / math.sqrt(12.0)
+
+
+def write_place(to: Writer, place: Whereabouts) -> None:
+    """Append where a robot is."""
+    to.lengths(place.position)
+    to.reals(place.turn, _MOST_TURN)
+    if to.bits is None:
+        to.reals([place.sd], 1.0)
+        return
+    share = math.log(max(place.sd, _LEAST_SD) / _LEAST_SD) / math.log(_MOST_SD / _LEAST_SD)
+    to.number(round(min(share, 1.0) * (2**_SD - 1)), _SD)
+
+
+def read_place(source: Reader) -> Whereabouts:
+    """Take where a robot is."""
+    position, turn = source.lengths(_AXES), source.reals(_AXES, _MOST_TURN)
+    if source.bits is None:
+        return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
+    share = source.number(_SD) / (2**_SD - 1)
+    return Whereabouts(position, turn, _LEAST_SD * (_MOST_SD / _LEAST_SD) ** share)
+
+
+def write_candidates(to: Writer, places: Reals) -> None:
+    """Append places that rows of a robot allow [R], shape (k, 3)."""
+    to.number(len(places), COUNT)
+    to.lengths(places.ravel())
+
+
+def read_candidates(source: Reader) -> Reals:
+    """Take places that rows of a robot allow [R], shape (k, 3)."""
+    count = source.number(COUNT)
+    return source.lengths(_AXES * count).reshape(count, _AXES)
+
+
+def write_numbers(to: Writer, numbers: Iterable[int]) -> None:
+    """Append numbers of robots, fewer than 256."""
+    every = sorted(numbers)[-(2**COUNT - 1) :]
+    to.number(len(every), COUNT)
+    for each in every:
+        to.number(each, NUMBER)
+
+
+def read_numbers(source: Reader) -> list[int]:
+    """Take numbers of robots, ascending."""
+    return [source.number(NUMBER) for _ in range(source.number(COUNT))]
+
+
+def line_bytes(line: RobotLine, docks: int, bits: int | None) -> bytes:
+    """Write what a robot of so many docks sensed."""
+    to = Writer(bits)
+    to.number(line.robot, NUMBER)
+    to.number(line.flip_height is not None, 1)
+    if line.flip_height is not None:
+        to.lengths([line.flip_height])
+    stances = line.stances or []
+    to.number(line.stances is not None, 1)
+    to.number(len(stances), NUMBER)
+    stays: list[list[int]] = []
+    every: list[RobotLine | StanceEntry] = [*stances, line]
+    for entry in every:
+        _write_stance(to, entry, docks, stays)
+        if isinstance(entry, StanceEntry):
+            to.number(entry.pivot_dock, _dock_bits(docks))
+            stays = [item for item in sorted(entry.contacts) if item[0] == entry.pivot_dock]
+    more = _others(line)
+    to.number(bool(more), 1)
+    if more:
+        text = json.dumps(more, separators=(",", ":")).encode()
+        to.number(len(text), 2 * COUNT)
+        for byte in text:
+            to.number(byte, 8)
+    return to.to_bytes()
+
+
+def read_line(content: bytes, docks: int, bits: int | None) -> RobotLine:
+    """Read what `line_bytes` wrote."""
+    source = Reader(content, bits)
+    entries: dict[str, object] = {"robot": source.number(NUMBER)}
+    if source.number(1):
+        entries["flip_height"] = float(source.lengths(1)[0])
+    has_stances, count = source.number(1), source.number(NUMBER)
+    stances: list[dict[str, Any]] = []
+    stays: list[list[int]] = []
+    for _ in range(count):
+        stance = _read_stance(source, docks, stays)
+        pivot = stance["pivot_dock"] = source.number(_dock_bits(docks))
+        stays = [item for item in stance["contacts"] if item[0] == pivot]
+        stances.append(stance)
+    entries |= _read_stance(source, docks, stays)
+    if has_stances:
+        entries["stances"] = stances
+    if source.number(1):
+        text = bytes(source.number(8) for _ in range(source.number(2 * COUNT)))
+        more = json.loads(text)
+        for stance, lists in zip(stances, more.pop("stances", []), strict=False):
+            stance.update(lists)
+        entries |= more
+    return RobotLine.model_validate_json(json.dumps(entries))
+
+
+def _others(line: RobotLine) -> dict[str, object]:
+    """Gather what a line says beside orientations, contacts and the ground."""
+    names = [key for key in STANCE_LISTS if key not in _PLAIN]
+
+    def lists(entry: RobotLine | StanceEntry) -> dict[str, object]:
+        return {key: getattr(entry, key) for key in names if getattr(entry, key)}
+
+    found = lists(line)
+    if line.spawn_position is not None:
+        found["spawn_position"] = line.spawn_position
+    earlier = [lists(entry) for entry in line.stances or []]
+    if any(earlier):
+        found["stances"] = earlier
+    return found
+
+
+def _dock_bits(docks: int) -> int:
+    return max((docks - 1).bit_length(), 1)
+
+
+def _write_stance(
+    to: Writer, entry: RobotLine | StanceEntry, docks: int, stays: list[list[int]]
+) -> None:
+    """Write orientation, contacts and ground of a stance.
+
+    Args:
+        to: Where to.
+        entry: The stance; its robot has a compass.
+        docks: Docks of a robot.
+        stays: Contacts of the dock that the robot flipped about, which most often still are.
+    """
+    if entry.orientation_wxyz is None:
+        raise ValueError("a robot without a compass has no line")
+    parts = np.array(entry.orientation_wxyz)
+    if to.bits is None:
+        to.reals(parts, 1.0)
+    else:
+        # q and -q are one rotation: the largest part is made positive, and follows from the others.
+        largest = int(np.abs(parts).argmax())
+        to.number(largest, 2)
+        to.reals(np.delete(parts * np.copysign(1.0, parts[largest]), largest), _CORNER)
+    own = sorted(entry.contacts)
+    for item in stays:
+        to.number(item in own, 1)
+    fresh = [item for item in own if item not in stays]
+    to.number(len(fresh), COUNT)
+    for dock, other, its in fresh:
+        to.number(dock, _dock_bits(docks))
+        to.number(other, NUMBER)
+        to.number(its, _dock_bits(docks))
+    ground = entry.ground_docks or []
+    for dock in range(docks):
+        to.number(dock in ground, 1)
+
+
+def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str, Any]:
+    if source.bits is None:
+        parts = source.reals(_AXES + 1, 1.0)
+    else:
+        largest = source.number(2)
+        smaller = source.reals(_AXES, _CORNER)
+        rest = math.sqrt(max(1.0 - float(smaller @ smaller), 0.0))
+        parts = np.insert(smaller, largest, rest)
+        parts /= np.linalg.norm(parts)
+    contacts = [item for item in stays if source.number(1)]
+    size = _dock_bits(docks)
+    contacts += [
+        [source.number(size), source.number(NUMBER), source.number(size)]
+        for _ in range(source.number(COUNT))
+    ]
+    ground = [dock for dock in range(docks) if source.number(1)]
+    return {
+        "orientation_wxyz": parts.tolist(),
+        "contacts": sorted(contacts),
+        "ground_docks": ground,
+    }
