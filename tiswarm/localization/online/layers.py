@@ -8,7 +8,8 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.online.blocks import Block
 from tiswarm.localization.online.candidates import candidates, extension
-from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
+from tiswarm.localization.online.configuration import Configuration, Shapes
+from tiswarm.localization.online.neighborhood import Linearized, Neighborhood
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import OnlineParams
 from tiswarm.measurements.rows import SPACING
@@ -31,8 +32,7 @@ class LocalLayers:
         self.sd: Reals = np.empty(0)
         """Standard deviation of each position [R], shape (N,)."""
         self._sharing: list[set[int]] = []
-        self._touching: dict[int, set[tuple[int, int, int]]] = {}
-        self._shapes = Shapes(np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching)
+        self._shapes = Shapes.of_none(docks)
 
     @property
     def mean(self) -> Reals:
@@ -41,12 +41,16 @@ class LocalLayers:
         return mean
 
     def append(self, block: Block, touching: set[tuple[int, int, int]]) -> None:
-        """Make room for a robot that is nowhere yet; `touching` as in `Shapes`."""
+        """Make room for a robot that is nowhere yet.
+
+        Args:
+            block: Its rows.
+            touching: Its docks in contact: its own, an earlier robot, and the dock of that one.
+        """
         number = len(self.blocks)
         self.blocks.append(block)
         self._sharing.append(set())
         self.places.append(np.empty((0, _AXES)))
-        self._touching[number] = touching
         for partner in block.partners.tolist():
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
@@ -54,12 +58,7 @@ class LocalLayers:
         self.state = Configuration(*(np.concatenate([each, zero]) for each in self.state))
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
-        arm, turn_sd, every = self._shapes
-        self._shapes = Shapes(
-            np.concatenate([arm, block.arm[None]]),
-            np.concatenate([turn_sd, block.turn_sd[None]]),
-            every,
-        )
+        self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
 
     def place(self, number: int) -> Reals:
         """Find the likely places of a robot that joined; without partners, that of the last one."""

@@ -19,6 +19,7 @@ from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
     entries,
@@ -28,7 +29,7 @@ from tiswarm.localization.online.lines import (
     standing,
     without,
 )
-from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.online.neighborhood import Neighborhood
 from tiswarm.localization.online.settings import (
     TIMES,
 )
@@ -304,7 +305,7 @@ class Tracker:
         now.shift, now.sd = before.shift[old], before.sd[old]
 
     def _touching(self, line: RobotLine) -> set[tuple[int, int, int]]:
-        """List the docks of a robot in contact, as `Shapes` has them."""
+        """List the docks of a robot in contact, as `append` takes them."""
         return {(dock, self._index[other], its) for dock, other, its in line.contacts}
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:
