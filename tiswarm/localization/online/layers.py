@@ -15,6 +15,8 @@ from tiswarm.localization.params import OnlineParams
 from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
+_LEAST_SD = 1e-9
+"""The anchor has no sd to divide by [R]."""
 
 
 class LocalLayers:
@@ -80,34 +82,45 @@ class LocalLayers:
             places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
                 likeliest one, and what is reported is the mean.
         """
-        near = self._near(number)
-        # The arrays are the state's own: what is set here is where steps begin.
+        near, is_new = self._near(number), places is not None
         position, turn = self.state
+        # Each solution has an array of its own: the best one may be where steps begin.
+        starts = np.tile(position, (len(places) if places is not None else 1, 1, 1))
         if places is not None:
-            position[number] = places[0]
+            starts[:, number] = places
+        self.state = Configuration(starts[0], turn)
         if not self._blocks_about(near):  # nothing says where it is
-            self.sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
+            self.sd[number] = np.linalg.norm(starts[0], axis=1).max() + SPACING
             return False
         problem = self.neighborhood(near)
         # Robots nearby may give way to one place more than to another.
-        found = []
-        for place in position[number, None].copy() if places is None else places:
-            position[number] = place
-            found.append(problem.solved(Configuration(position, turn)))
+        found = [problem.solved(Configuration(start, turn)) for start in starts]
         state, linear, weight = self._weighed(found, number)
         spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
             state, linear = self._exchanged(problem, state, linear, number)
             surprised = self._is_surprise(problem, linear, number)
-        elif places is not None:
+        elif is_new:
             at = np.array([each.position[number] for each, _ in found])
             mean = weight @ at
             self.shift[number] = mean - state.position[number]
             spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
         self.state = state
-        self.sd[near] = problem.sd(linear)
+        self._revise_means(near, problem.sd(linear), number, is_new=is_new)
         self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
         return surprised
+
+    def _revise_means(self, near: Ints, sd: Reals, number: int, *, is_new: bool) -> None:
+        """Set the sd of robots nearby, and shift means as far as likely states still differ."""
+        # What is known better now is less uncertain between states, too.
+        share = np.minimum(1.0, sd / np.maximum(self.sd[near], _LEAST_SD)) ** 2
+        share[near == number] = 1.0
+        self.shift[near] *= share[:, None]
+        self.sd[near] = sd
+        partners = self.blocks[number].partners
+        if is_new and len(partners):
+            # It hangs on robots that are elsewhere in other likely states.
+            self.shift[number] += self.shift[partners].mean(axis=0)
 
     def is_surprising(self, number: int) -> bool:
         """Judge whether chance explains the rows and overlaps of a robot where it is."""
