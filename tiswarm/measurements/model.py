@@ -238,7 +238,7 @@ class Measurements:
         every = np.full((len(d.stance), _AXES), _AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
-        of_offsets = np.empty(0)
+        of_offsets: Reals = np.empty(0)
         if len(o.stance):  # most logs have none
             of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
             of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)

@@ -51,8 +51,8 @@ def candidates(
     descend(
         int(non_overlap), shapes.reach, *table, *robots, *scratch_for([block]), place, cost, count
     )
-    place, cost = place[: count[0]], cost[: count[0]]
-    return _distinct(place, cost - extension(block, state, place))
+    ends, square = place[: count[0]], cost[: count[0]]
+    return _distinct(ends, square - extension(block, state, ends))
 
 
 def extension(block: Block, state: Configuration, place: Reals) -> Reals:

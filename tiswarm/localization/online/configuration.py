@@ -32,7 +32,7 @@ class Shapes(NamedTuple):
     """Standard deviation of each final orientation about each axis [rad], shape (N, 3)."""
 
     touch: NDArray[np.int32]
-    """Contacts, by the later robot: its dock, an earlier robot, and the dock of that one, (T, 3)."""
+    """Contacts by the later robot: its dock, an earlier robot, the dock of that one, (T, 3)."""
 
     touch_start: NDArray[np.int32]
     """First contact of each robot, shape (N + 1,)."""

@@ -5,10 +5,10 @@ unknowns, and overlaps of docks that do not touch. Each block of rows has a cova
 by the noise of earlier stances. Lengths in R.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy.linalg
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.settings import ANNEALING
@@ -18,6 +18,8 @@ from tiswarm.localization.online.neighborhood_kernels import sum_equations
 from tiswarm.localization.online.settings import NEIGHBORS
 
 _AXES = 3
+_LAPACK: Any = scipy.linalg.lapack
+"""Its functions have no types, and cost less to call than those above them."""
 
 
 class Linearized(NamedTuple):
@@ -141,7 +143,8 @@ class Neighborhood:
             known[anchor] = known[:, anchor] = 0.0
             known[anchor, anchor] = 1.0
         # Symmetric: its transpose is the same matrix in the order that needs no copy.
-        factor, trouble = lapack.dpotrf(known.T, lower=1, overwrite_a=1)
+        factor: Reals
+        factor, trouble = _LAPACK.dpotrf(known.T, lower=1, overwrite_a=1)
         if trouble:
             raise np.linalg.LinAlgError("a neighborhood of which less than nothing is known")
         return factor
@@ -153,7 +156,7 @@ class Neighborhood:
             slope[:_AXES] = 0.0
         count = len(slope) // 2
         factor = self._factor(linear, NEIGHBORS.damping)
-        step, _ = lapack.dpotrs(factor, -np.roll(slope, count), lower=1)
+        step, _ = _LAPACK.dpotrs(factor, -np.roll(slope, count), lower=1)
         steps = np.roll(step, count).reshape(2, -1, _AXES)
         far, most = np.linalg.norm(steps[0], axis=1), NEIGHBORS.longest_step
         steps[0] *= np.minimum(1.0, most / np.maximum(far, most))[:, None]
@@ -175,8 +178,8 @@ class Neighborhood:
             others[count : count + _AXES] = 0.0
         # Turns come first: the last rows of the factor are that of what is known of the shifts
         # alone, and the variance is the square of its inverse.
-        half, _ = lapack.dtrtrs(factor, others, lower=1)
-        inverse, _ = lapack.dtrtri(factor[count:, count:], lower=1)
+        half, _ = _LAPACK.dtrtrs(factor, others, lower=1)
+        inverse, _ = _LAPACK.dtrtri(factor[count:, count:], lower=1)
         inverse = np.tril(inverse)
         own = (inverse**2).sum(axis=0)
         # A neighborhood hangs on robots that are wrong themselves, and by much the same.
