@@ -102,12 +102,16 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
 def _add_products(rows, values, scratch: Ref, total_out: Ref):
     """Add the products of all values of some rows, in pairs, to the lower triangle of a sum."""
     for u in range(values):
-        for v in range(u + 1):
-            total = 0.0
+        # Four sums side by side: each addition of one alone waits for the last.
+        for part in range(u // 4 + 1):
+            total = ti.Vector([0.0, 0.0, 0.0, 0.0])
             for a in range(rows):
-                total += scratch.value[u, a] * scratch.value[v, a]
-            first, second = scratch.place[u], scratch.place[v]
-            total_out[ti.max(first, second), ti.min(first, second)] += total
+                for k in ti.static(range(4)):
+                    total[k] += scratch.value[u, a] * scratch.value[ti.min(4 * part + k, u), a]
+            for k in ti.static(range(4)):
+                if 4 * part + k <= u:
+                    first, second = scratch.place[u], scratch.place[4 * part + k]
+                    total_out[ti.max(first, second), ti.min(first, second)] += total[k]
 
 
 @ti.func
