@@ -26,8 +26,9 @@ REALS = 15
 """Columns of `Table.real`."""
 
 POSITION, TURN, TURN_SD, STAYS, STATE = 0, 3, 6, 9, 10
-"""Columns of `Robots.state`: the center, the error of the orientation in standard deviations, these
-[rad], and the sd of each coordinate of a robot that does not move [R]; then how many they are."""
+"""Columns of `BelievedRobots.state`: the center, the error of the orientation in standard
+deviations, these [rad], and the sd of each coordinate of a robot that does not move [R]; then how
+many they are."""
 
 DIRECTION, ITS_DIRECTION, RESIDUAL, WIDENED, SEEN = 0, 3, 6, 7, 8
 """Columns of `Scratch.row`: the derivative by the robot's center and by its turn [R], what is
@@ -41,7 +42,7 @@ class Table(NamedTuple):
     """ROW, NOISE and MEMBERS of each block, and where the last one ends, shape (B + 1, 3)."""
 
     member: Ints1
-    """Robots of each block: its own, then its partners ascending, shape (M,)."""
+    """BelievedRobots of each block: its own, then its partners ascending, shape (M,)."""
 
     number: Ints2
     """Columns from KIND on, shape (E, 3)."""
@@ -53,7 +54,7 @@ class Table(NamedTuple):
     """As in `Block`, block after block."""
 
 
-class Robots(NamedTuple):
+class BelievedRobots(NamedTuple):
     """N robots."""
 
     state: Reals2

@@ -6,7 +6,7 @@ from tiswarm.localization.online.arrays import (
     DIRECTION,
     RESIDUAL,
     ROW,
-    Robots,
+    BelievedRobots,
     Scratch,
     Table,
 )
@@ -99,7 +99,7 @@ def _overlaps_at(at, own, reach, robots: Ref):
 def descend(
     non_overlap: I32, reach: F64,
     block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals1,  # Table
-    state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # Robots
+    state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # BelievedRobots
     covariance: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
     place_out: Reals2, cost_out: Reals1, count_out: Ints1,
 ):  # fmt: skip
@@ -113,7 +113,7 @@ def descend(
         count_out: How many places are left, shape (1,).
     """
     table = ti.static(Table(block, member, number, real, noise))
-    robots = ti.static(Robots(state, arm, touch, touch_start))
+    robots = ti.static(BelievedRobots(state, arm, touch, touch_start))
     scratch = ti.static(Scratch(covariance, row, value, place))
     ti.loop_config(serialize=True)
     for once in range(1):

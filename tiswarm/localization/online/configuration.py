@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
-from tiswarm.localization.online.arrays import POSITION, STATE, STAYS, TURN, TURN_SD, Robots
+from tiswarm.localization.online.arrays import POSITION, STATE, STAYS, TURN, TURN_SD, BelievedRobots
 from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
@@ -66,7 +66,7 @@ class Shapes(NamedTuple):
         return 2.0 * float(np.linalg.norm(self.arm[0], axis=1).max()) + SPACING
 
 
-def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) -> Robots:
+def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) -> BelievedRobots:
     """Put robots where they are, as kernels take them.
 
     Args:
@@ -77,4 +77,4 @@ def robots_at(state: Configuration, shapes: Shapes, stays: Reals | float = 0.0) 
     columns = np.empty((len(shapes.arm), STATE))
     columns[:, POSITION:TURN], columns[:, TURN:TURN_SD] = state
     columns[:, TURN_SD:STAYS], columns[:, STAYS] = shapes.turn_sd, stays
-    return Robots(columns, shapes.arm, shapes.touch, shapes.touch_start)
+    return BelievedRobots(columns, shapes.arm, shapes.touch, shapes.touch_start)

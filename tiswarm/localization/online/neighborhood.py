@@ -146,7 +146,7 @@ class Neighborhood:
         factor: Reals
         factor, trouble = _LAPACK.dpotrf(known.T, lower=1, overwrite_a=1)
         if trouble:
-            raise np.linalg.LinAlgError("a neighborhood of which less than nothing is known")
+            raise np.linalg.LinAlgError("the information of a neighborhood is not positive")
         return factor
 
     def _step(self, linear: Linearized) -> tuple[Reals, Reals]:

@@ -16,7 +16,7 @@ from tiswarm.localization.online.arrays import (
     ROW,
     STAYS,
     TURN_SD,
-    Robots,
+    BelievedRobots,
     Scratch,
     Table,
 )
@@ -129,15 +129,15 @@ def _fill_side(used, robot, pull, arm, moving, robots: Ref, column: Ref, scratch
 
 
 @ti.func
-def _add_overlap(robot, other, arm, its, apart, deep, moving, robots: Ref, column: Ref,
+def _add_overlap(robot, other, arm, its, apart, moving, robots: Ref, column: Ref,
                  scratch: Ref, total_out: Ref):  # fmt: skip
-    """Add the overlap of two docks, `deep` [R], at the ends of arms and apart by a vector."""
+    """Add the overlap of two docks at the ends of arms that are apart by a vector."""
     way = apart.normalized() / OVERLAP_SD
     used = _fill_side(0, robot, way, arm, moving, robots, column, scratch)
     used = _fill_side(used, other, -way, its, moving, robots, column, scratch)
     stays = robots.state[robot, STAYS] - robots.state[other, STAYS]
     _store(used, 0, stays * way, scratch)
-    scratch.value[used + _SHARED, 0] = -deep / OVERLAP_SD
+    scratch.value[used + _SHARED, 0] = -overlap_of(apart) / OVERLAP_SD
     for c in range(_SHARED + 1):
         scratch.place[used + c] = _PARTS * moving + c
     _add_products(1, used + _SHARED + 1, scratch, total_out)
@@ -167,7 +167,7 @@ def _add_overlaps(robot, other, moving, robots: Ref, column: Ref, scratch: Ref, 
                 second = its if robot > other else dock
                 # Docks in contact are nearer than D as often as farther.
                 if not is_touching(later, first, earlier, second, robots):
-                    _add_overlap(robot, other, arm, other_arm, apart, deep, moving, robots, column,
+                    _add_overlap(robot, other, arm, other_arm, apart, moving, robots, column,
                                  scratch, total_out)  # fmt: skip
                     _note_overlap(column[robot], deep, overlap_out)
                     _note_overlap(column[other], deep, overlap_out)
@@ -177,7 +177,7 @@ def _add_overlaps(robot, other, moving, robots: Ref, column: Ref, scratch: Ref, 
 def sum_equations(
     robust_square: F64, non_overlap: I32, reach: F64,
     block: Ints2, member: Ints1, number: Ints2, real: Reals2, noise: Reals1,  # Table
-    state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # Robots
+    state: Reals2, arm: Reals3, touch: Ints2, touch_start: Ints1,  # BelievedRobots
     covariance: Reals2, row: Reals2, value: Reals2, place: Ints1,  # Scratch
     mover: Ints1, column: Ints1,
     total_out: Reals2, square_out: Reals1, overlap_out: Reals1,
@@ -188,7 +188,7 @@ def sum_equations(
         robust_square: Square of the width of the robust loss [1]; 0 where squares count.
         non_overlap: Whether docks that do not touch must not overlap.
         reach: Distance of centers beyond which no docks overlap [R].
-        mover: Robots that may move, ascending, shape (K,).
+        mover: BelievedRobots that may move, ascending, shape (K,).
         column: Place of each robot among these, -1 for those that stay, shape (N,).
         total_out: Zeros at first. Products of shifts and turns of all that may move, a shift of
             the others, and the residual, in pairs; lower triangle, shape (6 K + 4, 6 K + 4).
@@ -197,7 +197,7 @@ def sum_equations(
             deviations], shape (K,).
     """
     table = ti.static(Table(block, member, number, real, noise))
-    robots = ti.static(Robots(state, arm, touch, touch_start))
+    robots = ti.static(BelievedRobots(state, arm, touch, touch_start))
     scratch = ti.static(Scratch(covariance, row, value, place))
     ti.loop_config(serialize=True)
     for b in range(block.shape[0] - 1):
