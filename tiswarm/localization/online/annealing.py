@@ -1,6 +1,6 @@
 """The chains of `joint`, from where the structure is. Lengths in R."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from tiswarm.localization.joint.method import localize_batch, mixed, without_out
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.online.configuration import Configuration
-from tiswarm.localization.online.settings import TIMES
+from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.records.estimate import Estimate
@@ -38,34 +38,38 @@ def reannealed(
         there to the mean of all likely ends of chains [R], shape (N, 3); and the standard deviation
         of that [R], shape (N,).
     """
-    warm = replace(_as_joint(params), hold_steps=TIMES.hold_steps)
+    warm = _as_joint(params)
     problem, chains = _chains(log, warm, state)
-    # Chains may all end higher than where they began: that counts as an end, too.
-    here = set_apart(problem, state.position)
-    yaw = np.zeros(log.robot_count)
-    has_failed = np.append(failed(problem, chains), False)
-    chains = chains.joined(chains.still(here[None], yaw[None]))
-    ends = ranked(log, warm, problem, chains, has_failed)
+    ends = ranked(log, warm, problem, chains, failed(problem, chains))
     cost = Cost(
         log,
         problem.rows,
         robust_sd=ANNEALING.outlier_sd if params.robust else None,
         non_overlap=params.non_overlap,
     )
+    walks = problem.rows.odometry
+    # Turns of earlier stances follow from those of final ones in a step.
+    turn = np.zeros((len(walks.owner), 3))
+    turn[walks.final] = state.turn
+    yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
-    there, linear = cost.refine((ends.position[best], yaw), TIMES.rounds)
+    # Chains may all end higher than where they began, which is near a minimum already.
+    found = [
+        cost.refine((set_apart(problem, state.position), yaw), 0, turn=turn),
+        cost.refine((ends.position[best], yaw), TIMES.rounds),
+    ]
     if anew:
         start = _searched(log, params).solutions[0].position / log.dock_radius
-        found = cost.refine((set_apart(problem, start), yaw), TIMES.rounds)
-        there, linear = min((there, linear), found, key=lambda each: each[1].cost)
+        found.append(cost.refine((set_apart(problem, start), yaw), TIMES.rounds))
+    there, linear = min(found, key=lambda each: each[1].cost)
     placed, square = place_disconnected(there.position[None], problem)
     mean = np.tensordot(ends.weight, ends.position, 1)
     between = ends.weight @ ((ends.position - mean) ** 2).sum(axis=2)
-    counts = ~problem.untied
+    # Chains that ended far above the best minimum say nothing about it.
+    counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean - there.position, 0.0)
     sd = np.sqrt(linear.variance() + np.where(counts, between, square[0]))
-    turn = there.turn[problem.rows.odometry.final]
-    return Configuration(placed[0], turn), shift, sd
+    return Configuration(placed[0], there.turn[walks.final]), shift, sd
 
 
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:

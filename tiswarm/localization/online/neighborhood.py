@@ -41,7 +41,7 @@ class Linearized(NamedTuple):
     """Change of the slope by a common shift of all other robots, weighed by their sd, (6 K, 3)."""
 
     square: Reals
-    """Chi-square of the rows of each block [1], shape (B,)."""
+    """Chi-square of the rows of each block, by their robust loss where they give way, (B,)."""
 
     overlap: Reals
     """Greatest overlap of each robot [standard deviations], shape (K,)."""

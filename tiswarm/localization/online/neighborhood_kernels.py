@@ -192,7 +192,7 @@ def sum_equations(
         column: Place of each robot among these, -1 for those that stay, shape (N,).
         total_out: Zeros at first. Products of shifts and turns of all that may move, a shift of
             the others, and the residual, in pairs; lower triangle, shape (6 K + 4, 6 K + 4).
-        square_out: Chi-square of the rows of each block, then the loss beyond squares, (B + 1,).
+        square_out: Loss of the rows of each block, then all of it beyond squares, shape (B + 1,).
         overlap_out: Zeros at first. Greatest overlap of each robot that may move [standard
             deviations], shape (K,).
     """
@@ -210,16 +210,17 @@ def sum_equations(
         for a in range(rows):
             tail, its = measure_row(b, a, at, table, robots, scratch)
             _fill_values(b, a, values, tail, its, table, robots, column, scratch)
+        excess = 0.0
         if robust_square > 0.0:
-            square_out[blocks] += give_way(b, robust_square, table, scratch)
+            excess = give_way(b, robust_square, table, scratch)
+        square_out[blocks] += excess
         factor_covariance(b, noise, table, scratch)
         for u in range(values):
             whiten(u, rows, scratch)
         _add_products(rows, values, scratch, total_out)
-        square = 0.0
+        square_out[b] = excess
         for a in range(rows):
-            square += value[values - 1, a] ** 2
-        square_out[b] = square
+            square_out[b] += value[values - 1, a] ** 2
     ti.loop_config(serialize=True)
     for k in range(mover.shape[0] * non_overlap):
         robot = mover[k]

@@ -94,9 +94,6 @@ class AnnealSettings:
     surprised_growth: float = 0.03
     """Growth since the last time after which a surprise that is left is a reason [1]."""
 
-    hold_steps: int = 20
-    """Steps at the end temperature while robots join [1]: only where chains end counts then."""
-
     rounds: int = 2
     """Steps toward the minimum from the best end [1]. Joins that follow go on from there."""
 
