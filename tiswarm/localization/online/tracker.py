@@ -258,7 +258,8 @@ class Tracker:
         log = centered(self.log)
         found = reannealed(log, self._params, self._layers.state)
         self._layers.state, self._layers.shift, self._layers.sd = found
-        if any(surprised) and any(map(self._layers.is_surprising, numbers)):
+        is_small = len(self._index) <= TIMES.searched
+        if is_small and any(surprised) and any(map(self._layers.is_surprising, numbers)):
             found = reannealed(log, self._params, self._layers.state, anew=True)
             self._layers.state, self._layers.shift, self._layers.sd = found
         return True
