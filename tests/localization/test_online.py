@@ -12,7 +12,7 @@ from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.neighborhood import Configuration
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State

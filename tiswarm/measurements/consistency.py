@@ -116,12 +116,16 @@ def _names(log: SensingLog, rows: Measurements, chosen: list[int]) -> str:
     )
 
 
-def inconsistent_places(rows: Measurements) -> Bools:
+def inconsistent_places(rows: Measurements, variance: Reals | None = None) -> Bools:
     """Find coordinates that disagree with most others that the same robot measured.
 
     The walk between two stances is known, so that what a robot measured at one of them predicts
     what it measures at the other, wherever it is. A robot that takes a rounded edge for the flat
     ground contradicts its own flips.
+
+    Args:
+        rows: All rows.
+        variance: Their variance [R^2], if it is known already, shape (E,).
 
     Returns:
         Rows that disagree with the one that most rows agree with, shape (E,); distances never do.
@@ -131,7 +135,7 @@ def inconsistent_places(rows: Measurements) -> Bools:
     robot, direction = rows.robot[contacts:], rows.places.direction
     value = rows.places.value - (direction * rows.arm[contacts:]).sum(axis=1)
     own = (rows.own_variance + rows.shared_variance)[contacts:]
-    walked = rows.variance()[contacts:] - own
+    walked = (rows.variance() if variance is None else variance)[contacts:] - own
     _, group = np.unique(np.column_stack([robot, direction]), axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)

@@ -16,7 +16,14 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.orientations import LINK_SD, with_orientations
-from tiswarm.measurements.rows import SPACING, Coordinates, Distances, Offsets
+from tiswarm.measurements.rows import (
+    NO_COORDINATES,
+    NO_OFFSETS,
+    SPACING,
+    Coordinates,
+    Distances,
+    Offsets,
+)
 from tiswarm.records.sensing_log import SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -123,6 +130,8 @@ def in_plane(log: SensingLog) -> Bools:
 
 def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:  # noqa: ARG001
     stance, rows = _of_all_stances("fixes", log, odometry)
+    if not len(rows):
+        return NO_COORDINATES
     length = np.linalg.norm(rows[:, :3], axis=1)
     value, sd = rows[:, 3:5].T / length / log.dock_radius
     return Coordinates.of(
@@ -144,6 +153,8 @@ def _ranges(log: SensingLog, odometry: Odometry, precision: Precision) -> Distan
 def _directions(log: SensingLog, odometry: Odometry, precision: Precision) -> Offsets:
     """Docks that touched were D apart in a measured direction, at the end or earlier."""
     stance, rows = _of_all_stances("directions", log, odometry)
+    if not len(rows):
+        return NO_OFFSETS
     own, other, its = rows[:, :3].T.astype(np.int64)
     stated = None if log.noise is None else log.noise.direction_deg
     sd = LINK_SD if stated is None else math.radians(stated)
@@ -280,7 +291,7 @@ class Measured:
             [table for table in tables if isinstance(table, Offsets)],
             shared_sd=self.log.source_sd / self.log.dock_radius,
         )
-        return _once_each(every, self.log)
+        return _once_each(every, self.log) if len(every) else every
 
 
 def measure(

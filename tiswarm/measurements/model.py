@@ -238,8 +238,10 @@ class Measurements:
         every = np.full((len(d.stance), _AXES), _AXES**-0.5)
         direction = np.concatenate([every, p.direction])
         variance = (direction**2 * noise).sum(axis=1)
-        of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
-        of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)
+        of_offsets: Reals = np.empty(0)
+        if len(o.stance):  # most logs have none
+            of_offsets = self.odometry.variance_along(o.axis, o.stance, o.dock, o.vector)
+            of_offsets += self.odometry.variance_along(o.axis, o.other_stance, o.other_dock)
         # Rows of offsets stand between those of distances and those of places.
         of_turns = np.insert(variance, len(d.stance), of_offsets)
         return of_turns + self.own_variance + self.shared_variance

@@ -115,9 +115,10 @@ class Odometry:
         at: Reals = self.shift[stance] + offset
         # The dock that the robot holds by stays put: noise of the stance turns the way from there.
         variance = self.walked[stance] + _turned(self.turn_sd[stance], offset - self.held[stance])
-        # A bias of yaw turns the whole walk about the final center: (x, y) moves by (-y, x).
-        x, y, _ = self.bias**2 * at.T**2
-        return at, variance + np.column_stack([y, x, np.zeros(len(at))])
+        if self.bias:
+            # It turns the whole walk about the final center: (x, y) moves by (-y, x).
+            variance[:, :2] += self.bias**2 * at[:, 1::-1] ** 2
+        return at, variance
 
     def candidates(self, stance: Ints, dock: Ints) -> tuple[Reals, Reals]:
         """Compute `arms` of all docks that each may be: every one if UNKNOWN, else itself.

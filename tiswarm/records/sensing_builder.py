@@ -218,13 +218,16 @@ class SensingLogBuilder:
             "number": lambda number, _: number,
             "source": self._source_index,
         }
-        lists = {}
+        lists: dict[str, list[tuple[Any, ...]]] = {}
         for name, kinds in STANCE_LISTS.items():
             if name in NEW_LISTS:
                 self.header.refuse_new(f"{prefix}{name}", getattr(entry, name))
             items: list[tuple[Any, ...]] = []
+            if not getattr(entry, name):  # as most are
+                lists[name] = items
+                continue
             first: dict[tuple[Any, ...], int] = {}
-            for place, numbers in enumerate(getattr(entry, name) or []):
+            for place, numbers in enumerate(getattr(entry, name)):
                 here = f"{prefix}{name}[{place}]"
                 # A source may be left out at the end.
                 pairs = zip_longest(kinds, [numbers] if len(kinds) == 1 else numbers)

@@ -289,21 +289,26 @@ def chosen_rows(
     rows = measured.rows(cues)
     if len(disregarded):
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
-    is_wrong = inconsistent_places(rows) & params.robust
+    variance = rows.variance()
+    is_wrong = inconsistent_places(rows, variance) & params.robust
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
-    rows = rows.select(_most_precise(rows))
+    rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.
-    if "fixes" not in measured.used(params.cues):
-        return rows, inconsistent
     fixed = measured.rows({*params.cues} & {"fixes"})
+    if not len(fixed):
+        return rows, inconsistent
     fixed = fixed.select(fixed.robot > 0)
     every_place = [rows.places, fixed.places]
     tables = [rows.distances], every_place, [rows.offsets]
     return Measurements.gather(odometry, *tables, shared_sd=rows.shared_sd), inconsistent
 
 
-def _most_precise(rows: Measurements) -> Bools:
+def _most_precise(rows: Measurements, variance: Reals) -> Bools:
     """Choose all links, and of the coordinates of a robot in one direction the most precise one.
+
+    Args:
+        rows: Rows to choose from.
+        variance: Their variance [R^2], shape (E,).
 
     Returns:
         Rows that are chosen, shape (E,); none is of the anchor alone.
@@ -312,7 +317,7 @@ def _most_precise(rows: Measurements) -> Bools:
     coordinate = np.column_stack([rows.robot[contacts:], rows.places.direction])
     _, group = np.unique(coordinate, axis=0, return_inverse=True)
     # By group, then by variance: the first of each group is the most precise.
-    order = np.lexsort((rows.variance()[contacts:], group))
+    order = np.lexsort((variance[contacts:], group))
     _, first = np.unique(group[order], return_index=True)
     chosen = np.arange(len(rows)) < contacts
     chosen[contacts + order[first]] = True

@@ -12,7 +12,7 @@ from tiswarm.localization.joint.initialization import place_disconnected, set_ap
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.online.neighborhood import Configuration
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
@@ -53,9 +53,9 @@ def reannealed(
     turn[walks.final] = state.turn
     yaw = np.zeros(log.robot_count)
     best = int(ends.cost.argmin())
-    # Chains may all end higher than where they began.
+    # Chains may all end higher than where they began, which is near a minimum already.
     found = [
-        cost.refine((set_apart(problem, state.position), yaw), TIMES.rounds, turn=turn),
+        cost.refine((set_apart(problem, state.position), yaw), 0, turn=turn),
         cost.refine((ends.position[best], yaw), TIMES.rounds),
     ]
     if anew:

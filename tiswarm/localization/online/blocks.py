@@ -7,19 +7,40 @@ the rows by its center and N a matrix that no position changes. Lengths in R.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.joint.problem import chosen_rows
+from tiswarm.localization.online.arrays import (
+    ARM,
+    AXIS,
+    COORDINATE,
+    DISTANCE,
+    FIRST,
+    HINGE,
+    KIND,
+    MEMBER,
+    OFFSET,
+    OTHER_ARM,
+    OWN_VARIANCE,
+    REALS,
+    SEEN,
+    TAIL,
+    VALUE,
+    VARIANCE,
+    Scratch,
+    Table,
+)
 from tiswarm.localization.params import OnlineParams
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import Odometry
-from tiswarm.measurements.rows import Coordinates, Distances, Offsets
 from tiswarm.records.sensing_log import SensingLog
 
 _AXES = 3
+_PARTS = 6
+"""Unknowns of a robot: its shift and its turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,21 +54,24 @@ class Block:
     """Index of each robot that the block knows in the whole structure: the anchor, robots named by
     the rows, and the robot itself, shape (M,)."""
 
-    tail: Reals
-    """Part of each row's arm that the robot's final orientation turns [R], shape (m, 3)."""
+    number: NDArray[np.int32]
+    """The rows as kernels take them: columns of `Table.number`, shape (m, 3)."""
+
+    real: Reals
+    """The same: columns of `Table.real`, shape (m, REALS)."""
 
     noise: Reals
     """N: covariance of rows a and b by noise of earlier stances, for unit derivatives along axes
     i and j [R^2], at [b, j, a, i], shape (m, 3, m, 3)."""
+
+    about: Ints
+    """Which of the members rows are about, ascending, shape (k,)."""
 
     turn_sd: Reals
     """Standard deviation of the robot's final orientation about each axis [rad], shape (3,)."""
 
     arm: Reals
     """Center to dock at the final stance [R], shape (docks, 3)."""
-
-    variance: Reals
-    """Variance of each row, of the noise of all orientations too [R^2], shape (m,)."""
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -56,11 +80,12 @@ class Block:
     @property
     def partners(self) -> Ints:
         """Earlier robots that rows are about, ascending, shape (k,)."""
-        return np.unique(self.members[self.rows.other])
+        return self.members[self.about]
 
     def with_final_noise(self) -> Reals:
         """Return `noise` with that of the robot's final orientation, shape (m, 3, m, 3)."""
-        return self.noise + _products(_turns(self.tail, self.turn_sd)[:, :, None])
+        tail = self.real[:, TAIL : TAIL + _AXES]
+        return self.noise + _products(_turns(tail, self.turn_sd)[:, :, None])
 
 
 def block_of(log: SensingLog, params: OnlineParams, members: Ints) -> Block:
@@ -87,15 +112,37 @@ def block_of(log: SensingLog, params: OnlineParams, members: Ints) -> Block:
     which, column = np.unique(stance, return_inverse=True)
     turns = np.zeros((len(rows), _AXES, len(which), _AXES))
     turns[row, :, column] = _turns(part, sd[stance])
+    about, place = np.unique(rows.other, return_inverse=True)
+    number, real = _columns(rows, place, tail)
     return Block(
         rows=rows,
         members=members,
-        tail=tail,
+        number=number,
+        real=real,
         noise=_products(turns),
+        about=about,
         turn_sd=sd[odometry.final[last]],
         arm=odometry.arm[odometry.final[last]],
-        variance=rows.variance(),
     )
+
+
+def _columns(rows: Measurements, place: Ints, tail: Reals) -> tuple[NDArray[np.int32], Reals]:
+    """Write rows as `Table` has them; the other robot of each pair has a place among partners."""
+    d, o, p = rows.distances, rows.offsets, rows.places
+    first, pairs = len(d.stance), len(place)
+    number, real = np.zeros((len(rows), 3), np.int32), np.zeros((len(rows), REALS))
+    number[:, KIND] = COORDINATE
+    number[:first, KIND] = np.where(d.is_hinge, HINGE, DISTANCE)
+    number[first:pairs, KIND] = OFFSET
+    number[:pairs, MEMBER] = 1 + place
+    number[:, FIRST] = np.arange(len(rows))
+    number[first:pairs, FIRST] -= np.arange(pairs - first, dtype=np.int32) % _AXES
+    real[first:, AXIS : AXIS + _AXES] = np.concatenate([o.axis, p.direction])
+    real[:, ARM : ARM + _AXES], real[:, TAIL : TAIL + _AXES] = rows.arm, tail
+    real[:pairs, OTHER_ARM : OTHER_ARM + _AXES] = rows.other_arm
+    real[:first, VALUE], real[pairs:, VALUE] = d.length, p.value
+    real[:, OWN_VARIANCE], real[:, VARIANCE] = rows.own_variance, rows.variance()
+    return number, real
 
 
 def _turns(part: Reals, sd: Reals) -> Reals:
@@ -111,87 +158,27 @@ def _products(turns: Reals) -> Reals:
     return (flat @ flat.T).reshape(rows, _AXES, rows, _AXES)
 
 
-class Gathered(NamedTuple):
-    """The rows of B blocks side by side, E in all, about robots of the whole structure."""
-
-    rows: Measurements
-    """All rows, by table and then by block."""
-
-    tail: Reals
-    """As in `Block`, shape (E, 3)."""
-
-    variance: Reals
-    """As in `Block`, shape (E,)."""
-
-    slot: Ints
-    """Place of each row in arrays that have m places a block, shape (E,)."""
-
-    noise: Reals
-    """As in `Block`, 0 beyond the rows of a block, shape (B, m, 3, 3 m)."""
-
-    members: Ints
-    """The robot of each block, then its partners, then itself again, shape (B, k)."""
-
-    member: Ints
-    """Place among these of the other robot of each pair, shape (P,)."""
-
-
-def gather(blocks: list[Block]) -> Gathered:
-    """Put the rows of blocks side by side; none may be without rows."""
-    every = [block.rows for block in blocks]
-    table = [(rows.distances, rows.offsets, rows.places) for rows in every]
-    cuts = [
-        np.cumsum([0, len(d.stance), len(o.stance), len(p.stance)]).tolist() for d, o, p in table
-    ]
-
-    def by_table(columns: list[Any]) -> Any:  # noqa: ANN401 - an array
-        parts = [
-            column[cut[kind] : cut[kind + 1]]
-            for kind in range(len(table[0]))
-            for column, cut in zip(columns, cuts, strict=True)
-        ]
-        return np.concatenate(parts)
-
-    # Blocks have as many places as the largest, so that one call treats all.
-    most = max(map(len, blocks))
-    noise = np.zeros((len(blocks), most, _AXES, most, _AXES))
-    for k, block in enumerate(blocks):
-        noise[k, : len(block), :, : len(block)] = block.noise
-    # A robot repeated has no derivatives of its own, and so adds nothing.
-    partners = [block.partners for block in blocks]
-    count = 1 + max(map(len, partners))
-    members = np.array(
-        [
-            [int(b.members[-1]), *k.tolist(), *[int(b.members[-1])] * (count - 1 - len(k))]
-            for b, k in zip(blocks, partners, strict=True)
-        ]
+def table_of(blocks: list[Block]) -> Table:
+    """Put the rows of blocks one after the other, as kernels take them."""
+    member = [[b.members[-1:], b.partners] for b in blocks]
+    size = [(len(b), b.noise.size, 1 + len(b.about)) for b in blocks]
+    return Table(
+        block=np.cumsum([(0, 0, 0), *size], axis=0, dtype=np.int32),
+        member=np.concatenate([each for pair in member for each in pair]).astype(np.int32),
+        number=np.concatenate([b.number for b in blocks]),
+        real=np.concatenate([b.real for b in blocks]),
+        noise=np.concatenate([b.noise.ravel() for b in blocks]),
     )
-    distances, offsets, places = (
-        [np.concatenate(column) for column in zip(*kind, strict=True)]
-        for kind in zip(*table, strict=True)
-    )
-    rows = Measurements(
-        odometry=every[0].odometry,  # only unknown docks are looked up in it, and there are none
-        distances=Distances(*distances),
-        offsets=Offsets(*offsets),
-        places=Coordinates(*places),
-        robot=by_table([block.members[block.rows.robot] for block in blocks]),
-        other=by_table([block.members[block.rows.other] for block in blocks]),
-        arm=by_table([rows.arm for rows in every]),
-        other_arm=by_table([rows.other_arm for rows in every]),
-        shared_sd=every[0].shared_sd,
-    )
-    return Gathered(
-        rows=rows,
-        tail=by_table([block.tail for block in blocks]),
-        variance=by_table([block.variance for block in blocks]),
-        slot=by_table([most * k + np.arange(len(block)) for k, block in enumerate(blocks)]),
-        noise=noise.reshape(len(blocks), most, _AXES, _AXES * most),
-        members=members,
-        member=by_table(
-            [
-                1 + np.searchsorted(k, b.members[b.rows.other])
-                for b, k in zip(blocks, partners, strict=True)
-            ]
-        ),
+
+
+def scratch_for(blocks: list[Block]) -> Scratch:
+    """Make room for the largest of some blocks."""
+    rows = max(map(len, blocks))
+    # An overlap has two members.
+    values = _PARTS * max(2, *(1 + len(b.about) for b in blocks)) + 1 + _AXES
+    return Scratch(
+        covariance=np.empty((rows, rows)),
+        row=np.empty((rows, SEEN)),
+        value=np.empty((values, rows)),
+        place=np.empty(values, np.int32),
     )

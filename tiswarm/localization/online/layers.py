@@ -8,12 +8,15 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.online.blocks import Block
 from tiswarm.localization.online.candidates import candidates, extension
-from tiswarm.localization.online.neighborhood import Configuration, Linearized, Neighborhood, Shapes
+from tiswarm.localization.online.configuration import Configuration, Shapes
+from tiswarm.localization.online.neighborhood import Linearized, Neighborhood
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import OnlineParams
 from tiswarm.measurements.rows import SPACING
 
 _AXES = 3
+_LEAST_SD = 1e-9
+"""The anchor has no sd to divide by [R]."""
 
 
 class LocalLayers:
@@ -31,12 +34,12 @@ class LocalLayers:
         self.sd: Reals = np.empty(0)
         """Standard deviation of each position [R], shape (N,)."""
         self._sharing: list[set[int]] = []
-        self._touching: dict[int, set[tuple[int, int, int]]] = {}
-        self.gone: set[int] = set()
+        self._shapes = Shapes.of_none(docks)
+
+    @property
+    def gone(self) -> set[int]:
         """Robots that have left; what was sensed of them stays."""
-        self._shapes = Shapes(
-            np.empty((0, docks, _AXES)), np.empty((0, _AXES)), self._touching, self.gone
-        )
+        return self._shapes.gone
 
     @property
     def mean(self) -> Reals:
@@ -45,12 +48,16 @@ class LocalLayers:
         return mean
 
     def append(self, block: Block, touching: set[tuple[int, int, int]]) -> None:
-        """Make room for a robot that is nowhere yet; `touching` as in `Shapes`."""
+        """Make room for a robot that is nowhere yet.
+
+        Args:
+            block: Its rows.
+            touching: Its docks in contact: its own, an earlier robot, and the dock of that one.
+        """
         number = len(self.blocks)
         self.blocks.append(block)
         self._sharing.append(set())
         self.places.append(np.empty((0, _AXES)))
-        self._touching[number] = touching
         for partner in block.partners.tolist():
             self._sharing[partner].add(number)
             self._sharing[number].add(partner)
@@ -58,10 +65,7 @@ class LocalLayers:
         self.state = Configuration(*(np.concatenate([each, zero]) for each in self.state))
         self.shift = np.concatenate([self.shift, zero])
         self.sd = np.append(self.sd, 0.0)
-        self._shapes = self._shapes._replace(
-            arm=np.concatenate([self._shapes.arm, block.arm[None]]),
-            turn_sd=np.concatenate([self._shapes.turn_sd, block.turn_sd[None]]),
-        )
+        self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
 
     def place(self, number: int) -> Reals:
         """Find the likely places of a robot that joined; without partners, that of the last one."""
@@ -83,34 +87,45 @@ class LocalLayers:
             places: Where it may be [R], shape (k, 3); where it is if None. The state is that of the
                 likeliest one, and what is reported is the mean.
         """
-        near = self._near(number)
-        # The arrays are the state's own: what is set here is where steps begin.
+        near, is_new = self._near(number), places is not None
         position, turn = self.state
+        # Each solution has an array of its own: the best one may be where steps begin.
+        starts = np.tile(position, (len(places) if places is not None else 1, 1, 1))
         if places is not None:
-            position[number] = places[0]
+            starts[:, number] = places
+        self.state = Configuration(starts[0], turn)
         if not self._blocks_about(near):  # nothing says where it is
-            self.sd[number] = np.linalg.norm(position, axis=1).max() + SPACING
+            self.sd[number] = np.linalg.norm(starts[0], axis=1).max() + SPACING
             return False
         problem = self.neighborhood(near)
         # Robots nearby may give way to one place more than to another.
-        found = []
-        for place in position[number, None].copy() if places is None else places:
-            position[number] = place
-            found.append(problem.solved(Configuration(position, turn)))
+        found = [problem.solved(Configuration(start, turn)) for start in starts]
         state, linear, weight = self._weighed(found, number)
         spread = 0.0
         if surprised := self._is_surprise(problem, linear, number):
             state, linear = self._exchanged(problem, state, linear, number)
             surprised = self._is_surprise(problem, linear, number)
-        elif places is not None:
+        elif is_new:
             at = np.array([each.position[number] for each, _ in found])
             mean = weight @ at
             self.shift[number] = mean - state.position[number]
             spread = float(weight @ ((at - mean) ** 2).sum(axis=1))
         self.state = state
-        self.sd[near] = problem.sd(linear)
+        self._revise_means(near, problem.sd(linear), number, is_new=is_new)
         self.sd[number] = np.hypot(self.sd[number], np.sqrt(spread))
         return surprised
+
+    def _revise_means(self, near: Ints, sd: Reals, number: int, *, is_new: bool) -> None:
+        """Set the sd of robots nearby, and shift means as far as likely states still differ."""
+        # What is known better now is less uncertain between states, too.
+        share = np.minimum(1.0, sd / np.maximum(self.sd[near], _LEAST_SD)) ** 2
+        share[near == number] = 1.0
+        self.shift[near] *= share[:, None]
+        self.sd[near] = sd
+        partners = self.blocks[number].partners
+        if is_new and len(partners):
+            # It hangs on robots that are elsewhere in other likely states.
+            self.shift[number] += self.shift[partners].mean(axis=0)
 
     def is_surprising(self, number: int) -> bool:
         """Judge whether chance explains the rows and overlaps of a robot where it is."""

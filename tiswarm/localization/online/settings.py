@@ -94,8 +94,12 @@ class AnnealSettings:
     surprised_growth: float = 0.03
     """Growth since the last time after which a surprise that is left is a reason [1]."""
 
-    rounds: int = 4
-    """Steps toward the minimum from the end of a chain [1]."""
+    searched: int = 30
+    """Robots up to which `joint` searches the structure anew where a surprise is left even then
+    [1]: in more, false contacts would ask for it again and again."""
+
+    rounds: int = 2
+    """Steps toward the minimum from the best end [1]. Joins that follow go on from there."""
 
 
 CANDIDATES = CandidateSettings()

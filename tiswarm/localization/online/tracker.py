@@ -19,6 +19,7 @@ from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
     mentioned,
@@ -290,7 +291,8 @@ class Tracker:
         log = centered(self.log)
         found = reannealed(log, self._params, self._layers.state)
         self._layers.state, self._layers.shift, self._layers.sd = found
-        if any(surprised) and any(map(self._layers.is_surprising, numbers)):
+        is_small = len(self._index) <= TIMES.searched
+        if is_small and any(surprised) and any(map(self._layers.is_surprising, numbers)):
             found = reannealed(log, self._params, self._layers.state, anew=True)
             self._layers.state, self._layers.shift, self._layers.sd = found
         return True
@@ -328,7 +330,7 @@ class Tracker:
         return self._settle(solved)
 
     def _touching(self, line: RobotLine) -> set[tuple[int, int, int]]:
-        """List the docks of a robot in contact, as `Shapes` has them."""
+        """List the docks of a robot in contact, as `append` takes them."""
         return {(dock, self._index[other], its) for dock, other, its in line.contacts}
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:

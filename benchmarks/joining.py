@@ -1,0 +1,159 @@
+"""Measures what robots know as they join, and what it costs them.
+
+    python -m benchmarks.joining                                  # 25 towers, 25 cantilevers
+    python -m benchmarks.joining --kinds tower --robots 1000 --seeds 1 --at 1000
+
+Each structure of noisy robots (1 deg tilt, 2 deg yaw) is fed to a `Tracker` robot by robot, on one
+thread. `joint` has the whole log, and the logs of the first robots, of each number in `--at`: of
+these, errors of the robot that joined last are compared. Times are those of the processor.
+Structures that are in the table already are not measured again.
+"""
+
+import argparse
+import json
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tiswarm.base.aliases import Reals
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute import backend
+from tiswarm.evaluation.tables import MOST_WITHIN
+from tiswarm.localization.online.tracker import Tracker
+from tiswarm.localization.params import JointParams
+from tiswarm.localization.registry import localize
+from tiswarm.records.sensing_builder import SensingLogBuilder
+from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_format import line_text, parse_header, parse_robot
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.history import History
+from tiswarm.world.params import CantileverParams, TowerParams
+
+KINDS = {"tower": TowerParams(), "cantilever": CantileverParams()}
+NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+WARM_UP = 12
+"""Robots of the structure that kernels are compiled for."""
+
+
+def main() -> None:
+    """Measure, store and print a table."""
+    options = _options()
+    backend.start(threads=1)
+    file = options.out / "joining.csv"
+    options.out.mkdir(parents=True, exist_ok=True)
+    table = pd.read_csv(file) if file.exists() else pd.DataFrame({"kind": [], "seed": []})
+    _tracked(observe(_grown("tower", WARM_UP, options.first_seed), NOISY))
+    for kind in options.kinds:
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            sizes = table.get("robots", pd.Series(dtype=float))
+            is_there = (table["kind"] == kind) & (table["seed"] == seed)
+            if (sizes[is_there] == options.robots).any():
+                continue
+            history = _grown(kind, options.robots, seed)
+            row = {"kind": kind, "seed": seed, **measure(history, options.at)}
+            table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
+            table.to_csv(file, index=False, float_format="%.5g")
+    print(summary(table).to_string(float_format="{:.3g}".format))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--robots", type=int, default=100)
+    parser.add_argument("--seeds", type=int, default=25, help="structures of each kind")
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--at", type=int, nargs="+", default=[20, 40, 60, 80, 100], metavar="N",
+                        help="numbers of robots at which joint has the same log")  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("reports/joining"))
+    return parser.parse_args()
+
+
+def _grown(kind: str, robots: int, seed: int) -> History:
+    [history] = grow(KINDS[kind], robots=robots, seeds=[seed], robot=RobotGeometry())
+    return history
+
+
+def measure(history: History, at: list[int]) -> dict[str, float]:
+    """Track the robots of a structure, and localize it by `joint` at some sizes; errors in R."""
+    log = observe(history, NOISY)
+    true = history.position[: log.robot_count]
+    tracker, at_join, at_join_sd, cpu_ms, annealed = _tracked(log)
+    final = tracker.estimate(final=True)
+    off = np.linalg.norm(at_join - true, axis=1)
+    off_after = np.linalg.norm(tracker.positions - true, axis=1)
+    numbers = [n for n in at if n <= log.robot_count]
+    # The whole log is measured anyway.
+    others = {n: _by_joint(log, n) - true[:n] for n in {*numbers, log.robot_count}}
+    last = [float(np.linalg.norm(others[n][-1])) for n in numbers]
+    local = cpu_ms[~annealed]
+    return {
+        "robots": log.robot_count,
+        "at_join_R": _rms(off),
+        "after_R": _rms(off_after),
+        "final_R": _rms(np.linalg.norm(final.position - true, axis=1)),
+        "joint_R": _rms(np.linalg.norm(others[log.robot_count], axis=1)),
+        "last_R": _rms(off[[n - 1 for n in numbers]]),
+        "last_joint_R": _rms(np.array(last)),
+        "within_at_join": float((off[1:] <= MOST_WITHIN * at_join_sd[1:]).mean()),
+        "within_after": float((off_after[1:] <= MOST_WITHIN * tracker.sd[1:]).mean()),
+        "local_ms": float(local.mean()),
+        "join_ms": float(cpu_ms.mean()),
+        "worst_ms": float(cpu_ms.max()),
+        "annealed": int(annealed.sum()),
+    }
+
+
+def _tracked(log: SensingLog) -> tuple[Tracker, Reals, Reals, Reals, np.ndarray]:
+    """Let all robots join: the tracker, places, sd, time [ms], and whether all was annealed."""
+    header, *lines = map(json.dumps, log_entries(log))
+    tracker = Tracker(header)
+    places, sd, cpu_ms, annealed = [], [], [], []
+    for line in lines:
+        begun = time.process_time()
+        change = tracker.join(line)
+        cpu_ms.append(1e3 * (time.process_time() - begun))
+        places.append(tracker.positions[-1])
+        sd.append(tracker.sd[-1])
+        annealed.append(change.annealed)
+    return tracker, np.array(places), np.array(sd), np.array(cpu_ms), np.array(annealed)
+
+
+def _by_joint(log: SensingLog, robots: int) -> Reals:
+    """Localize the first robots of a log by `joint`, shape (robots, 3)."""
+    header, *lines = log_entries(log)
+    builder = SensingLogBuilder(parse_header(line_text(header)))
+    for line in lines[:robots]:
+        builder.add(parse_robot(line_text(line)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # verdicts are not what is measured
+        return localize(builder.log(), JointParams()).position
+
+
+def _rms(values: Reals) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Average structures by kind and size; errors of single robots by their squares."""
+    columns = {}
+    for name, group in table.groupby(["kind", "robots"]):
+        mean = group.drop(columns=["kind", "seed", "robots", "worst_ms"]).mean()
+        for key in ("last_R", "last_joint_R"):
+            mean[key] = _rms(group[key].to_numpy())
+        mean["structures"], mean["at_join_se_R"] = len(group), group["at_join_R"].sem()
+        mean["final_of_joint"] = mean["final_R"] / mean["joint_R"]
+        mean["last_of_joint"] = mean["last_R"] / mean["last_joint_R"]
+        mean["worst_ms"] = group["worst_ms"].max()
+        columns[name] = mean
+    return pd.DataFrame(columns)
+
+
+if __name__ == "__main__":
+    main()

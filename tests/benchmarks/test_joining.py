@@ -1,0 +1,31 @@
+"""The table of joins has what the note on them names."""
+
+import pandas as pd
+import pytest
+
+from tests.benchmarks.commands import call
+
+OPTIONS = ["--kinds", "tower", "--robots", 12, "--seeds", 2, "--at", 8, 12]
+
+
+def test_joins_are_compared_with_joint_on_the_same_robots(tmp_path):
+    """A second call measures nothing again, and prints the same table."""
+    done = call("joining", *OPTIONS, "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    stored = (tmp_path / "joining.csv").read_bytes()
+    table = pd.read_csv(tmp_path / "joining.csv")
+    assert table["seed"].tolist() == [0, 1]
+    assert table["robots"].tolist() == [12, 12]
+    for column in ("at_join_R", "after_R", "final_R", "joint_R", "last_R", "last_joint_R"):
+        assert table[column].between(0.0, 5.0).all()
+    for column in ("within_at_join", "within_after"):
+        assert table[column].between(0.0, 1.0).all()
+    assert (table["local_ms"] <= table["worst_ms"]).all()
+    assert (table["annealed"] > 0).all()
+    again = call("joining", *OPTIONS, "--out", tmp_path)
+    assert again.stdout == done.stdout
+    assert (tmp_path / "joining.csv").read_bytes() == stored
+    ratio = table["final_R"].mean() / table["joint_R"].mean()
+    [printed] = [line for line in done.stdout.splitlines() if line.startswith("final_of_joint")]
+    assert float(printed.split()[-1]) == pytest.approx(ratio, rel=0.01)
