@@ -49,7 +49,7 @@ def _edit(path):
         ("localization/registry.py", {*METHODS, "all"}),
         (
             "localization/joint/chains.py",
-            {"joint", "least-squares", "online", "distributed", "all"},
+            {"joint", "least-squares", "online", "all"},
         ),
         ("localization/hop_by_hop/trilateration.py", {"hop-by-hop", "least-squares", "all"}),
         ("localization/together.py", {"virtual-force", "distributed", "all"}),
