@@ -7,8 +7,21 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows, anneal_near
 from tiswarm.localization.distributed.settings import CHAINS
+from tiswarm.localization.online.arrays import (
+    ARM,
+    AXIS,
+    COORDINATE,
+    KIND,
+    MEMBER,
+    MEMBERS,
+    OTHER_ARM,
+    ROW,
+    VALUE,
+    VARIANCE,
+)
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.layers import LocalLayers
-from tiswarm.localization.online.neighborhood import Configuration, Neighborhood
+from tiswarm.localization.online.neighborhood import Neighborhood
 from tiswarm.localization.params import DistributedParams
 from tiswarm.measurements.rows import SPACING
 
@@ -81,28 +94,25 @@ def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float)
 
 def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
     """List the rows about robots that may move, by robot; turns of orientations are noise here."""
-    found = problem.gathered
-    rows, pairs = found.rows, len(found.rows.other)
-    own, other = rows.robot, np.concatenate([rows.other, np.full(len(rows) - pairs, -1)])
-    arm = rows.arm.copy()
-    arm[:pairs] -= rows.other_arm
-    lengths = len(rows.distances.length)
-    axis = np.concatenate([np.zeros((lengths, _AXES)), rows.offsets.axis, rows.places.direction])
-    value = np.zeros((len(rows), _AXES))
-    value[:lengths, 0] = rows.distances.length
-    value[pairs:, 0] = rows.places.value
-    value[:, 1] = found.variance
+    block, member, number, real, _ = problem.table
+    rows, first = np.diff(block[:, ROW]), np.repeat(block[:-1, MEMBERS], np.diff(block[:, ROW]))
+    own = member[first].astype(np.int64)
+    is_pair = number[:, KIND] != COORDINATE
+    other = np.where(is_pair, member[first + number[:, MEMBER]], -1).astype(np.int64)
+    arm = real[:, ARM : ARM + _AXES] - real[:, OTHER_ARM : OTHER_ARM + _AXES]
+    axis = real[:, AXIS : AXIS + _AXES]
     # As many rows as a robot has, they push it outward once.
-    share = CHAINS.extension / np.maximum(np.bincount(own[:pairs], minlength=robots), 1)
-    value[:pairs, 2] = share[own[:pairs]]
+    pairs = np.add.reduceat(is_pair, block[:-1, ROW])
+    share = np.where(is_pair, CHAINS.extension / np.maximum(np.repeat(pairs, rows), 1), 0.0)
+    value = np.column_stack([real[:, VALUE], real[:, VARIANCE], share])
     # The partner lists the row, too, from its own end.
-    robot = np.concatenate([own, other[:pairs]])
+    robot = np.concatenate([own, other[is_pair]])
     order = np.argsort(robot, kind="stable")
     both = [
-        np.concatenate([other, own[:pairs]]),
-        np.concatenate([arm, -arm[:pairs]]),
-        np.concatenate([axis, -axis[:pairs]]),
-        np.concatenate([value, value[:pairs]]),
+        np.concatenate([other, own[is_pair]]),
+        np.concatenate([arm, -arm[is_pair]]),
+        np.concatenate([axis, -axis[is_pair]]),
+        np.concatenate([value, value[is_pair]]),
     ]
     start = np.searchsorted(robot[order], np.arange(robots + 1)).astype(np.int32)
     partner, arms, axes, values = (np.ascontiguousarray(each[order]) for each in both)
@@ -111,9 +121,12 @@ def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
 
 def docks_of(problem: Neighborhood) -> ChainDocks:
     """List the docks of all robots, and by robot those in contact."""
-    arm, touching = problem.shapes.arm, problem.shapes.touching
-    every = [(i, k, j, m) for i, rows in touching.items() for k, j, m in sorted(rows)]
-    every += [(j, m, i, k) for i, k, j, m in every]
-    contact = np.array(sorted(every), np.int32).reshape(-1, 4)
-    start = np.searchsorted(contact[:, 0], np.arange(len(arm) + 1)).astype(np.int32)
+    arm, touch, robots = problem.shapes.arm, problem.shapes.touch, len(problem.shapes.arm)
+    later = np.repeat(np.arange(robots), np.diff(problem.shapes.touch_start))
+    own, other, its = touch.T
+    every = np.concatenate(
+        [np.column_stack([later, own, other, its]), np.column_stack([other, its, later, own])]
+    ).astype(np.int32)
+    contact = every[np.lexsort(every.T[::-1])]
+    start = np.searchsorted(contact[:, 0], np.arange(robots + 1)).astype(np.int32)
     return ChainDocks(np.ascontiguousarray(arm), start, np.ascontiguousarray(contact[:, 1:]))

@@ -18,9 +18,9 @@ from tiswarm.localization.distributed.chains import annealed
 from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import Whereabouts, read_line, rounding_sd
 from tiswarm.localization.online.blocks import Block, block_of
+from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import mentioned, standing
-from tiswarm.localization.online.neighborhood import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, NEIGHBORS
 from tiswarm.localization.params import DistributedParams, OnlineParams
 from tiswarm.localization.registry import centered

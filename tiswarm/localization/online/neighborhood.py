@@ -73,7 +73,7 @@ class Neighborhood:
         self.moving, self.shapes = moving, shapes
         self.robust, self.non_overlap = robust, non_overlap
         self.number = {int(block.members[-1]): k for k, block in enumerate(blocks)}
-        self._table, self._scratch = table_of(blocks), scratch_for(blocks)
+        self.table, self._scratch = table_of(blocks), scratch_for(blocks)
         robots = len(shapes.arm)
         self._column = np.full(robots, -1, np.int32)
         self._column[moving] = np.arange(len(moving))
@@ -88,7 +88,7 @@ class Neighborhood:
         square, overlap = np.empty(len(self.number) + 1), np.zeros(len(moving))
         sum_equations(
             ANNEALING.outlier_sd**2 * self.robust, int(self.non_overlap), self.shapes.reach,
-            *self._table, *robots_at(state, self.shapes, self._stays), *self._scratch,
+            *self.table, *robots_at(state, self.shapes, self._stays), *self._scratch,
             moving, self._column, total, square, overlap,
         )  # fmt: skip
         off = state.turn[self.moving].ravel()

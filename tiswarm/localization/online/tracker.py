@@ -19,7 +19,6 @@ from tiswarm.localization.assessment import assess, rms
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
-from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
     mentioned,
