@@ -31,7 +31,6 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from tiswarm.base.errors import EnvironmentTroubleError
-from tiswarm.compute.reading import read_quickly
 
 LIBRARIES = {"taichi": "TI", "quadrants": "QD"}
 """The implementations, best first, with the prefix of their environment variables."""
@@ -78,7 +77,6 @@ def load_library() -> tuple[str, Any]:
 
 
 LIBRARY, ti = load_library()
-read_quickly(ti)
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as kernel_struct
