@@ -124,6 +124,7 @@ def descend(
         taken, farthest = 0, CANDIDATES.settled
         while taken < CANDIDATES.rounds and farthest >= CANDIDATES.settled:
             farthest = 0.0
+            # Each start goes on by itself: a merge drops starts, and moves none.
             for n in range(count):
                 at = vector_at(place_out, n)
                 _whiten_rows(at, noise, table, robots, scratch)

@@ -155,6 +155,7 @@ class Neighborhood:
         if self.moving[0] == 0:
             slope[:_AXES] = 0.0
         count = len(slope) // 2
+        # A robot with a free direction takes no step along it.
         factor = self._factor(linear, NEIGHBORS.damping)
         step, _ = _LAPACK.dpotrs(factor, -np.roll(slope, count), lower=1)
         steps = np.roll(step, count).reshape(2, -1, _AXES)

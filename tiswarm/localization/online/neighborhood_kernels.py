@@ -46,6 +46,7 @@ def _number_places(b, moving, table: Ref, column: Ref, scratch: Ref):
     used = 0
     for k in range(table.block[b, MEMBERS], table.block[b + 1, MEMBERS]):
         if column[table.member[k]] >= 0:
+            # All shifts come before all turns, as in `Linearized`.
             for c in range(_PARTS):
                 turns = moving if c >= _AXES else 0
                 place = _AXES * (turns + column[table.member[k]]) + c % _AXES
@@ -86,6 +87,7 @@ def _fill_values(b, a, values, tail, its, table: Ref, robots: Ref, column: Ref, 
     if slot >= 0:
         _store(slot, a, way, scratch)
         _store(slot + _AXES, a, way.cross(tail) * part_at(robots.state, own, TURN_SD), scratch)
+    # Two robots that stay share their error, as far as both have it.
     stays = robots.state[own, STAYS]
     if table.number[e, KIND] != COORDINATE:
         other = table.member[start + table.number[e, MEMBER]]
@@ -215,6 +217,7 @@ def sum_equations(
         if robust_square > 0.0:
             excess = give_way(b, robust_square, table, scratch)
         square_out[blocks] += excess
+        # With L the factor of the covariance, products of L^-1 V are those of V in its inverse.
         factor_covariance(b, noise, table, scratch)
         for u in range(values):
             whiten(u, rows, scratch)

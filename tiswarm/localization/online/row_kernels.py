@@ -43,6 +43,7 @@ def undone(arm, turn):
     sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
     if square > _SMALL:
         angle = ti.sqrt(square)
+        # Rodrigues' formula, divided by the angle so that no axis has to be found.
         sine, cosine = ti.sin(angle) / angle, (1.0 - ti.cos(angle)) / square
     across = turn.cross(arm)
     return arm - sine * across + cosine * turn.cross(across)
@@ -74,6 +75,7 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
         point -= part_at(robots.state, other, POSITION) + its
     residual = point.dot(axis) - value
     if kind < OFFSET:
+        # A distance measures along the line between its ends, which moves with the robots.
         length = point.norm()
         residual = length - value
         axis *= 0.0
@@ -122,6 +124,7 @@ def factor_covariance(b, noise: Ref, table: Ref, scratch: Ref):
     for a in range(rows):
         way = part_at(scratch.row, a, DIRECTION)
         for k in range(a + 1):
+            # d N e, less the part that earlier columns of the factor explain.
             its = part_at(scratch.row, k, DIRECTION)
             total = 0.0
             for c in ti.static(range(_AXES)):
