@@ -178,16 +178,17 @@ class Linear:
         known = int((self._factored(shifted, self.information - held).U.diagonal() > 0.0).sum())
         return int((overlap == 0.0).sum()) + int(says.sum()) - known
 
-    def variance(self, free: Reals | None = None) -> Reals:
+    def variance(self, free: Reals | None = None, draws: int = _DRAWS) -> Reals:
         """Compute the mean square error of positions from draws of all errors [R^2], shape (N,).
 
         Args:
             free: Orthonormal motions of all robots that do not count as errors, shape (3 N, k).
+            draws: How many of them.
         """
         turns = self.noise.shape[1]
         sizes = np.cumsum([len(self.residual), turns, len(self.precision)])
         # The inverse of a sparse matrix is dense; draws of all errors take one solve.
-        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(_DRAWS))
+        draw = normal(0, "errors", np.arange(sizes[-1])[:, None], np.arange(draws))
         own, turn, prior = np.split(draw, sizes[:-1])
         error = np.sqrt(self.own_variance)[:, None] * own
         error[: len(self.robot)] += self.noise @ turn
@@ -197,7 +198,7 @@ class Linear:
             moved = free[3:]  # the anchor stays
             # A motion that nothing measures is no error of the shape.
             shift -= moved @ (moved.T @ shift)
-        square: Reals = (shift.reshape(-1, 3, _DRAWS) ** 2).sum(axis=1).mean(axis=1)
+        square: Reals = (shift.reshape(-1, 3, draws) ** 2).sum(axis=1).mean(axis=1)
         return np.concatenate([[0.0], square])
 
 

@@ -68,7 +68,7 @@ def reannealed(
     # Chains that ended far above the best minimum say nothing about it.
     counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
     shift = np.where(counts[:, None], mean - there.position, 0.0)
-    sd = np.sqrt(linear.variance() + np.where(counts, between, square[0]))
+    sd = np.sqrt(linear.variance(draws=TIMES.draws) + np.where(counts, between, square[0]))
     return Configuration(placed[0], there.turn[walks.final]), shift, sd
 
 

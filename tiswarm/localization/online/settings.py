@@ -98,6 +98,10 @@ class AnnealSettings:
     """Robots up to which `joint` searches the structure anew where a surprise is left even then
     [1]: in more, false contacts would ask for it again and again."""
 
+    draws: int = 16
+    """Draws of all errors from which variances are computed then [1]: three coordinates of each
+    make a standard deviation certain to a tenth."""
+
     rounds: int = 2
     """Steps toward the minimum from the best end [1]. Joins that follow go on from there."""
 
