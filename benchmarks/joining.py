@@ -58,7 +58,8 @@ def main() -> None:
             row = {"kind": kind, "seed": seed, **measure(history, options.at)}
             table = pd.concat([table, pd.DataFrame([row])], ignore_index=True)
             table.to_csv(file, index=False, float_format="%.5g")
-    print(summary(table).to_string(float_format="{:.3g}".format))
+    # As it is stored, so that a second call prints the same.
+    print(summary(pd.read_csv(file)).to_string(float_format="{:.3g}".format))
 
 
 def _options() -> argparse.Namespace:

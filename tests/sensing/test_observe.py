@@ -20,6 +20,8 @@ def test_a_log_holds_only_what_robots_sense():
         "displacements",
         "orientation_sd",  # follows from connections
         "source_name", "source_sd",
+        "gone",  # who said that it left
+        "line",  # where the file says so, for messages
     }  # fmt: skip
 
     assert {field.name for field in dataclasses.fields(SensingLog)} == allowed
