@@ -18,7 +18,7 @@ from tiswarm.compute.math import dock_offsets
 from tiswarm.localization import virtual_force
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
 from tiswarm.localization.registry import localize, localize_many
-from tiswarm.localization.virtual_force_arrays import PlacedRobots, VirtualForceGains
+from tiswarm.localization.virtual_force_arrays import LogArrays, PlacedRobots, VirtualForceGains
 from tiswarm.localization.virtual_force_kernels import _dock_at, _gains_of, _move
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
@@ -212,16 +212,17 @@ def test_the_precision_of_the_device_changes_nothing(log):
 @ti.kernel
 def _step_once(
     gains_table: Reals2, step: Reals2, head: Ints2, following: Ints2, dock_offset: Reals3,
-    position: Reals2, found: Ints1,
+    position: Reals2, is_gone: Ints1, found: Ints1,
 ):  # fmt: skip
     cells = ti.static(CellList(head, following))
     robots = ti.static(PlacedRobots(dock_offset, position))
+    measured = ti.static(LogArrays(found, found, found, found, found, is_gone))
     gains = _gains_of(gains_table, 0)
     ti.loop_config(serialize=True)
     for i in range(position.shape[0]):
         link(cells, 0, i, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing))
         move = ti.Vector([step[i, 0], step[i, 1], step[i, 2]])
-        _move(gains, i, 0, 0, move, robots, cells)
+        _move(gains, i, 0, 0, move, measured, robots, cells)
         item = first_item(cells, 0, cube_of(_dock_at(robots, i, 0), 1.0 / gains.spacing), 13)
         while item >= 0:
             found[i] += item == i
@@ -238,7 +239,15 @@ def test_docks_that_rounding_moves_across_a_face_are_found_again():
     gains = np.array([[getattr(SHORT, name, 2.0) for name in VirtualForceGains._fields]], float)
     found = np.zeros(len(place), np.int32)
 
-    _step_once(gains, step, *CellList.allocate(1, len(place)), arm, place, found)
+    _step_once(
+        gains,
+        step,
+        *CellList.allocate(1, len(place)),
+        arm,
+        place,
+        np.zeros(len(place), np.int32),
+        found,
+    )
 
     assert len(place) > 100
     assert (found == 1).all()
