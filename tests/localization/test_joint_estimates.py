@@ -11,10 +11,11 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.tables import outlier_scores
+from tiswarm.localization.cue_params import CUES
 from tiswarm.localization.joint import initialization
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
-from tiswarm.localization.params import CUES, JointParams
+from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.cues import measure
 from tiswarm.records.sensing_log import SensingLog

@@ -7,7 +7,8 @@ import pydantic
 import pytest
 
 from tiswarm.evaluation.tables import outlier_scores
-from tiswarm.localization.params import CUES, HopByHopParams, JointParams
+from tiswarm.localization.cue_params import CUES
+from tiswarm.localization.params import HopByHopParams, JointParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.measurements.cues import measure
 from tiswarm.sensing import SensingParams, observe

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.localization.cue_params import CUES, ChiSquareParams
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
-from tiswarm.localization.params import CUES, LARGE, ChiSquareParams
+from tiswarm.localization.params import LARGE
 from tiswarm.localization.refinement import Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence

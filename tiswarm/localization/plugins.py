@@ -26,7 +26,8 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import Plugin, PluginError, guarded, register, registered
 from tiswarm.base.progress import ignore
-from tiswarm.localization.params import CUES, LocalizationParams
+from tiswarm.localization.cue_params import CUES
+from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 

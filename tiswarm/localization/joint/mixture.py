@@ -13,6 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.assessment import misfit_by_robot
+from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import Ends, aligned, ranked, with_further
 from tiswarm.localization.joint.initialization import place_disconnected
@@ -25,7 +26,6 @@ from tiswarm.localization.joint.settings import (
     SD_CALIBRATION,
 )
 from tiswarm.localization.joint.starts import images
-from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import SETTLED, Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution

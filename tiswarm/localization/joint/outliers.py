@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc, chdtri  # scipy.stats would take .3 s to import
 
 from tiswarm.base.aliases import Ints, Reals
+from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.chains import Annealed
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, OUTLIER_ROBOTS
 from tiswarm.localization.linear import Linear
-from tiswarm.localization.params import ChiSquareParams
 from tiswarm.localization.refinement import Cost, State
 from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate

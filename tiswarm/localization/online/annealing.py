@@ -5,6 +5,7 @@ from dataclasses import fields
 import numpy as np
 
 from tiswarm.base.aliases import Reals
+from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
 from tiswarm.localization.joint.ends import ranked
@@ -14,7 +15,7 @@ from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, TIMES
-from tiswarm.localization.params import ChiSquareParams, JointParams, OnlineParams
+from tiswarm.localization.params import JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
