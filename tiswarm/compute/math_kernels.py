@@ -86,3 +86,16 @@ def probe_arithmetic(value_out: Reals1):
         c = ti.cos(value_out[i])
         s = ti.sin(value_out[i])
         value_out[i] *= 1.0 + ti.sqrt(c * c + s * s)
+
+
+@ti.func
+def kick_of(seed, chain, number, t):
+    """Three numbers of mean 0 and variance 1, a hash of seed, chain, number of a robot and step."""
+    key = mixed(mixed(ti.cast(seed, ti.u64)) ^ ti.cast(chain, ti.u64))
+    key = mixed(mixed(key ^ ti.cast(number, ti.u64)) ^ ti.cast(t, ti.u64))
+    spread = 3.4641016151377544  # of a uniform number: the square root of 12
+    kick = ti.Vector([0.0, 0.0, 0.0])
+    for axis in ti.static(range(3)):
+        bits = (key >> ti.u64(10 * axis)) & ti.u64(1023)
+        kick[axis] = spread * ((ti.cast(bits, float) + 0.5) / 1024.0 - 0.5)
+    return kick

@@ -33,7 +33,6 @@ FAR_FROM_UNIT = 1e-3
 _CLOSE_TO_UNIT = 1e-9
 """Deviation below which neither is scaled to 1, so that our own ones keep their bits."""
 
-
 Contact = tuple[int | None, int, int | None]
 """Own dock, name of the other robot, its dock; None for an unknown dock."""
 
@@ -141,8 +140,7 @@ class SensingLogBuilder:
             key: np.array(self._numbers[key]).reshape(-1, *np.shape(missing))[entry]
             for key, missing in ROBOT_NUMBERS.items()
         }
-        line = np.array(self._line)[entry]
-        count = np.diff(start)[entry]
+        line, count = np.array(self._line)[entry], np.diff(start)[entry]
         first = np.concatenate([[0], np.cumsum(count)])
         # The stances of an entry are in a row; those of robots follow by join order.
         chosen = np.repeat(start[entry] - first[:-1], count) + np.arange(first[-1])

@@ -325,8 +325,7 @@ def parse_header(text: str) -> HeaderLine:
         raise InputError(problem, key="format")
     version = entries.get("version", VERSIONS[-1])
     if type(version) is not int or version not in VERSIONS:
-        known = ", ".join(map(str, VERSIONS[:-1]))
-        known = f"{known} and {VERSIONS[-1]}"
+        known = f"{', '.join(map(str, VERSIONS[:-1]))} and {VERSIONS[-1]}"
         problem = f"{shown(version)} is not supported; this program reads versions {known}"
         raise InputError(problem, key="version")
     try:

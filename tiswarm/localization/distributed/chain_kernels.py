@@ -10,14 +10,10 @@ keeps a part of its velocity, and kicks keep it at the temperature.
 from typing import NamedTuple
 
 from tiswarm.compute.lang import GRAIN, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
-from tiswarm.compute.math_kernels import mixed, vector_at
+from tiswarm.compute.math_kernels import kick_of, vector_at
+from tiswarm.localization.joint.force_kernels import MOST_STIFFNESS
+from tiswarm.localization.joint.motion_kernels import MEMORY
 from tiswarm.measurements.rows import SPACING
-
-_MEMORY = 0.985
-"""What friction leaves of a velocity in one step."""
-
-_MOST_STIFFNESS = 1.2
-"""Robots held more stiffly are given the mass to swing no faster."""
 
 _TINY = 1e-9
 """Least distance of docks that a force has a direction for [R]."""
@@ -56,19 +52,6 @@ class ChainDocks(NamedTuple):
 
     contact: Ints2
     """Own dock, other robot and its dock, shape (C, 3)."""
-
-
-@ti.func
-def kick_of(seed, chain, robot, t):
-    """Three numbers of mean 0 and variance 1, a hash of seed, chain, robot and step."""
-    key = mixed(mixed(ti.cast(seed, ti.u64)) ^ ti.cast(chain, ti.u64))
-    key = mixed(mixed(key ^ ti.cast(robot, ti.u64)) ^ ti.cast(t, ti.u64))
-    spread = 3.4641016151377544  # of a uniform number: the square root of 12
-    kick = ti.Vector([0.0, 0.0, 0.0])
-    for axis in ti.static(range(3)):
-        bits = (key >> ti.u64(10 * axis)) & ti.u64(1023)
-        kick[axis] = spread * ((ti.cast(bits, float) + 0.5) / 1024.0 - 0.5)
-    return kick
 
 
 @ti.func
@@ -139,14 +122,14 @@ def force_on(v, i, here, robots, reach, square, rows: Ref, docks: Ref, view: Ref
     """Compute the force on robot i in view v, and the mass that it needs."""
     pull, held = _pull_of_rows(v, i, here, square, rows, view)
     push, pressed = _push_of_docks(v, i, here, robots, reach, docks, view)
-    return pull + push, ti.max(1.0, (held + pressed) / _MOST_STIFFNESS)
+    return pull + push, ti.max(1.0, (held + pressed) / MOST_STIFFNESS)
 
 
 @ti.func
 def moved(sigma, force, mass, kick, speed):
     """Change a velocity; return it, and how far it leads in a step."""
     fast = speed + force / mass
-    slow = _MEMORY * fast + sigma * ti.sqrt((1.0 - _MEMORY * _MEMORY) / mass) * kick
+    slow = MEMORY * fast + sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass) * kick
     return slow, 0.5 * (fast + slow)
 
 

@@ -47,6 +47,8 @@ def localize_batch(
         if log.robot_count > MOST_ROBOTS:
             problem = f"distributed numbers up to {MOST_ROBOTS} robots; choose method joint"
             raise InputError(problem)
+        if log.gone.size:
+            raise InputError("distributed takes robots that stay; choose joint", key="event")
         # Robots go by their numbers in join order.
         numbered = replace(log, robot_id=np.arange(log.robot_count))
         header, *robots = map(json.dumps, log_entries(numbered))

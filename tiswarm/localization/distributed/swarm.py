@@ -42,7 +42,7 @@ class PeerSwarm:
             waiting = [each for each in self.robots if each.waits]
             if not waiting:
                 break
-            # Nothing is under way: whoever still waits has waited long enough.
+            # Nothing is under way, so no answer will come.
             for each in waiting:
                 each.expire()
                 self._send(each)

@@ -37,7 +37,7 @@ from tiswarm.localization.joint.arrays import (
 from tiswarm.localization.joint.contact_kernels import TINY, pull_of_contacts, push_inside, turned
 from tiswarm.measurements.rows import SPACING
 
-_MOST_STIFFNESS = 1.2
+MOST_STIFFNESS = 1.2
 """Robots held more stiffly are given the mass to swing no faster: two that hold each other, each
 moved by itself and one of them by its branch too, at 2.8 times the square of that frequency. At 4
 times steps diverge."""
@@ -162,7 +162,7 @@ def pull_robot(r, variant: Static, step: Ref, measured: Ref, grid: Ref, rows: Re
         motion[r, FORCE + c] = pull[c] + hold[c]
     # v <- v sqrt(m / m'), so that m v^2 is kept
     before, lightest = motion[r, MASS], robots.weight[i, LIGHTEST]
-    motion[r, MASS] = _mass_for(stiffness / _MOST_STIFFNESS, before, lightest)
+    motion[r, MASS] = _mass_for(stiffness / MOST_STIFFNESS, before, lightest)
     slower = ti.sqrt(before / motion[r, MASS])
     for c in ti.static(range(3)):
         motion[r, VELOCITY + c] *= slower

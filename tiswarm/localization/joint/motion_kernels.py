@@ -9,7 +9,7 @@ is a difference of two sums over all robots before a place.
 """
 
 from tiswarm.compute.lang import Ref, Static, ti
-from tiswarm.compute.math_kernels import mixed, part_at
+from tiswarm.compute.math_kernels import kick_of, part_at
 from tiswarm.localization.joint.arrays import (
     COS,
     END,
@@ -53,19 +53,6 @@ force on a subtree is off by 2^-36 R for each of its robots at most, and right b
 
 
 @ti.func
-def _kick_of(seed, chain, number, t):
-    """Three numbers of mean 0 and variance 1, a hash of seed, chain, robot and step."""
-    key = mixed(mixed(ti.cast(seed, ti.u64)) ^ ti.cast(chain, ti.u64))
-    key = mixed(mixed(key ^ ti.cast(number, ti.u64)) ^ ti.cast(t, ti.u64))
-    spread = 3.4641016151377544  # of a uniform number: the square root of 12
-    kick = ti.Vector([0.0, 0.0, 0.0])
-    for axis in ti.static(range(3)):
-        bits = (key >> ti.u64(10 * axis)) & ti.u64(1023)
-        kick[axis] = spread * ((ti.cast(bits, float) + 0.5) / 1024.0 - 0.5)
-    return kick
-
-
-@ti.func
 def _moved(table: Ref, i, column, force, mass, sigma, kick):
     """Change a velocity, a column of a table; return how far it leads."""
     # s = sigma sqrt((1 - a^2) / m)
@@ -92,7 +79,7 @@ def _turn_dock(turn, r, k, arm: Ref):
 def _turn_robot(r, step: Ref, robots: Ref, swarm: Ref):
     """Turn copy r of a robot, its docks with it."""
     count = robots.label.shape[0]
-    kick = _kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
+    kick = kick_of(step.seed, r // count, -1 - robots.label[r % count, NUMBER], step.number)[0]
     heading = ti.static(swarm.heading)
     sigma = sigma_of(r % count, step, robots)
     turn = _moved(heading, r, SPIN, heading[r, TORQUE], heading[r, INERTIA], sigma, kick)
@@ -236,7 +223,7 @@ def move_subtree(k, on_card: Static, step: Ref, robots: Ref, trees: Ref):
     """
     count = trees.table.shape[0]
     n = k % count
-    kick = _kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
+    kick = kick_of(step.seed, k // count, _SUBTREE_KICKS + trees.table[n, ORDINAL], step.number)
     motion, shift = ti.static(trees.motion, OWN_SHIFT if on_card else SHIFT)
     sigma = sigma_of(trees.table[n, OWN], step, robots)
     for c in ti.static(range(3)):
@@ -270,7 +257,7 @@ def move_robot(r, variant: Static, step: Ref, robots: Ref, trees: Ref, blocks: R
     i, chain = r % count, r // count
     strayed = 0.0 * motion[r, MASS]
     number = robots.label[i, NUMBER]
-    kick = _kick_of(step.seed, chain, number, step.number)
+    kick = kick_of(step.seed, chain, number, step.number)
     sigma = sigma_of(i, step, robots)
     k = chain * trees.table.shape[0] + robots.label[i, SUBTREE]
     for c in ti.static(range(3)):
