@@ -127,6 +127,17 @@ def test_a_robot_without_connections_is_disconnected(towers):
     assert abs(found.position[7, 2] - log.flip_height[7]) < 0.1
 
 
+def test_touches_of_a_robot_without_an_orientation_do_not_count(towers):
+    """Nobody knows where its docks are, whether it felt the touch or was felt."""
+    log = connected(towers[0])
+    kept = log.connections[(log.connections[:, [0, 2]] != 7).all(axis=1)]
+    touches = np.array([[7, -1, 3, -1], [9, 0, 7, -1], [9, 1, 3, -1]], np.int32)
+
+    found = with_orientations(replace(log, connections=kept, touches=touches))
+
+    assert found.touches.tolist() == [[9, 1, 3, -1]]
+
+
 def test_chained_orientations_are_as_noisy_as_stated(towers):
     """Arms of chained robots have a variance of their own, all others that of the header."""
     log = connected(towers[0], sd_deg=1.0, keep=(0, 5))

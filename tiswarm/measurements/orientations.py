@@ -163,10 +163,10 @@ def _chained(log: SensingLog, is_missing: Bools) -> tuple[Reals, Bools]:
 
 
 def _without(log: SensingLog, is_lost: Bools) -> SensingLog:
-    """Leave out what docks of some robots, shape (N,), sensed or were sensed at."""
+    """Leave out what docks of some robots, shape (N,), sensed or were sensed at, and vectors."""
     final, earlier = {}, {}
     for key, kinds in STANCE_LISTS.items():
-        if "dock" in kinds or key == "displacements":
+        if any("dock" in kind for kind in kinds) or key == "displacements":
             ends = [0, 2] if "robot" in kinds[1:] else [0]
             rows = getattr(log, key)
             final[key] = rows[~is_lost[rows[:, ends].astype(np.int64)].any(axis=1)]
