@@ -339,3 +339,14 @@ def test_chained_orientations_are_refused():
 
     with pytest.raises(InputError, match=r"connections: .*; choose method joint"):
         localize(log, QUICK)
+
+
+def test_who_keeps_what_changes_say_knows_how_certain_robots_are(lines):
+    """Robots that stay where they are become surer, too."""
+    tracker, said = Tracker(lines[0], QUICK), {}
+    for line in lines[1:]:
+        change = tracker.join(line)
+        said |= dict(zip(change.robot.tolist(), change.sd.tolist(), strict=True))
+
+    kept = [said[name] for name in tracker.names.tolist()]
+    np.testing.assert_allclose(kept, tracker.sd, rtol=5e-3)

@@ -152,7 +152,7 @@ REFUSED = [
         joiner(color="red"),
         3,
         "color",
-        "unknown key; the keys here are event, robot, orientation_wxyz",
+        "unknown key; the keys here are robot, orientation_wxyz",
     ),
     (joiner(contact=[]), 3, "contact", "unknown key; did you mean contacts?"),
     # its contacts

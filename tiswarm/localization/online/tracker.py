@@ -43,12 +43,15 @@ _AXES = 3
 _MOVED = 1e-3
 """Shift from which on a robot has moved [R]."""
 
+_SURER = 5e-3
+"""Change of a standard deviation, relative to what was last said, that is said [1]."""
+
 
 class Change(NamedTuple):
-    """What the line of one robot changed: K robots moved, the one that joined among them."""
+    """What the line of one robot changed: K robots, the one that joined among them."""
 
     robot: Ints
-    """Names of the robots that moved, in join order, shape (K,)."""
+    """Names of the robots that moved, or are more or less certain, in join order, shape (K,)."""
 
     position: Reals
     """Their centers now [log unit], shape (K, 3)."""
@@ -93,6 +96,7 @@ class Tracker:
         self._index: dict[int, int] = {}
         self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
         self._annealed_at = 1
+        self._said: Reals = np.empty(0)  # standard deviations [R]
 
     @property
     def log(self) -> SensingLog:
@@ -333,12 +337,14 @@ class Tracker:
         return {(dock, self._index[other], its) for dock, other, its in line.contacts}
 
     def _change(self, before: Reals, *, annealed: bool) -> Change:
-        """Say who moved since these positions, shape (n, 3)."""
-        known = len(before)
-        moved = np.full(len(self._layers.sd), np.nan)
+        """Say who moved since these positions, shape (n, 3), or is surer than was said."""
+        known, sd = len(before), self._layers.sd
+        moved = np.full(len(sd), np.nan)
         moved[:known] = np.linalg.norm(self._layers.mean[:known] - before, axis=1)
+        said = np.append(self._said, sd[len(self._said) :])
         # NaN, of a robot that joined, counts as moved.
-        chosen = ~(moved <= _MOVED)
+        chosen = ~(moved <= _MOVED) | (np.abs(sd - said) > _SURER * said)
+        self._said = np.where(chosen, sd, said)
         return Change(
             robot=self.names[chosen],
             position=self.positions[chosen],
