@@ -216,7 +216,7 @@ def _step_once(
 ):  # fmt: skip
     cells = ti.static(CellList(head, following))
     robots = ti.static(PlacedRobots(dock_offset, position))
-    measured = ti.static(LogArrays(found, found, found, found, found, is_gone))
+    measured = ti.static(LogArrays(found, found, found, found, found, is_gone, found))
     gains = _gains_of(gains_table, 0)
     ti.loop_config(serialize=True)
     for i in range(position.shape[0]):

@@ -13,6 +13,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
+from tiswarm.measurements.cues import known_positions
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
@@ -128,7 +129,8 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    apart = pd.Series(contacts.hops(log, np.zeros(1, np.int64))[0])
+    anchors = np.flatnonzero(np.isfinite(known_positions(log)[:, 0]))
+    apart = pd.Series(contacts.hops(log, anchors).min(axis=0))
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
         error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),
@@ -164,7 +166,8 @@ def by_join(history: History) -> pd.DataFrame:
     for j, walk in enumerate(walks):
         for i in walk.at_rest(walk.contacts)[:, 1]:
             parts.merge(int(i), j)
-        anchored.append(parts.subset_size(0))
+        tied = {parts[i] for i in range(min(history.anchors, j + 1))}
+        anchored.append(sum(map(parts.subset_size, tied)))
     return pd.DataFrame(
         {
             "robots": joined,
@@ -216,8 +219,9 @@ def _flips_as_planned(history: History) -> float:
 
 
 def _on_anchor(history: History) -> NDArray[np.int32]:
-    """List the robots that touch the anchor, in join order."""
-    touching: NDArray[np.int32] = np.unique(history.contacts[history.contacts[:, 0] == 0, 2])
+    """List the robots that touch an anchor, in join order."""
+    is_on_one = history.contacts[:, 0] < history.anchors
+    touching: NDArray[np.int32] = np.unique(history.contacts[is_on_one, 2])
     return touching
 
 

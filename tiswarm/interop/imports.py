@@ -30,16 +30,13 @@ from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, canonical_contacts
+from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise, canonical_contacts
 
 GAINS = (
     "on towers of 100 robots, joint's mean RMSE is 1.03 R from contacts and ground, 0.70 R with "
     "heights, 0.21 R with contacts of stances too (docs/accuracy.md)"
 )
 """What heights and stances gain."""
-
-_KNOWN_SD = 1e-3
-"""Standard deviation of each coordinate of a further anchor [dock radii]."""
 
 
 _ROUNDING = 1e-6
@@ -218,7 +215,7 @@ def _log(
     )  # fmt: skip
     known = sorted(anchors[1:], key=lambda row: place[row])
     fixes = [
-        (place[row], *axis, along, _KNOWN_SD * assumed.dock_radius, -1)
+        (place[row], *axis, along, KNOWN_SD * assumed.dock_radius, -1)
         for row in known
         for axis, along in zip(np.eye(3), poses.position[row], strict=True)
     ]

@@ -160,6 +160,7 @@ class VirtualForceParams:
             "height": self.z_correction,
             "ground": self.ground,
             "plane": True,
+            "anchors": True,
         }
         return tuple(cue for cue, is_used in chosen.items() if is_used)
 

@@ -25,7 +25,7 @@ from tiswarm.engine.relax import SMALL, PreparedSwarm
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
-from tiswarm.measurements.cues import measure
+from tiswarm.measurements.cues import known_positions, measure
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -102,8 +102,9 @@ def _step(
     # A robot of many contacts is pulled by all of them: shorter steps keep it from overshooting.
     mobility = chosen.gain / np.maximum(np.concatenate([contact_count(log) for log in logs]), 1)
     along = np.repeat(mobility[:, None], 3, axis=1)
+    is_anchor = np.concatenate([np.isfinite(known_positions(log)[:, 0]) for log in logs])
     # Anchors stay, and planar robots keep the anchor's y.
-    along[start[:-1]] = 0.0
+    along[is_anchor] = 0.0
     along[np.concatenate(planar), 1] = 0.0
     swarm = PreparedSwarm(
         first,
@@ -137,7 +138,7 @@ def _step(
         on_progress(after / chosen.steps)
     estimates = []
     for log, (a, b) in zip(logs, pairwise(start.tolist()), strict=True):
-        untied = disconnected(measure(log, ["contacts"]))
+        untied = disconnected(measure(log, ["contacts", "anchors"]))
         found = assess(log, params.cues, trace[-1][a:b], is_guess=untied)
         moves = np.array([np.sqrt(np.mean(step[a:b] ** 2)) for step in moved])
         estimates.append(
@@ -149,17 +150,17 @@ def _step(
                 iteration=frames,
                 trace=np.array([frame[a:b] for frame in trace]) * log.dock_radius,
                 residual=moves * log.dock_radius,
-                steps=np.where(np.arange(b - a) == 0, 0, chosen.steps),
+                steps=np.where(is_anchor[a:b], 0, chosen.steps),
             )
         )
     return estimates
 
 
 def _chained(log: SensingLog, is_planar: Bools) -> Reals:
-    """Place each robot across from those in contact that are one contact nearer to the anchor.
+    """Place each robot across from those in contact that are one contact nearer to an anchor.
 
     Such robots stand on a line with the docks that touch, but at the anchor's y if planar; a robot
-    that touches several starts at the mean of where they say. A part without the anchor starts
+    that touches several starts at the mean of where they say. A part without an anchor starts
     above the robot that joined before the part's first one.
 
     Returns:
@@ -168,25 +169,31 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
     arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
     part = parts(measure(log, ["contacts"]))
     contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
-    hop = reach(log.contacts[:, [0, 2]].astype(np.int64), np.ones(len(log.contacts)), part)
-    # Only contacts that lead away from the anchor: each robot follows those nearer to it.
+    position = known_positions(log) / log.dock_radius
+    is_anchor = np.isfinite(position[:, 0])
+    position[~is_anchor] = position[0]
+    untied = np.flatnonzero(~np.isin(part, part[is_anchor]))
+    firsts = untied[np.unique(part[untied], return_index=True)[1]]
+    start = np.concatenate([np.flatnonzero(is_anchor), firsts])
+    pair = log.contacts[:, [0, 2]].astype(np.int64)
+    hop = reach(pair, np.ones(len(pair)), part, start)
+    # Only contacts that lead away from anchors: each robot follows those nearer to one.
     contact = contact[hop[contact[:, 2]] > hop[contact[:, 0]]]
     nearer, dock, robot, own = contact[np.lexsort((contact[:, 2], hop[contact[:, 2]]))].T
     shift = arm[nearer, dock] - arm[robot, own]
     length = np.linalg.norm(shift, axis=1)
     across = shift * (1.0 + SPACING / np.maximum(length, SPACING))[:, None]
     across[length < _TINY] = SPACING * _UP  # docks in one place would have no direction to part in
-    position = np.tile(log.anchor_position / log.dock_radius, (log.robot_count, 1))
     levels = np.flatnonzero(np.diff(hop[robot], prepend=0.0, append=np.inf))
     for begin, end in pairwise(levels.tolist()):
         met = position[nearer[begin:end]] + across[begin:end]
         each = np.flatnonzero(np.diff(robot[begin:end], prepend=-1))
         count = np.diff(each, append=end - begin)
         position[robot[begin + each]] = np.add.reduceat(met, each) / count[:, None]
-    by_part = np.argsort(part, kind="stable")
-    members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1)
+    by_part = untied[np.argsort(part[untied], kind="stable")]
+    members = np.split(by_part, np.flatnonzero(np.diff(part[by_part])) + 1) if untied.size else []
     # In join order: the robot that a part starts above may be of another such part.
-    for robots in sorted(members, key=lambda robots: int(robots[0]))[1:]:
+    for robots in sorted(members, key=lambda robots: int(robots[0])):
         place = position[robots[0] - 1] + SPACING * _UP
         position[robots] += place - position[robots[0]]
     position[is_planar, 1] = position[0, 1]

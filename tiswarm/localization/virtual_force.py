@@ -3,8 +3,9 @@
 Where the paper leaves a choice open, ours is a parameter or is stated here: the ramp rises
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; the error
 that the paper's loop tests is what a robot misses its measurements by, since its true error is
-unknown to it; a robot that touches no earlier one starts from the anchor; planar robots, see
-`tiswarm.measurements.cues.in_plane`, stay at the anchor's y. The paper says only that
+unknown to it; a robot that touches no earlier one starts from the first anchor; planar robots, see
+`tiswarm.measurements.cues.in_plane`, stay at its y; further anchors, see `known_positions` there,
+are where they are known to be. The paper says only that
 back-propagation would revisit recent robots every ten joins. Its virtual torque gained nothing in
 our trials, see `docs/yaw.md`.
 
@@ -37,7 +38,7 @@ from tiswarm.localization.virtual_force_arrays import (
 )
 from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
-from tiswarm.measurements.cues import in_plane, measure
+from tiswarm.measurements.cues import fixed_positions, in_plane, known_positions, measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
@@ -94,13 +95,14 @@ def localize_batch(
     height = np.concatenate([_heights(log, p) for log, p in both])
     planar = np.concatenate([_planar(log) for log in logs]).astype(np.int32)
     gone = np.concatenate([log.is_gone for log in logs]).astype(np.int32)
-    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar, gone)
+    known = np.concatenate([known_positions(log) / log.dock_radius for log in logs])
+    anchors = np.isfinite(known[:, 0]).astype(np.int32)
+    measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar, gone, anchors)
     offsets = [
         dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
     ]
-    placed = _robots(np.concatenate(offsets))
-    # The anchors are known; all others are NaN until the kernel places them.
-    placed.position[start[:-1]] = [log.anchor_position / log.dock_radius for log in logs]
+    # Anchors are known; all others are NaN until the kernel places them.
+    placed = PlacedRobots(np.concatenate(offsets), known)
     trace = Trace.allocate(len(frames), len(placed.position), np.float64)
     recent = rounds.recent or len(placed.position)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
@@ -121,7 +123,7 @@ def localize_batch(
         trace.step_length[frames > iterations, older] = 0.0
         scaled = trace.position[:, a:b] * log.dock_radius
         steps = trace.step_length[:, a:b] * log.dock_radius
-        untied = disconnected(measure(log, ["contacts"]))
+        untied = disconnected(measure(log, ["contacts", "anchors"]))
         found = assess(log, p.cues, trace.position[-1, a:b], is_guess=untied)
         estimates.append(
             Estimate(
@@ -206,9 +208,9 @@ class Localizer:
         self._direction = np.zeros((capacity, 3))
         self._height = np.full(capacity, np.nan)
         self._is_planar = np.zeros(capacity, np.int32)
-        self._robots = _robots(np.zeros((capacity, docks, 3)))
+        self._is_anchor = np.zeros(capacity, np.int32)
+        self._robots = PlacedRobots(np.zeros((capacity, docks, 3)), np.full((capacity, 3), np.nan))
         self._anchor = np.array(head.anchor_position)
-        self._robots.position[0] = 0.0  # far from the origin, numbers lose digits
 
     @property
     def log(self) -> SensingLog:
@@ -247,6 +249,9 @@ class Localizer:
         self._direction[n] = _directions(alone.orientation_wxyz, self._params)[0]
         self._height[n] = _heights(alone, self._params)[0]
         self._is_planar[n] = _planar(alone)[0] and self._is_planar[:n].all()
+        # The first anchor is at the origin: far from it, numbers lose digits.
+        known = fixed_positions(alone)[0] / self._unit if n else np.zeros(3)
+        self._is_anchor[n], self._robots.position[n] = np.isfinite(known[0]), known
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
         placed: Reals = self.positions[n]
@@ -281,7 +286,7 @@ class Localizer:
         self._contact_start[count : count + 2] = 0, len(contact)
         measured = LogArrays(
             self._contact_start, contact, self._direction, self._height, self._is_planar,
-            np.zeros_like(self._is_planar),
+            np.zeros_like(self._is_planar), self._is_anchor,
         )  # fmt: skip
         capacity = len(self._height)
         trace = Trace.allocate(2, capacity, np.float64)
@@ -293,11 +298,6 @@ class Localizer:
         )  # fmt: skip
         if np.isnan(self._robots.position[: count + 1]).any():
             raise backend.faulty_driver()
-
-
-def _robots(dock_offset: Reals) -> PlacedRobots:
-    """Reserve robots that have not been placed."""
-    return PlacedRobots(dock_offset, np.full((len(dock_offset), 3), np.nan))
 
 
 def _gains(params: VirtualForceParams) -> VirtualForceGains:

@@ -69,6 +69,9 @@ class LogArrays(NamedTuple):
     is_gone: Ints1
     """Whether each robot has left, so that its docks are in nobody's way, shape (N,)."""
 
+    is_anchor: Ints1
+    """Whether the position of each robot is known, so that it stays there, shape (N,)."""
+
 
 class PlacedRobots(NamedTuple):
     """Estimated positions of N robots."""

@@ -140,7 +140,7 @@ def _misfit(gains: Ref, robot, base, measured: Ref, robots: Ref):
 def _initial_position(gains: Ref, robot, base, measured: Ref, robots: Ref):
     """Average the earlier neighbors, each counted once, and add the offset of Algorithm 1.
 
-    A robot that touches no earlier one starts from the anchor instead.
+    A robot that touches no earlier one starts from the first anchor instead.
     """
     total = 0.0 * vector_at(robots.position, base)
     count = 0
@@ -212,7 +212,7 @@ def localize_in_join_order(
     gains_table: Reals2, start: Ints1, placed_before: Ints1,
     # LogArrays
     contact_start: Ints1, contact: Ints2, initial_direction: Reals2, height: Reals1,
-    is_planar: Ints1, is_gone: Ints1,
+    is_planar: Ints1, is_gone: Ints1, is_anchor: Ints1,
     head_out: Ints2, following_out: Ints2,  # CellList of the robots placed before
     dock_offset: Reals3, position_out: Reals2,  # PlacedRobots
     trace_position_out: Reals3, step_length_out: Reals2, steps_out: Ints1,  # Trace
@@ -235,7 +235,7 @@ def localize_in_join_order(
         placed_before: Robots of each structure that have been placed already, shape (S,).
     """
     measured = ti.static(
-        LogArrays(contact_start, contact, initial_direction, height, is_planar, is_gone)
+        LogArrays(contact_start, contact, initial_direction, height, is_planar, is_gone, is_anchor)
     )
     cells = ti.static(CellList(head_out, following_out))
     robots = ti.static(PlacedRobots(dock_offset, position_out))
@@ -246,12 +246,12 @@ def localize_in_join_order(
             base = start[s]
             for robot in range(base + placed_before[s], start[s + 1]):
                 here = vector_at(position_out, robot)
-                if robot > base:
+                if is_anchor[robot] == 0:
                     here = _initial_position(gains, robot, base, measured, robots)
                 moved = 0.0
                 frame = 0
                 taken = 0
-                is_moving = robot > base
+                is_moving = is_anchor[robot] == 0
                 for t in range(iterations + 1):
                     _write_position(robots, robot, here)
                     if t % trace_every == 0 or t == iterations:
@@ -283,9 +283,9 @@ def localize_in_join_order(
                             force = _virtual_force(
                                 gains, j, base, s, placed, ramp, 1.0, measured, robots, cells
                             )
-                            share = ti.select(j > base, gains.sweep_gain, 0.0)
+                            share = ti.select(is_anchor[j] == 0, gains.sweep_gain, 0.0)
                             step = _step_of(gains, j, force, share, measured, robots)
                             _move(gains, j, base, s, step, measured, robots, cells)
                             there = vector_at(position_out, j)
                             _record(trace, frame + sweep // trace_every, j, there, step.norm())
-                            steps_out[j] += j > base
+                            steps_out[j] += 1 - is_anchor[j]

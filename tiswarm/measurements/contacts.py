@@ -137,7 +137,9 @@ def dock_pairs(point: Reals, within: float) -> Ints:
     return np.stack(np.divmod(pair, docks), axis=-1).reshape(-1, 4)
 
 
-def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
+def reach(
+    pair: Ints, longest: Reals, part: NDArray[np.int32], start: Ints | None = None
+) -> Reals:
     """Bound the distance of each robot from the first robot of its connected part.
 
     Along a chain of contacts the distances of centers add up.
@@ -146,6 +148,7 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
         pair: Robots in contact, shape (C, 2).
         longest: How far apart the centers of each pair can be [R], shape (C,).
         part: Connected part of each robot, shape (N,).
+        start: Robots from the nearest of which to count instead; None for those first robots.
 
     Returns:
         Length of the shortest chain of contacts [R], shape (N,); infinite where `part` is not
@@ -158,6 +161,7 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32]) -> Reals:
     ends, shortest = np.unique(low * len(part) + high, return_index=True)
     edges = (longest[order][shortest], np.divmod(ends, len(part)))
     graph = coo_array(edges, shape=(len(part), len(part)))
-    firsts = np.unique(part, return_index=True)[1]
-    bound: Reals = dijkstra(graph, directed=False, indices=firsts, min_only=True)
+    if start is None:
+        start = np.unique(part, return_index=True)[1]
+    bound: Reals = dijkstra(graph, directed=False, indices=start, min_only=True)
     return bound

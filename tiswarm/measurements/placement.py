@@ -22,7 +22,7 @@ _DRAWS = 200_000
 _WIDTH = 0.1
 """How far from its equation a place may be, beside what the estimate misses that by [R]."""
 
-_FIXED_PLACES = ("ground", "height", "plane", "fixes")
+_FIXED_PLACES = ("ground", "height", "plane", "anchors", "fixes")
 
 
 class Narrowed(NamedTuple):

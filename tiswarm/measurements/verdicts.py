@@ -36,6 +36,7 @@ _PLACES = {
     "height": ("flip_height", "height"),
     "odometry": ("spawn_position", "spawn position"),
     "plane": ("fixes", "fix"),
+    "anchors": ("fixes", "fix"),
     "fixes": ("fixes", "fix"),
     "ground": ("ground_docks", "ground contact"),
 }

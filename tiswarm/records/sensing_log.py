@@ -16,6 +16,10 @@ from tiswarm.records.messages import counted
 FARTHEST = 1e10
 """Lengths in a log are smaller [dock radii]; float64 resolves 1e-6 dock radii there."""
 
+KNOWN_SD = 1e-3
+"""Standard deviation of the three fixes that state the position of a further anchor [dock radii];
+robots with fixes no less precise are anchors."""
+
 
 def _not_tiny(angle: float) -> float:
     if 0.0 < angle < 1e-9:  # noqa: PLR2004 - its inverse square is a number of float32

@@ -27,7 +27,7 @@ from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.run_folder import LABEL
-from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, take_methods, validate
+from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, mistake_at, take_methods, validate
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams
@@ -147,6 +147,14 @@ class Scenario:
     def _keep_docks_in_plane(cls, structure: StructureParams, info: ValidationInfo) -> object:
         if structure.plane and not info.data.get("robot", RobotGeometry()).is_flat:
             raise ValueError("in a plane robots are flat; use another robot.shape, or plane: false")
+        return structure
+
+    @field_validator("structure")
+    @classmethod
+    def _place_anchors(cls, structure: StructureParams, info: ValidationInfo) -> object:
+        robots, shape = (info.data.get(name) for name in ("robots", "robot"))
+        if robots and shape and (fault := structure.anchor_fault(robots, shape)):
+            raise mistake_at((structure.kind, "anchors"), fault)
         return structure
 
     @property

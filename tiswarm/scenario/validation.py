@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass, rebuild_dataclass
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, InitErrorDetails
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
@@ -98,6 +98,14 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         return adapter.validate_json(json.dumps(data))
     except ValidationError as found:
         return [_mistake(error, adapter) for error in found.errors(include_url=False)]
+
+
+def mistake_at(path: tuple[Part, ...], problem: str) -> ValidationError:
+    """Make an error of a validator whose problem is at a path within the value that it checks."""
+    error: InitErrorDetails = {
+        "type": "value_error", "loc": path, "input": None, "ctx": {"error": ValueError(problem)}
+    }  # fmt: skip
+    return ValidationError.from_exception_data("mistake", [error])
 
 
 def set_key(data: Plain, path: Sequence[str], value: object) -> str:

@@ -1,6 +1,6 @@
 """Robots that fail: mute and deaf ones, and orientation sensors that drift or are stuck.
 
-The header of the log states no failure: robots do not know of them. The anchor never fails.
+The header of the log states no failure: robots do not know of them. Anchors never fail.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ def failing(history: History, params: SensingParams, name: Failure) -> Bools:
     """
     robot = np.arange(history.robot_count)
     fails: Bools = uniform(history.seed, name, robot, 0) < getattr(params, name)
-    return fails & (robot > 0)
+    return fails & ~history.is_anchor
 
 
 def sensed_part(history: History, params: SensingParams) -> History:

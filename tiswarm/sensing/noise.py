@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets, normal, uniform
+from tiswarm.records.sensing_log import KNOWN_SD
 from tiswarm.sensing.params import SensingParams
 from tiswarm.world.history import History
 
@@ -80,6 +81,15 @@ def planes(history: History) -> Reals:
     last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
     fix = np.tile([0.0, 1.0, 0.0, 0.0, _PLANE_SD, NO_SOURCE], (len(robot), 1))
     return np.column_stack([robot, last, fix])
+
+
+def anchors(history: History) -> Reals:
+    """Return the position of each anchor but the first as three fixes, shape (F, 8)."""
+    robot = np.repeat(np.flatnonzero(history.is_anchor)[1:], 3)
+    last = np.array([walk.stance_count for walk in history.walks])[robot] - 1
+    axis = np.arange(len(robot)) % 3
+    known = np.tile([KNOWN_SD * history.robot.dock_radius, NO_SOURCE], (len(robot), 1))
+    return np.column_stack([robot, last, np.eye(3)[axis], history.position[robot, axis], known])
 
 
 def flip_height(history: History, sensed: Reals, end: Ints) -> Reals:

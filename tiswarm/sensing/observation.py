@@ -12,6 +12,7 @@ from tiswarm.base.parts import load
 from tiswarm.records.sensing_log import SensingLog, Stances
 from tiswarm.sensing.failures import failed_orientation, failing, sensed_part
 from tiswarm.sensing.noise import (
+    anchors,
     flip_height,
     planes,
     sensed_contacts,
@@ -39,7 +40,7 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     """Sense the whole walk of every robot in a structure.
 
     A random draw depends on the seed of the history, the robot, and the stance or contact only.
-    The only positions of the log are the anchor's and, if set, measured ones: spawns and fixes.
+    The only positions of the log are those of anchors and, if set, measured ones: spawns and fixes.
 
     >>> from tiswarm.base.robot import RobotGeometry
     >>> from tiswarm.world.growth import grow
@@ -59,7 +60,8 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     sensed = failed_orientation(history, length, sensed, params)
     lists: _Lists = {name: np.empty((0, columns)) for name, columns in COLUMNS.items()}
     lists["contacts"] = sensed_contacts(history, params)
-    lists["ground_docks"], lists["fixes"] = history.table("ground_docks"), planes(history)
+    lists["ground_docks"] = history.table("ground_docks")
+    lists["fixes"] = np.unique(np.concatenate([planes(history), anchors(history)]), axis=0)
     added = ((name, load(SENSES[name], name)(history, params)) for name in params.added)
     for filled, every in chain(added, own_rows(history, params)):
         rows = every[~is_mute[every[:, 0].astype(np.int64)]]
@@ -73,8 +75,9 @@ def observe(history: History, params: SensingParams) -> SensingLog:
     final["contacts"] = np.ascontiguousarray(final["contacts"][:, [2, 3, 0, 1]])
     orientation = sensed[end - 1]
     if not params.senses("compass"):
-        orientation[0] = history.orientation_wxyz[0]  # known, as the anchor's position is
-        orientation[1:] = np.nan
+        # Orientations of anchors are known, as their positions are.
+        known = history.is_anchor
+        orientation[known], orientation[~known] = history.orientation_wxyz[known], np.nan
     height, spawn = flip_height(history, sensed, end), spawn_position(history, params)
     orientation[is_mute] = spawn[is_mute] = np.nan
     return SensingLog(

@@ -69,8 +69,8 @@ class SensingParams:
     """Record the stances before the final one, and what robots sensed there."""
 
     compass: bool = True
-    """Sense orientations; without, they follow from those of robots in contact, and that of the
-    anchor is known."""
+    """Sense orientations; without, they follow from those of robots in contact, and those of
+    anchors are known."""
 
     tilt_noise_deg: Annotated[Angle, Field(le=90.0)] = 0.0
     """Standard deviation of the sensed orientation about each horizontal axis, with a new draw at
@@ -98,8 +98,8 @@ class SensingParams:
     contact [1]."""
 
     mute: Fraction = 0.0
-    """Fraction of robots that sense and send nothing; what later robots sense of them stays. The
-    anchor never fails, here and below [1]."""
+    """Fraction of robots that sense and send nothing; what later robots sense of them stays.
+    Anchors never fail, here and below [1]."""
 
     deaf: Fraction = 0.0
     """Fraction of robots that sense no robots: neither contacts nor what goes with them [1]."""

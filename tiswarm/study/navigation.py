@@ -2,7 +2,7 @@
 
 Growth by itself is physics; this is the only way from an estimate to it. The first robot of each
 side of a gap stands alone and is the anchor of its side: robots of a side localize each other, and
-nobody knows where the other side is until both meet.
+nobody knows where the other side is until both meet, unless `structure.anchors` states it.
 """
 
 import json
@@ -101,11 +101,15 @@ def believe_by(settings: Scenario) -> Believe:
 
 
 def _parts(history: History, log: SensingLog) -> list[_Part]:
-    """Split a structure by the founder to which the first contact of each robot leads."""
+    """Split a structure by the founder to which the first contact of each robot leads.
+
+    Anchors are in one frame, so they count as one founder.
+    """
     founder: list[int] = []
     for j, walk in enumerate(history.walks):
         touched = walk.at_rest(walk.contacts)[:, 1]
-        founder.append(founder[touched[0]] if len(touched) else j)
+        alone = 0 if j < history.anchors else j
+        founder.append(founder[touched[0]] if len(touched) else alone)
     lines, founders = [*log_entries(log)], np.array(founder)
     return [_Part(history, np.flatnonzero(founders == f), lines) for f in np.unique(founders)]
 

@@ -196,6 +196,7 @@ class GrowingStructure:
         # A robot's center that is farther than this from a dock does not touch it.
         self.clearance = robot.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
+        self.anchors = params.anchor_places(robot)
         self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
         self.surveyed = 0
@@ -211,7 +212,8 @@ class GrowingStructure:
     @property
     def founding(self) -> bool:
         """Whether the next robot may stay without touching another."""
-        return len(self.walks) < self.params.founders * self.params.sides
+        params = self.params
+        return len(self.walks) < max(params.founders * params.sides, params.anchor_count)
 
     def spawn(self, docks: Reals) -> Spawn | None:
         """Put the next robot on its lowest docks, or upright on one in a plane, turned at random.
@@ -225,8 +227,8 @@ class GrowingStructure:
             None where every place was taken.
         """
         self._survey(docks)
-        params, climb = self.params, self.params.climb
-        put = None if self.walks else params.anchor
+        params, climb, joined = self.params, self.params.climb, len(self.walks)
+        put = self.anchors[joined] if joined < len(self.anchors) else None
         index = self.spawned
         self.spawned += 1
         side = (len(self.walks) if self.founding else index) % params.sides
@@ -236,7 +238,7 @@ class GrowingStructure:
         for trial in range(_MAX_TRIES):
             # Numbered by robot and trial: no draw depends on how many others were made.
             draw = uniform(self.seed, "spawn", index, 3 * trial + np.arange(3))
-            x, y = params.start(side, rim, draw[:2]) if put is None else (0.0 - put, 0.0)
+            x, y = params.start(side, rim, draw[:2]) if put is None else put
             center, orientation = self._pose(x, y, np.pi * draw[2])
             if self._is_free(center):
                 return Spawn(
@@ -264,7 +266,8 @@ class GrowingStructure:
         new = docks[self.surveyed : self.docks * len(self.walks)]
         if not len(new):
             return
-        skipped = self.docks * (self.surveyed == 0 and self.params.spawn_behind == "placed")
+        anchors = self.docks * self.params.anchor_count - self.surveyed
+        skipped = max(0, anchors) if self.params.spawn_behind == "placed" else 0
         self.surveyed += len(new)
         for side, rim in enumerate(self.rim):
             behind = [rim, *self.params.behind(side, new[skipped:]).tolist()]
@@ -355,6 +358,7 @@ class GrowingStructure:
             robot=self.robot,
             terrain=self.terrain,
             walks=tuple(self.walks),
+            anchors=self.params.anchor_count,
             spawns=self.spawned,
             loads=tuple(self.loads),
             sensed=self.sensed,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
 from tiswarm.records.io import replacing
 from tiswarm.records.terrain import Terrain
@@ -89,6 +89,9 @@ class History:
     walks: tuple[Walk, ...]
     """One walk for each robot, in join order."""
 
+    anchors: int = 1
+    """Robots at known positions, the first to join."""
+
     spawns: int
     """Robots spawned, including those that never joined."""
 
@@ -108,6 +111,12 @@ class History:
     def robot_count(self) -> int:
         """N."""
         return len(self.walks)
+
+    @property
+    def is_anchor(self) -> Bools:
+        """Whether the position of each robot is known, shape (N,)."""
+        known: Bools = np.arange(self.robot_count) < self.anchors
+        return known
 
     @property
     def position(self) -> Reals:
@@ -194,6 +203,7 @@ def read_history(path: Path, params: StructureParams, robot: RobotGeometry) -> H
             **json.loads(str(arrays["facts"])),
             robot=params.robot(robot),
             terrain=params.terrain,
+            anchors=params.anchor_count,
             walks=tuple(walks),
             loads=tuple(replace(load, calling=int(load.calling)) for load in loads),
             sensed=arrays["sensed"],

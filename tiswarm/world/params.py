@@ -4,14 +4,47 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
 from pydantic.dataclasses import dataclass
+from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import STRICT
 from tiswarm.base.robot import PlanarRobot, RobotGeometry
+from tiswarm.records.messages import shown
 from tiswarm.records.terrain import EDGE_RADIUS, Terrain
 from tiswarm.world.mechanics import MechanicsParams
+
+ANCHORS_APART = 10.0
+"""Distance of neighbors where anchors are given by their number [R]."""
+
+_MOST_ANCHORS = 1000
+
+
+def _one_mistake(anchors: object, check: ValidatorFunctionWrapHandler) -> object:
+    """Make one mistake of those that a value has as a number and as a list."""
+    try:
+        return check(anchors)
+    except ValidationError as found:
+        ways = f"a number from 1 to {_MOST_ANCHORS:,}, or that many places like [[0, 0], [12, 0]]"
+        raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from found
+
+
+_Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+_Places = tuple[tuple[_Coordinate, _Coordinate], ...]
+_Anchors = Annotated[
+    Annotated[int, Field(ge=1, le=_MOST_ANCHORS)]
+    | Annotated[_Places, Field(min_length=1, max_length=_MOST_ANCHORS)]
+    | None,
+    WrapValidator(_one_mistake),
+]
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -120,6 +153,18 @@ class GrowthParams(RecruitParams):
         ),
     ] = None
 
+    anchors: Annotated[
+        _Anchors,
+        Field(
+            # Runs without the key keep their hashes, which name folders.
+            exclude_if=lambda anchors: anchors is None,
+            description="Robots at known positions, which are put on the ground before all others "
+            "and stay: a list of places [x, y] [R], or their number, 10 R apart around a tower's "
+            "axis, or along the edge, as near as all docks are on flat ground, of a bridge along "
+            "both edges in turn. In a plane rows are along x. Null for one anchor, as anchor says.",
+        ),
+    ] = None
+
     founders: Annotated[
         int,
         Field(
@@ -133,7 +178,7 @@ class GrowthParams(RecruitParams):
         Literal["rear", "placed", "leading"],
         Field(
             description="Dock behind which robots start: the one farthest behind the edge or from "
-            "a tower's axis (rear), the same without the anchor's (placed), or the one that is "
+            "a tower's axis (rear), the same without those of anchors (placed), or the one that is "
             "farthest ahead (leading), as far as there is ground."
         ),
     ] = "rear"
@@ -152,6 +197,57 @@ class GrowthParams(RecruitParams):
         MechanicsParams, Field(description="How stiff robots and contacts are.")
     ] = MechanicsParams()
 
+    @field_validator("anchors")
+    @classmethod
+    def _place_each_once(cls, anchors: _Anchors, info: ValidationInfo) -> _Anchors:
+        if anchors is not None and info.data.get("anchor") is not None:
+            raise ValueError("anchor places the first of them; leave out one of the two keys")
+        return anchors
+
+    @property
+    def anchor_count(self) -> int:
+        """Robots at known positions, the first to join."""
+        if self.anchors is None:
+            return 1
+        return self.anchors if isinstance(self.anchors, int) else len(self.anchors)
+
+    def anchor_places(self, shape: RobotGeometry) -> Reals:
+        """Where robots of a shape are put as anchors [R], shape (k, 2); none for one that climbs."""
+        if isinstance(self.anchors, int):
+            return self.spread(self.anchors, self._clearance(shape))
+        if self.anchors is not None:
+            return np.array(self.anchors)
+        return np.array([] if self.anchor is None else [[0.0 - self.anchor, 0.0]]).reshape(-1, 2)
+
+    def spread(self, count: int, behind: float) -> Reals:
+        """Place so many anchors, so far behind edges [R], shape (count, 2)."""
+        raise NotImplementedError
+
+    def _clearance(self, shape: RobotGeometry) -> float:
+        """Farthest that a robot's docks are from where it is put [R]."""
+        # An upright robot is put down by its lowest dock: others are up to twice as far from that.
+        return shape.extent * (2.0 if self.plane else 1.0)
+
+    def anchor_fault(self, robots: int, shape: RobotGeometry) -> str:
+        """Find why so many robots of a shape cannot have these anchors; empty if they can."""
+        if self.anchors is None:
+            return ""
+        places, terrain, extent = self.anchor_places(shape), self.terrain, self._clearance(shape)
+        if len(places) > robots:
+            return f"{len(places)} anchors are more than {robots} robots; give fewer"
+        for j, (x, y) in enumerate(places.tolist()):
+            where = f"anchor {j} at [{x:g}, {y:g}]"
+            if terrain.left_edge - extent < x < terrain.right_edge + extent:
+                return f"{where} is off the ground; keep it {extent:.4g} R behind the edge"
+            if self.plane and y != 0.0:
+                return f"{where} is not in the plane; set its y to 0"
+        apart = squareform(pdist(places))
+        for i, j in np.argwhere(np.triu(apart < 2.0 * extent + shape.spacing, 1)):
+            far = f"place them {2.0 * extent + shape.spacing:.4g} R apart or more"
+            return f"anchors {i} and {j} are {apart[i, j]:.4g} R apart and may overlap; {far}"
+        sides = {bool(x > 0.0) for x in places[:, 0]} if self.sides > 1 else set()
+        return "both sides need an anchor; add one" if len(sides) == 1 else ""
+
     def robot(self, shape: RobotGeometry) -> RobotGeometry:
         """Return the robot of this shape that builds the structure, upright in a plane."""
         return PlanarRobot(**vars(shape)) if self.plane else shape
@@ -162,7 +258,12 @@ class EdgeParams(GrowthParams):
     """What structures at the edge of a slab have in common."""
 
     spawn_width: Annotated[
-        float, Field(ge=0.0, description="Robots start at most this far from the plane y = 0 [R].")
+        float,
+        Field(
+            ge=0.0,
+            description="Robots start at most this far from the plane y = 0, or beyond the "
+            "outermost anchors [R].",
+        ),
     ] = 3.0
 
     @property
@@ -170,13 +271,24 @@ class EdgeParams(GrowthParams):
         """A slab that ends at x = 0."""
         return Terrain(left_edge=0.0)
 
+    def spread(self, count: int, behind: float) -> Reals:
+        """In a row behind the edge [R], shape (count, 2)."""
+        row, none = ANCHORS_APART * np.arange(count), np.zeros(count)
+        centered = row - 0.5 * ANCHORS_APART * (count - 1)
+        back, along = (row, none) if self.plane else (none, centered)
+        return np.column_stack([-behind - back, along])
+
     def behind(self, _side: int, docks: Reals) -> Reals:
         """Distance of docks, shape (n, 3), behind the edge [R], shape (n,)."""
         return np.asarray(-docks[:, 0])
 
     def start(self, _side: int, rim: float, draw: Reals) -> Reals:
         """At least `rim` behind the edge [R], by two random numbers in [0, 1), shape (2,)."""
-        y = 0.0 if self.plane else self.spawn_width * (2.0 * draw[0] - 1.0)
+        # Robots reach all anchors, however far apart these are along the edge.
+        y = self.anchor_places(RobotGeometry())[:, 1]
+        low, high = float(y.min(initial=0.0)), float(y.max(initial=0.0))
+        along = (self.spawn_width + 0.5 * (high - low)) * (2.0 * draw[0] - 1.0)
+        y = 0.0 if self.plane else along + 0.5 * (low + high)
         back = rim + (self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min))
         return np.array([-back, y])
 
@@ -199,6 +311,15 @@ class TowerParams(GrowthParams):
     def goal(self, _side: int) -> Reals:
         """Above the origin [R], shape (3,)."""
         return np.array([0.0, 0.0, self.goal_height])
+
+    def spread(self, count: int, _behind: float) -> Reals:
+        """On a circle about the axis, or a row through it in a plane [R], shape (count, 2)."""
+        if self.plane:
+            row = ANCHORS_APART * (np.arange(count) - 0.5 * (count - 1))
+            return np.column_stack([row, np.zeros(count)])
+        radius = 0.5 * ANCHORS_APART / np.sin(np.pi / count) if count > 1 else 0.0
+        angle = 2.0 * np.pi * np.arange(count) / count
+        return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
     def behind(self, _side: int, docks: Reals) -> Reals:
         """Distance of docks, shape (n, 3), from the axis [R], shape (n,)."""
@@ -259,6 +380,14 @@ class BridgeParams(EdgeParams):
         """Past the far edge, at its height [R], shape (3,)."""
         x = -self.goal_beyond if side else self.gap + self.goal_beyond
         return np.array([x, 0.0, EDGE_RADIUS])
+
+    def spread(self, count: int, behind: float) -> Reals:
+        """In rows behind both edges, on the left and on the right in turn [R], shape (count, 2)."""
+        places = np.empty((count, 2))
+        places[::2] = super().spread(-(-count // 2), behind)
+        places[1::2] = super().spread(count // 2, behind)
+        places[1::2, 0] = self.gap - places[1::2, 0]
+        return places
 
     def behind(self, side: int, docks: Reals) -> Reals:
         """Distance of docks, shape (n, 3), behind the side's edge [R], shape (n,)."""

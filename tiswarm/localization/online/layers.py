@@ -68,10 +68,21 @@ class LocalLayers:
         self._shapes = self._shapes.with_robot(block.arm, block.turn_sd, touching)
 
     def place(self, number: int) -> Reals:
-        """Find the likely places of a robot that joined; without partners, that of the last one."""
+        """Find the likely places of a robot that joined.
+
+        Without partners it is where its coordinates say, or if these leave that open, where the
+        last one is.
+        """
         block, position = self.blocks[number], self.state.position
         if not len(block.rows.other):
-            return position[number - 1, None]
+            last = position[number - 1]
+            direction = block.rows.places.direction
+            if np.linalg.matrix_rank(direction) < _AXES:
+                return last[None]
+            missed = block.rows.residual(np.tile(last, (block.rows.robots, 1)))
+            weight = 1.0 / np.sqrt(block.rows.variance())
+            moved = np.linalg.lstsq(weight[:, None] * direction, weight * missed)[0]
+            return (last - moved)[None]
         found, cost = candidates(
             block, self.state, self._shapes, non_overlap=self._params.non_overlap
         )
