@@ -22,7 +22,7 @@ from tiswarm.localization.linear import NOMINAL, Linear, LinearRows, by_group
 from tiswarm.measurements.contacts import close_docks
 from tiswarm.measurements.model import Measurements, turned
 from tiswarm.measurements.orientations import Connections
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.rows import KNOWN, SPACING
 from tiswarm.records.sensing_log import SensingLog
 
 OVERLAP_SD = 0.05
@@ -305,6 +305,7 @@ class Cost:
             return self.own_variance, np.zeros(len(residual))
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
+        missed[len(self.rows.other) :][self.variance[len(self.rows.other) :] <= KNOWN] = 0.0
         # The three rows of a vector give way together: they are one measurement.
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))
         missed[offset] = np.repeat(missed[offset].reshape(-1, 3).sum(axis=1), 3)

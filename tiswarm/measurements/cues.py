@@ -18,6 +18,7 @@ from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.orientations import LINK_SD, with_orientations
 from tiswarm.measurements.rows import (
+    KNOWN,
     NO_COORDINATES,
     NO_OFFSETS,
     SPACING,
@@ -25,10 +26,10 @@ from tiswarm.measurements.rows import (
     Distances,
     Offsets,
 )
-from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
+from tiswarm.records.sensing_log import SensingLog
 
-_ROUNDING = 1e-9
 _UP = np.array([0.0, 0.0, 1.0])
+_FLAT = 1e-9
 _FLIPS_ASSUMED = 10
 """Flips that a height is taken to come from where the log has no stances."""
 
@@ -138,16 +139,16 @@ def in_plane(log: SensingLog) -> Bools:
 
 
 def of_anchors(log: SensingLog) -> Bools:
-    """Choose the fixes that make robots anchors: no less precise than `KNOWN_SD`, in all directions.
+    """Choose the fixes that make robots anchors: no less precise than `KNOWN`, in all directions.
 
     Returns:
         Which fixes, shape (F,).
     """
     robot, direction = log.fixes[:, 0].astype(np.int64), log.fixes[:, 1:4]
-    is_precise = log.fixes[:, 5] <= KNOWN_SD * log.dock_radius * (1.0 + _ROUNDING)
+    is_precise = (log.fixes[:, 5] / log.dock_radius) ** 2 <= KNOWN
     is_precise &= log.fixes[:, 6] < 0.0  # errors of a source are in common
     span = spans(robot[is_precise], direction[is_precise], log.robot_count)
-    is_known = np.linalg.eigvalsh(span)[:, 0] > _ROUNDING
+    is_known = np.linalg.eigvalsh(span)[:, 0] > _FLAT
     chosen: Bools = is_precise & is_known[robot]
     return chosen
 

@@ -7,9 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
+from tiswarm.records.sensing_log import KNOWN_SD
 
 SPACING = 2.0
 """D: distance between the centers of two docks that touch [R]."""
+
+KNOWN = KNOWN_SD**2 * (1.0 + 1e-9)
+"""Variance of a coordinate up to which it never gives way, as that of an anchor [R^2]."""
 
 _AXES = 3
 

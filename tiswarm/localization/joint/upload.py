@@ -64,6 +64,7 @@ from tiswarm.localization.joint.problem import Problem
 from tiswarm.localization.joint.settings import ANNEALING
 from tiswarm.localization.joint.subtrees import Forest
 from tiswarm.localization.params import JointParams
+from tiswarm.measurements.rows import KNOWN
 
 
 def traits_of(problems: Sequence[Problem], *, by_block: bool) -> Traits:
@@ -200,7 +201,8 @@ def _plane_array(
 def _planes_of(problem: Problem, params: JointParams) -> Reals:
     """Gather the columns of `MeasuredColumns.plane` of one structure, shape (P, 11)."""
     planes = problem.planes
-    robust = ANNEALING.outlier_sd**-2 * params.robust * planes.is_redundant(problem.part)
+    gives_way = planes.is_redundant(problem.part) & (planes.precision * KNOWN < 1.0)
+    robust = ANNEALING.outlier_sd**-2 * params.robust * gives_way
     return _packed({
         POINT: planes.point,
         DIRECTION: planes.direction,

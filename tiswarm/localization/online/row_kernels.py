@@ -29,7 +29,7 @@ from tiswarm.localization.online.arrays import (
     VARIANCE,
     WIDENED,
 )
-from tiswarm.measurements.rows import SPACING
+from tiswarm.measurements.rows import KNOWN, SPACING
 
 _SMALL = 1e-8
 """Squared angle below which a turn is its series [rad^2]."""
@@ -94,6 +94,8 @@ def measure_row(b, a, at, table: Ref, robots: Ref, scratch: Ref):
 def give_way(b, robust_square, table: Ref, scratch: Ref):
     """Widen rows that are missed by far, as `Cost` does; return the loss beyond their squares.
 
+    Known positions never give way.
+
     Args:
         robust_square: Square of the width of the loss [1].
     """
@@ -106,7 +108,8 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
         missed = 0.0
         for k in range(first, first + parts):
             variance = table.real[start + k, VARIANCE]
-            missed += scratch.row[k, RESIDUAL] ** 2 / (robust_square * variance)
+            if table.number[start + k, KIND] != COORDINATE or variance > KNOWN:
+                missed += scratch.row[k, RESIDUAL] ** 2 / (robust_square * variance)
         scratch.row[a, WIDENED] += table.real[start + a, VARIANCE] * missed
         excess += robust_square * (ti.log(1.0 + missed) - missed / (1.0 + missed)) / parts
     return excess
