@@ -285,7 +285,9 @@ def _advice_rows(log: SensingLog, advice: "Sequence[Advice]", after: str) -> lis
     rows = []
     for rank, found in enumerate(advice, start=1):
         what = f"{found.kind} of robot {name[found.robot]}"
-        if found.kind == "range":
+        if found.kind == "anchor":
+            what = f"robot {name[found.robot]} as an anchor"
+        elif found.kind == "range":
             what = f"{what} to robot {name[found.contact[1]]}"
         elif found.contact:
             own, other, dock = found.contact

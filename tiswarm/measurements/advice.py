@@ -1,4 +1,4 @@
-"""Which further contact, height or known position would constrain a swarm most.
+"""Which further contact, height, known position or anchor would constrain a swarm most.
 
 A candidate removes as many floppy modes as its rows have rank on the floppy motions; what error it
 leaves, `expected_error` computes. Several together are chosen one by one, each with what those
@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.contacts import close_docks
-from tiswarm.measurements.cues import Precision, measure
+from tiswarm.measurements.cues import Precision, known_positions, measure
 from tiswarm.measurements.expected_error import Images, Posterior
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
@@ -23,7 +23,7 @@ from tiswarm.measurements.orientations import ASSUMED
 from tiswarm.measurements.rigidity import Bodies, FloppyMotions, floppy_motions, further_rows, weld
 from tiswarm.measurements.rows import SPACING, Coordinates, Distances
 from tiswarm.records.estimate import Solution
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import KNOWN_SD, SensingLog
 
 MOST_ROBOTS = 1000
 """Expected errors of larger swarms are not computed: time grows as the cube of their size."""
@@ -46,7 +46,10 @@ _DECISIVE = 5.0
 _AXES = 3
 """Rows of a known position."""
 
-Kind = Literal["contact", "height", "position", "range"]
+Kind = Literal["contact", "height", "position", "range", "anchor"]
+
+_ON_REQUEST = "anchor"
+"""Kind that counts only where it is asked for: positions of fewer robots, but more precise."""
 
 
 class Advice(NamedTuple):
@@ -217,12 +220,12 @@ def advise(
         return None
     pair, posterior, center = question.images, question.posterior, question.center
     advice = []
-    for candidates in question.candidates:
+    for candidates in _of_kinds(question, ()):
         kind, further, size = candidates
         jacobian, variance = further.jacobian(center), further.variance()
         change = question.change(further)
         modes = _rank(jacobian, question.motions.of_robots(), size)
-        if kind == "position":
+        if size == _AXES:
             modes -= question.fixes_gauge[further.robot[::size]]
         before, after = np.nan, modes * np.nan
         apart = np.sqrt((change**2 / variance).reshape(-1, size).sum(axis=1))
@@ -274,7 +277,8 @@ def advise_together(
         position: Estimated centers, as for `advise`.
         images: Solutions between which robots are mirrored, as for `advise`.
         budget: Largest number of measurements.
-        kinds: Kinds of measurements to choose from; all if there are none.
+        kinds: Kinds of measurements to choose from; all but anchors if there are none. Anchors are
+            robots on the ground, with positions as precise as those of anchors.
 
     Returns:
         Advice in the order in which it was chosen. None for more than `MOST_ROBOTS` robots, or too
@@ -283,8 +287,7 @@ def advise_together(
     question = _Question.of(log, cues, position, images)
     if question is None or (question.posterior is None and question.candidates):
         return None
-    chosen_from = [each for each in question.candidates if not kinds or each.kind in kinds]
-    question = question._replace(candidates=chosen_from)
+    question = question._replace(candidates=_of_kinds(question, kinds))
     taken: list[tuple[int, int]] = []
     rows: list[Measurements] = []
     advice: list[Advice] = []
@@ -319,8 +322,17 @@ def advise_together(
     return advice
 
 
+def _of_kinds(question: _Question, kinds: Collection[Kind]) -> list[_Candidates]:
+    """Select candidates of some kinds, or of those that need no request if there are none."""
+    return [
+        each
+        for each in question.candidates
+        if each.kind in kinds or (not kinds and each.kind != _ON_REQUEST)
+    ]
+
+
 def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
-    """List contacts of close docks, and the height and the position of each but the anchor.
+    """List contacts of close docks, the height and the position of each but the anchor, and anchors.
 
     Nobody can measure robots that have left.
     """
@@ -331,16 +343,22 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
         final[later], own, final[earlier], its, length=SPACING, sd=precision.contact
     )
     yield _Candidates("contact", Measurements.gather(odometry, [contacts]), 1)
-    kinds: list[tuple[Kind, Reals]] = [("height", np.eye(3)[2:]), ("position", np.eye(3))]
-    for kind, axes in kinds:
-        there = np.flatnonzero(~log.is_gone[1:]) + 1
+    present = np.flatnonzero(~log.is_gone[1:]) + 1
+    standing = np.isin(present, log.ground_docks[:, 0])
+    standing &= np.isnan(known_positions(log)[present, 0])
+    kinds: list[tuple[Kind, Reals, float, Ints]] = [
+        ("height", np.eye(3)[2:], precision.height, present),
+        ("position", np.eye(3), precision.height, present),
+        ("anchor", np.eye(3), KNOWN_SD, present[standing]),
+    ]
+    for kind, axes, sd, there in kinds:
         stance = np.repeat(final[there], len(axes))
         places = Coordinates.of(
             stance,
             np.full_like(stance, CENTER),
             np.tile(axes, (len(there), 1)),
             (center[there] @ axes.T).ravel(),
-            variance=precision.height**2,
+            variance=sd**2,
         )
         yield _Candidates(kind, Measurements.gather(odometry, places=[places]), len(axes))
 

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import (
     Field,
+    Strict,
     ValidationError,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
@@ -37,10 +38,12 @@ def _one_mistake(anchors: object, check: ValidatorFunctionWrapHandler) -> object
         raise ValueError(f"{shown(anchors)} should be {ways} within 1e4 R") from found
 
 
-_Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
-_Places = tuple[tuple[_Coordinate, _Coordinate], ...]
+# A wrapped value passes through Python, where strict checks accept no list for a tuple.
+_Coordinate = Annotated[float, Strict(), Field(ge=-1e4, le=1e4)]
+_Place = Annotated[tuple[_Coordinate, _Coordinate], Strict(False)]  # noqa: FBT003
+_Places = Annotated[tuple[_Place, ...], Strict(False)]  # noqa: FBT003
 _Anchors = Annotated[
-    Annotated[int, Field(ge=1, le=_MOST_ANCHORS)]
+    Annotated[int, Strict(), Field(ge=1, le=_MOST_ANCHORS)]
     | Annotated[_Places, Field(min_length=1, max_length=_MOST_ANCHORS)]
     | None,
     WrapValidator(_one_mistake),

@@ -25,6 +25,7 @@ from tiswarm.measurements.orientations import (
     connections_of,
     with_orientations,
 )
+from tiswarm.measurements.rows import KNOWN
 from tiswarm.records.sensing_log import SensingLog
 
 NO_ROBOTS: Ints = np.empty(0, np.int64)
@@ -290,7 +291,7 @@ def chosen_rows(
     if len(disregarded):
         rows = rows.select(~(rows.is_walked & np.isin(rows.robot, disregarded)))
     variance = rows.variance()
-    is_wrong = inconsistent_places(rows, variance) & params.robust
+    is_wrong = inconsistent_places(rows, variance) & params.robust & (variance > KNOWN)
     inconsistent, rows = rows.select(is_wrong), rows.select(~is_wrong)
     rows = rows.select(_most_precise(rows, variance[~is_wrong]))
     # All fixes of a robot count, unlike other coordinates: none is a repetition of another.

@@ -1,0 +1,210 @@
+"""Every method knows where all anchors of a log are, and puts separate parts in one frame."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.runs import REPOSITORY
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.localization.params import (
+    BackPropagation,
+    DistributedParams,
+    HopByHopParams,
+    JointParams,
+    LeastSquaresParams,
+    OnlineParams,
+    Together,
+    VirtualForceParams,
+)
+from tiswarm.localization.registry import localize, localize_many
+from tiswarm.localization.virtual_force import Localizer
+from tiswarm.measurements.advice import advise, advise_together
+from tiswarm.measurements.cues import cue_names
+from tiswarm.records.sensing_file import log_entries
+from tiswarm.records.sensing_log import KNOWN_SD
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.study.navigation import _parts
+from tiswarm.world.growth import grow
+from tiswarm.world.params import CantileverParams, TowerParams
+
+pytestmark = pytest.mark.unchecked
+
+METHODS = {
+    "joint": JointParams(chains=2, steps=400, hold_steps=100),
+    "least-squares": LeastSquaresParams(),
+    "hop-by-hop": HopByHopParams(),
+    "online": OnlineParams(chains=1, steps=100, hold_steps=50),
+    "virtual-force": VirtualForceParams(iterations=60),
+    "back-propagation": VirtualForceParams(
+        iterations=60, back_propagation=BackPropagation(sweeps=50)
+    ),
+    "together": VirtualForceParams(schedule="together", together=Together(steps=200)),
+    "distributed": DistributedParams(chains=0),
+    "algorithm-1": DistributedParams(scheme="algorithm-1"),
+}
+FIRM = 0.02
+"""How far noise moves an anchor, whose position is a measurement, at most [R]."""
+
+
+@pytest.fixture(scope="module")
+def apart():
+    """A cantilever of twelve robots, and an anchor 15 R away that nobody touches."""
+    anchors = ((-1.6, 0.0), (-1.6, -15.0))
+    [history] = grow(
+        CantileverParams(anchors=anchors, spawn_width=0.0), robots=12, seeds=[2],
+        robot=RobotGeometry(),
+    )  # fmt: skip
+    return history
+
+
+@pytest.fixture(scope="module")
+def parted():
+    """A tower from anchors so far apart that its parts have not met."""
+    anchors = ((0.0, 0.0), (14.0, 0.0), (0.0, 14.0))
+    [history] = grow(TowerParams(anchors=anchors), robots=24, seeds=[1], robot=RobotGeometry())
+    assert len(set(_part_of(history))) > 1
+    return history
+
+
+def _part_of(history):
+    """Least robot of the part that contacts connect each robot to."""
+    part = list(range(history.robot_count))
+    for _ in part:
+        for i, _, j, _ in history.contacts.tolist():
+            part[i] = part[j] = min(part[i], part[j])
+    return part
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_part_with_an_anchor_is_a_guess(parted, method):
+    """Anchors are at their places, and robots of each part near theirs, with noise."""
+    log = observe(parted, SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0))
+
+    found = localize(log, METHODS[method])
+
+    error = np.linalg.norm(found.position - parted.position, axis=1)
+    assert error[:3].max() < FIRM
+    assert error.max() < 10.0
+    assert not found.disconnected.any()
+    assert not found.observability.disconnected.any()
+    assert "anchors" in found.observability.cues
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_anchor_that_nobody_touches_is_at_its_place(apart, method):
+    """Its fixes alone say where it is."""
+    log = observe(apart, SensingParams(tilt_noise_deg=1.0))
+    alone = sorted({0, 1} - set(apart.contacts[:, 0].tolist()))
+    assert alone
+
+    found = localize(log, METHODS[method])
+
+    error = np.linalg.norm(found.position - apart.position, axis=1)
+    assert error[alone].max() < FIRM
+
+
+@pytest.mark.parametrize("method", ["virtual-force", "back-propagation", "together"])
+def test_virtual_forces_leave_anchors_where_they_are(parted, method):
+    """To the last bit, in every frame, and without a step."""
+    log = observe(parted, SensingParams(tilt_noise_deg=1.0))
+
+    found = localize(log, METHODS[method])
+
+    for frame in found.trace:
+        np.testing.assert_allclose(frame[:3], parted.position[:3], rtol=0.0, atol=1e-12)
+    assert found.steps[:3].tolist() == [0, 0, 0]
+    assert (found.steps[3:] > 0).all()
+
+
+def test_robots_that_join_one_by_one_end_where_the_log_puts_them(parted):
+    """Bit for bit, anchors included."""
+    log = observe(parted, SensingParams(tilt_noise_deg=1.0))
+    header, *lines = log_entries(log)
+    params = VirtualForceParams(iterations=60)
+    swarm = Localizer(json.dumps(header), params)
+    for line in lines:
+        swarm.join(line)
+
+    np.testing.assert_array_equal(swarm.positions, localize(log, params).position)
+
+
+def test_a_log_with_one_anchor_has_no_rows_of_anchors(towers):
+    """Fixes that are less precise, or along two axes, make no anchor."""
+    log = observe(towers[0], SensingParams())
+    seeds = observe(towers[0], SensingParams(seed_robots=3, fix_noise=0.01))
+    two = replace(seeds, fixes=seeds.fixes[[0, 1]])
+    two.fixes[:, 5] = KNOWN_SD
+
+    found = localize_many([log, seeds, two], [METHODS["least-squares"]] * 3, with_observability=True)
+
+    assert ["anchors" in each.observability.cues for each in found] == [False] * 3
+    assert ["fixes" in each.observability.cues for each in found] == [False, True, True]
+
+
+def test_contacts_do_not_outvote_an_anchor(parted):
+    """A robust loss lets measurements give way, but known positions never."""
+    log, shift = observe(parted, SensingParams()), np.array([1.0, -2.0, 0.5])
+    off = log.fixes.copy()
+    off[:3, 4] += off[:3, 1:4] @ shift
+
+    for method in ("joint", "least-squares", "online"):
+        found = localize(replace(log, fixes=off), METHODS[method])
+        np.testing.assert_allclose(found.position[1] - parted.position[1], shift, atol=0.05)
+
+
+def test_advice_chooses_anchors_on_the_ground(towers):
+    """Expected errors are those of the log with the fixes of the anchors chosen."""
+    log, place = observe(towers[0], SensingParams(tilt_noise_deg=2.0, yaw_noise_deg=4.0)), towers[0]
+    cues = cue_names()
+
+    found = advise_together(log, cues, place.position, budget=2, kinds=("anchor",))
+
+    assert {one.kind for one in found} == {"anchor"}
+    standing = set(log.ground_docks[:, 0].tolist()) - {0}
+    assert {one.robot for one in found} <= standing
+    assert "anchor" not in {one.kind for one in advise(log, cues, place.position)}
+    assert found[0].rmse_after < found[0].rmse_before
+    first = found[0].robot
+    fixes = [[first, *axis, place.position[first] @ axis, KNOWN_SD, -1.0] for axis in np.eye(3)]
+    known = replace(log, fixes=np.array(fixes))
+    [then] = advise_together(known, cues, place.position, budget=1, kinds=("anchor",))
+    assert then.robot == found[1].robot
+    assert then.rmse_before == pytest.approx(found[0].rmse_after, rel=1e-6)
+    assert then.rmse_after == pytest.approx(found[1].rmse_after, rel=1e-6)
+
+
+def test_robots_that_navigate_know_the_places_of_all_anchors(parted):
+    """Anchors are one part, which has one frame; without them each founder has its own."""
+    log = observe(parted, SensingParams())
+
+    together, apart = _parts(parted, log), _parts(replace(parted, anchors=1), log)
+
+    assert [part.robots.tolist() for part in together] == [[*range(24)]]
+    assert len(apart) == 3
+
+
+def test_a_run_reports_structures_with_several_anchors(tiswarm, tmp_path):
+    """Through the command line: tables count anchors, and a second command asks for the next."""
+    sets = ["robots=12", "seeds=1", "structure.anchors=2", "sensing.yaw_noise_deg=2.0"]
+    options = [option for each in sets for option in ("--set", each)]
+
+    done = tiswarm("run", REPOSITORY / "tests/tower.yaml", *options, "--no-pictures", "--out", tmp_path)
+
+    assert done.returncode == 0, done.stderr
+    case = sorted(tmp_path.glob("tower-*/cases/*"))[0]
+    assert "anchors" in (case / "case.json").read_text()
+    advised = tiswarm("advise", case / "sensing.jsonl", case / "estimate.csv", "--budget", 1,
+                      "--kinds", "anchor")  # fmt: skip
+    assert advised.returncode == 0, advised.stderr
+    assert "as an anchor" in advised.stdout
+    assert "together, 1 anchor: expected RMSE" in advised.stdout
+
+
+def test_the_scenario_sweeps_anchors():
+    """The shipped study has one, two and four of them on both kinds."""
+    scenario = load_scenario(REPOSITORY / "scenarios" / "anchors.yaml")
+
+    assert scenario.sweep["structure.anchors"] == (1, 2, 4)
