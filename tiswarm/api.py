@@ -314,7 +314,8 @@ def advise(
         log: Sensing log, or its file.
         estimate: Estimate, or its table, which has no solutions; `joint` localizes the log if None.
         budget: Number of measurements in a set that helps most together; no set if None.
-        kinds: Kinds of measurements in the set: contact, height, position, range; all if none.
+        kinds: Kinds of measurements in the set: contact, height, position, range, anchor; all but
+            anchor if none.
         quiet: Whether to hide progress.
 
     Returns:

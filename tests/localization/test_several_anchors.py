@@ -138,7 +138,9 @@ def test_a_log_with_one_anchor_has_no_rows_of_anchors(towers):
     two = replace(seeds, fixes=seeds.fixes[[0, 1]])
     two.fixes[:, 5] = KNOWN_SD
 
-    found = localize_many([log, seeds, two], [METHODS["least-squares"]] * 3, with_observability=True)
+    found = localize_many(
+        [log, seeds, two], [METHODS["least-squares"]] * 3, with_observability=True
+    )
 
     assert ["anchors" in each.observability.cues for each in found] == [False] * 3
     assert ["fixes" in each.observability.cues for each in found] == [False, True, True]
@@ -191,10 +193,12 @@ def test_a_run_reports_structures_with_several_anchors(tiswarm, tmp_path):
     sets = ["robots=12", "seeds=1", "structure.anchors=2", "sensing.yaw_noise_deg=2.0"]
     options = [option for each in sets for option in ("--set", each)]
 
-    done = tiswarm("run", REPOSITORY / "tests/tower.yaml", *options, "--no-pictures", "--out", tmp_path)
+    done = tiswarm(
+        "run", REPOSITORY / "tests/tower.yaml", *options, "--no-pictures", "--out", tmp_path
+    )
 
     assert done.returncode == 0, done.stderr
-    case = sorted(tmp_path.glob("tower-*/cases/*"))[0]
+    case = next(tmp_path.glob("tower-*/cases/*"))
     assert "anchors" in (case / "case.json").read_text()
     advised = tiswarm("advise", case / "sensing.jsonl", case / "estimate.csv", "--budget", 1,
                       "--kinds", "anchor")  # fmt: skip

@@ -153,7 +153,7 @@ class Findings:
 
         Args:
             budget: Largest number of measurements in the set; no set if None.
-            kinds: Kinds of measurements in the set; all if there are none.
+            kinds: Kinds of measurements in the set; all but anchor if there are none.
 
         Raises:
             InputError: the budget is not positive, a kind is unknown, or there are too many robots.

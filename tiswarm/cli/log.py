@@ -189,7 +189,10 @@ def advise(
         int | None, Option(metavar="K", help="Also list the K measurements best together.")
     ] = None,
     kinds: Annotated[
-        str, Option(metavar="KIND,...", help="Kinds of these: contact, height, position, range.")
+        str,
+        Option(
+            metavar="KIND,...", help="Kinds of these: contact, height, position, range, anchor."
+        ),
     ] = "",
 ) -> None:
     """List which further measurements would determine most.
@@ -198,7 +201,7 @@ def advise(
     1,000 robots. More are ranked by floppy modes. Without ESTIMATE, solutions of joint count, too:
     where robots are mirrored, a column has the difference between the two likeliest, and further
     ranges are candidates if LOG has some. --budget chooses a set one by one, each the best beside
-    those before it.
+    those before it; with --kinds anchor, robots on the ground that are to be anchors.
     """
     from tiswarm import api
     from tiswarm.base.errors import InputError

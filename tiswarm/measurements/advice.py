@@ -332,7 +332,7 @@ def _of_kinds(question: _Question, kinds: Collection[Kind]) -> list[_Candidates]
 
 
 def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[_Candidates]:
-    """List contacts of close docks, the height and the position of each but the anchor, and anchors.
+    """List contacts of close docks, heights and positions of all but the anchor, further anchors.
 
     Nobody can measure robots that have left.
     """

@@ -137,9 +137,7 @@ def dock_pairs(point: Reals, within: float) -> Ints:
     return np.stack(np.divmod(pair, docks), axis=-1).reshape(-1, 4)
 
 
-def reach(
-    pair: Ints, longest: Reals, part: NDArray[np.int32], start: Ints | None = None
-) -> Reals:
+def reach(pair: Ints, longest: Reals, part: NDArray[np.int32], start: Ints | None = None) -> Reals:
     """Bound the distance of each robot from the first robot of its connected part.
 
     Along a chain of contacts the distances of centers add up.

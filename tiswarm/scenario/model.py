@@ -27,7 +27,14 @@ from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.run_folder import LABEL
-from tiswarm.scenario.validation import CONDITION_SECTIONS, Mistake, Plain, mistake_at, take_methods, validate
+from tiswarm.scenario.validation import (
+    CONDITION_SECTIONS,
+    Mistake,
+    Plain,
+    mistake_at,
+    take_methods,
+    validate,
+)
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
 from tiswarm.world.params import StructureParams

@@ -215,7 +215,7 @@ class GrowthParams(RecruitParams):
         return self.anchors if isinstance(self.anchors, int) else len(self.anchors)
 
     def anchor_places(self, shape: RobotGeometry) -> Reals:
-        """Where robots of a shape are put as anchors [R], shape (k, 2); none for one that climbs."""
+        """Places at which robots of a shape are put as anchors [R], (k, 2); none for a climber."""
         if isinstance(self.anchors, int):
             return self.spread(self.anchors, self._clearance(shape))
         if self.anchors is not None:
