@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from tests.runs import REPOSITORY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.tables import by_join, totals
-from tiswarm.measurements.cues import known_positions
 from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import dump_scenario, scenario_hash
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.anchors import anchor_places
 from tiswarm.world.growth import grow
 from tiswarm.world.history import read_history, write_history
 from tiswarm.world.params import (
@@ -56,7 +56,7 @@ def test_anchors_stay_where_they_are_put(params, count, plane, movers, seed):
     assert history.anchors == count <= history.robot_count
     docks = [walk.center[0] for walk in history.walks[:count]]
     at = np.array(docks)[:, :2] if not plane else None
-    assert at is None or np.array_equal(at, params.anchor_places(FIREANT))
+    assert at is None or np.array_equal(at, anchor_places(params, FIREANT))
     assert all(walk.stance_count == 1 for walk in history.walks[:count])
     assert all(len(walk.ground_docks) for walk in history.walks[:count])
     assert find_fault(history, contact_gap=0.02) == ""
@@ -90,7 +90,7 @@ def test_logs_and_files_state_every_anchor(tmp_path):
     write_sensing_log(observe(history, SensingParams(tilt_noise_deg=1.0)), tmp_path / "log")
     log = read_sensing_log(tmp_path / "log")
 
-    known = known_positions(log)
+    known = log.known_position
     write_history(history, tmp_path / "structure.npz")
     back = read_history(tmp_path / "structure.npz", TowerParams(anchors=4), FIREANT)
 

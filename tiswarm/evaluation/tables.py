@@ -13,7 +13,6 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
 from tiswarm.measurements import contacts
-from tiswarm.measurements.cues import known_positions
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.measurements.rigidity import floppy_modes, weld
@@ -129,7 +128,7 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    anchors = np.flatnonzero(np.isfinite(known_positions(log)[:, 0]))
+    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
     apart = pd.Series(contacts.hops(log, anchors).min(axis=0))
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),

@@ -25,7 +25,7 @@ from tiswarm.engine.relax import SMALL, PreparedSwarm
 from tiswarm.localization.assessment import assess
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.measurements.contacts import contact_count, disconnected, parts, reach
-from tiswarm.measurements.cues import known_positions, measure
+from tiswarm.measurements.cues import measure
 from tiswarm.measurements.rows import SPACING
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -102,7 +102,7 @@ def _step(
     # A robot of many contacts is pulled by all of them: shorter steps keep it from overshooting.
     mobility = chosen.gain / np.maximum(np.concatenate([contact_count(log) for log in logs]), 1)
     along = np.repeat(mobility[:, None], 3, axis=1)
-    is_anchor = np.concatenate([np.isfinite(known_positions(log)[:, 0]) for log in logs])
+    is_anchor = np.concatenate([np.isfinite(log.known_position[:, 0]) for log in logs])
     # Anchors stay, and planar robots keep the anchor's y.
     along[is_anchor] = 0.0
     along[np.concatenate(planar), 1] = 0.0
@@ -169,7 +169,7 @@ def _chained(log: SensingLog, is_planar: Bools) -> Reals:
     arm = dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
     part = parts(measure(log, ["contacts"]))
     contact = np.concatenate([log.contacts, log.contacts[:, [2, 3, 0, 1]]])
-    position = known_positions(log) / log.dock_radius
+    position = log.known_position / log.dock_radius
     is_anchor = np.isfinite(position[:, 0])
     position[~is_anchor] = position[0]
     untied = np.flatnonzero(~np.isin(part, part[is_anchor]))

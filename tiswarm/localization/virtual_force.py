@@ -4,8 +4,8 @@ Where the paper leaves a choice open, ours is a parameter or is stated here: the
 linearly, alpha_t = t / T, so repulsion acts first and attraction last; a step is capped; the error
 that the paper's loop tests is what a robot misses its measurements by, since its true error is
 unknown to it; a robot that touches no earlier one starts from the first anchor; planar robots, see
-`tiswarm.measurements.cues.in_plane`, stay at its y; further anchors, see `known_positions` there,
-are where they are known to be. The paper says only that
+`tiswarm.measurements.cues.in_plane`, stay at its y; further anchors are where they are
+known to be. The paper says only that
 back-propagation would revisit recent robots every ten joins. Its virtual torque gained nothing in
 our trials, see `docs/yaw.md`.
 
@@ -38,7 +38,7 @@ from tiswarm.localization.virtual_force_arrays import (
 )
 from tiswarm.localization.virtual_force_kernels import localize_in_join_order
 from tiswarm.measurements.contacts import disconnected
-from tiswarm.measurements.cues import fixed_positions, in_plane, known_positions, measure
+from tiswarm.measurements.cues import in_plane, measure
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensedStance, SensingLogBuilder
@@ -95,14 +95,11 @@ def localize_batch(
     height = np.concatenate([_heights(log, p) for log, p in both])
     planar = np.concatenate([_planar(log) for log in logs]).astype(np.int32)
     gone = np.concatenate([log.is_gone for log in logs]).astype(np.int32)
-    known = np.concatenate([known_positions(log) / log.dock_radius for log in logs])
+    known = np.concatenate([log.known_position / log.dock_radius for log in logs])
     anchors = np.isfinite(known[:, 0]).astype(np.int32)
     measured = LogArrays(*_contacts_by_robot(logs), direction, height, planar, gone, anchors)
-    offsets = [
-        dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius) for log in logs
-    ]
     # Anchors are known; all others are NaN until the kernel places them.
-    placed = PlacedRobots(np.concatenate(offsets), known)
+    placed = PlacedRobots(np.concatenate([_offsets(log) for log in logs]), known)
     trace = Trace.allocate(len(frames), len(placed.position), np.float64)
     recent = rounds.recent or len(placed.position)
     docks = max(log.robot_count for log in logs) * len(logs[0].dock_offset_body)
@@ -250,7 +247,7 @@ class Localizer:
         self._height[n] = _heights(alone, self._params)[0]
         self._is_planar[n] = _planar(alone)[0] and self._is_planar[:n].all()
         # The first anchor is at the origin: far from it, numbers lose digits.
-        known = fixed_positions(alone)[0] / self._unit if n else np.zeros(3)
+        known = alone.fixed_position[0] / self._unit if n else np.zeros(3)
         self._is_anchor[n], self._robots.position[n] = np.isfinite(known[0]), known
         self._place(np.array(stance.lists["contacts"], np.int32).reshape(-1, 3))
         self._count += 1
@@ -298,6 +295,11 @@ class Localizer:
         )  # fmt: skip
         if np.isnan(self._robots.position[: count + 1]).any():
             raise backend.faulty_driver()
+
+
+def _offsets(log: SensingLog) -> Reals:
+    """Center to dock of each robot, world frame [R], shape (N, docks, 3)."""
+    return dock_offsets(log.orientation_wxyz, log.dock_offset_body / log.dock_radius)
 
 
 def _gains(params: VirtualForceParams) -> VirtualForceGains:

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.measurements.contacts import close_docks
-from tiswarm.measurements.cues import Precision, known_positions, measure
+from tiswarm.measurements.cues import Precision, measure
 from tiswarm.measurements.expected_error import Images, Posterior
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, Odometry
@@ -345,7 +345,7 @@ def _candidates(log: SensingLog, odometry: Odometry, center: Reals) -> Iterator[
     yield _Candidates("contact", Measurements.gather(odometry, [contacts]), 1)
     present = np.flatnonzero(~log.is_gone[1:]) + 1
     standing = np.isin(present, log.ground_docks[:, 0])
-    standing &= np.isnan(known_positions(log)[present, 0])
+    standing &= np.isnan(log.known_position[present, 0])
     kinds: list[tuple[Kind, Reals, float, Ints]] = [
         ("height", np.eye(3)[2:], precision.height, present),
         ("position", np.eye(3), precision.height, present),

@@ -146,7 +146,7 @@ def reach(pair: Ints, longest: Reals, part: NDArray[np.int32], start: Ints | Non
         pair: Robots in contact, shape (C, 2).
         longest: How far apart the centers of each pair can be [R], shape (C,).
         part: Connected part of each robot, shape (N,).
-        start: Robots from the nearest of which to count instead; None for those first robots.
+        start: Robots to count from instead, the nearest one; None for those first robots.
 
     Returns:
         Length of the shortest chain of contacts [R], shape (N,); infinite where `part` is not

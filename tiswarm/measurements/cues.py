@@ -13,12 +13,10 @@ import numpy as np
 
 from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.measurements.contacts import spans
 from tiswarm.measurements.model import Measurements
 from tiswarm.measurements.odometry import CENTER, UNKNOWN, Odometry
 from tiswarm.measurements.orientations import LINK_SD, with_orientations
 from tiswarm.measurements.rows import (
-    KNOWN,
     NO_COORDINATES,
     NO_OFFSETS,
     SPACING,
@@ -29,7 +27,6 @@ from tiswarm.measurements.rows import (
 from tiswarm.records.sensing_log import SensingLog
 
 _UP = np.array([0.0, 0.0, 1.0])
-_FLAT = 1e-9
 _FLIPS_ASSUMED = 10
 """Flips that a height is taken to come from where the log has no stances."""
 
@@ -112,13 +109,13 @@ def _plane(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordin
 
 def _anchors(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """The center of a further anchor is known."""
-    known = log.fixes[of_anchors(log) & ~in_plane(log)]
+    known = log.fixes[log.is_of_anchor & ~in_plane(log)]
     return _coordinates(replace(log, fixes=known, stances=None), odometry, precision)
 
 
 def _fixes(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:
     """A center was found along given directions, at the end or at an earlier stance."""
-    others = log.fixes[~(in_plane(log) | of_anchors(log))]
+    others = log.fixes[~(in_plane(log) | log.is_of_anchor)]
     return _coordinates(replace(log, fixes=others), odometry, precision)
 
 
@@ -136,38 +133,6 @@ def in_plane(log: SensingLog) -> Bools:
     has_one = np.isin(np.arange(log.robot_count), robot[at_anchor])
     chosen: Bools = at_anchor & np.logical_and.accumulate(has_one)[robot]
     return chosen
-
-
-def of_anchors(log: SensingLog) -> Bools:
-    """Choose the fixes that make robots anchors: no less precise than `KNOWN`, in all directions.
-
-    Returns:
-        Which fixes, shape (F,).
-    """
-    robot, direction = log.fixes[:, 0].astype(np.int64), log.fixes[:, 1:4]
-    is_precise = (log.fixes[:, 5] / log.dock_radius) ** 2 <= KNOWN
-    is_precise &= log.fixes[:, 6] < 0.0  # errors of a source are in common
-    span = spans(robot[is_precise], direction[is_precise], log.robot_count)
-    is_known = np.linalg.eigvalsh(span)[:, 0] > _FLAT
-    chosen: Bools = is_precise & is_known[robot]
-    return chosen
-
-
-def known_positions(log: SensingLog) -> Reals:
-    """Return the centers of all anchors in the log's unit; NaN of other robots, shape (N, 3)."""
-    position = fixed_positions(log)
-    position[0] = log.anchor_position
-    return position
-
-
-def fixed_positions(log: SensingLog) -> Reals:
-    """Return the centers of further anchors in the log's unit; NaN of others, shape (N, 3)."""
-    position = np.full((log.robot_count, 3), np.nan)
-    fixes = log.fixes[of_anchors(log)]
-    for robot in np.unique(fixes[:, 0]).astype(np.int64).tolist():
-        mine = fixes[fixes[:, 0] == robot]
-        position[robot] = np.linalg.lstsq(mine[:, 1:4], mine[:, 4])[0]
-    return position
 
 
 def _coordinates(log: SensingLog, odometry: Odometry, precision: Precision) -> Coordinates:  # noqa: ARG001

@@ -20,6 +20,8 @@ KNOWN_SD = 1e-3
 """Standard deviation of the three fixes that state the position of a further anchor [dock radii];
 robots with fixes no less precise are anchors."""
 
+_ROUNDING = 1e-9
+
 
 def _not_tiny(angle: float) -> float:
     if 0.0 < angle < 1e-9:  # noqa: PLR2004 - its inverse square is a number of float32
@@ -214,6 +216,37 @@ class SensingLog:
     def robot_count(self) -> int:
         """N."""
         return len(self.robot_id)
+
+    @property
+    def is_of_anchor(self) -> Bools:
+        """Whether each fix is of a further anchor, shape (F,).
+
+        Its robot has fixes no less precise than `KNOWN_SD`, of no source, in all directions.
+        """
+        robot, normal = self.fixes[:, 0].astype(np.int64), self.fixes[:, 1:4]
+        is_precise = self.fixes[:, 5] <= KNOWN_SD * self.dock_radius * (1.0 + _ROUNDING)
+        is_precise &= self.fixes[:, 6] < 0.0
+        span = np.zeros((self.robot_count, 3, 3))
+        np.add.at(span, robot, (normal[:, :, None] * normal[:, None]) * is_precise[:, None, None])
+        is_known: Bools = np.linalg.eigvalsh(span)[:, 0] > _ROUNDING
+        return is_precise & is_known[robot]
+
+    @property
+    def fixed_position(self) -> Reals:
+        """Centers of further anchors, NaN for all other robots [log unit], shape (N, 3)."""
+        position = np.full((self.robot_count, 3), np.nan)
+        fixes = self.fixes[self.is_of_anchor]
+        for robot in np.unique(fixes[:, 0]).astype(np.int64).tolist():
+            mine = fixes[fixes[:, 0] == robot]
+            position[robot] = np.linalg.lstsq(mine[:, 1:4], mine[:, 4])[0]
+        return position
+
+    @property
+    def known_position(self) -> Reals:
+        """Centers of all anchors, NaN for all other robots [log unit], shape (N, 3)."""
+        position = self.fixed_position
+        position[0] = self.anchor_position
+        return position
 
     @property
     def is_gone(self) -> Bools:

@@ -37,6 +37,7 @@ from tiswarm.scenario.validation import (
 )
 from tiswarm.scenario.yaml_source import plain_scalar
 from tiswarm.sensing import SensingParams
+from tiswarm.world.anchors import anchor_fault
 from tiswarm.world.params import StructureParams
 
 _SWEEP_SECTIONS = ("robots", "precision", "robot", "structure", "sensing", "localization")
@@ -160,7 +161,7 @@ class Scenario:
     @classmethod
     def _place_anchors(cls, structure: StructureParams, info: ValidationInfo) -> object:
         robots, shape = (info.data.get(name) for name in ("robots", "robot"))
-        if robots and shape and (fault := structure.anchor_fault(robots, shape)):
+        if robots and shape and (fault := anchor_fault(structure, robots, shape)):
             raise mistake_at((structure.kind, "anchors"), fault)
         return structure
 

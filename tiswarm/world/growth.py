@@ -24,6 +24,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend, program
 from tiswarm.compute.cell_kernels import CellList
 from tiswarm.compute.math import dock_offsets, uniform
+from tiswarm.world.anchors import anchor_places
 from tiswarm.world.climb_arrays import BelievedDocks, StructureArrays
 from tiswarm.world.history import History, LoadSummary, Walk
 from tiswarm.world.join_kernels import list_docks
@@ -196,7 +197,7 @@ class GrowingStructure:
         # A robot's center that is farther than this from a dock does not touch it.
         self.clearance = robot.extent + robot.spacing
         self.leads = params.spawn_behind == "leading"
-        self.anchors = params.anchor_places(robot)
+        self.anchors = anchor_places(params, robot)
         self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
         self.surveyed = 0

@@ -14,7 +14,6 @@ from pydantic import (
     field_validator,
 )
 from pydantic.dataclasses import dataclass
-from scipy.spatial.distance import pdist, squareform
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.params import STRICT
@@ -214,43 +213,6 @@ class GrowthParams(RecruitParams):
             return 1
         return self.anchors if isinstance(self.anchors, int) else len(self.anchors)
 
-    def anchor_places(self, shape: RobotGeometry) -> Reals:
-        """Places at which robots of a shape are put as anchors [R], (k, 2); none for a climber."""
-        if isinstance(self.anchors, int):
-            return self.spread(self.anchors, self._clearance(shape))
-        if self.anchors is not None:
-            return np.array(self.anchors)
-        return np.array([] if self.anchor is None else [[0.0 - self.anchor, 0.0]]).reshape(-1, 2)
-
-    def spread(self, count: int, behind: float) -> Reals:
-        """Place so many anchors, so far behind edges [R], shape (count, 2)."""
-        raise NotImplementedError
-
-    def _clearance(self, shape: RobotGeometry) -> float:
-        """Farthest that a robot's docks are from where it is put [R]."""
-        # An upright robot is put down by its lowest dock: others are up to twice as far from that.
-        return shape.extent * (2.0 if self.plane else 1.0)
-
-    def anchor_fault(self, robots: int, shape: RobotGeometry) -> str:
-        """Find why so many robots of a shape cannot have these anchors; empty if they can."""
-        if self.anchors is None:
-            return ""
-        places, terrain, extent = self.anchor_places(shape), self.terrain, self._clearance(shape)
-        if len(places) > robots:
-            return f"{len(places)} anchors are more than {robots} robots; give fewer"
-        for j, (x, y) in enumerate(places.tolist()):
-            where = f"anchor {j} at [{x:g}, {y:g}]"
-            if terrain.left_edge - extent < x < terrain.right_edge + extent:
-                return f"{where} is off the ground; keep it {extent:.4g} R behind the edge"
-            if self.plane and y != 0.0:
-                return f"{where} is not in the plane; set its y to 0"
-        apart = squareform(pdist(places))
-        for i, j in np.argwhere(np.triu(apart < 2.0 * extent + shape.spacing, 1)):
-            far = f"place them {2.0 * extent + shape.spacing:.4g} R apart or more"
-            return f"anchors {i} and {j} are {apart[i, j]:.4g} R apart and may overlap; {far}"
-        sides = {bool(x > 0.0) for x in places[:, 0]} if self.sides > 1 else set()
-        return "both sides need an anchor; add one" if len(sides) == 1 else ""
-
     def robot(self, shape: RobotGeometry) -> RobotGeometry:
         """Return the robot of this shape that builds the structure, upright in a plane."""
         return PlanarRobot(**vars(shape)) if self.plane else shape
@@ -288,8 +250,10 @@ class EdgeParams(GrowthParams):
     def start(self, _side: int, rim: float, draw: Reals) -> Reals:
         """At least `rim` behind the edge [R], by two random numbers in [0, 1), shape (2,)."""
         # Robots reach all anchors, however far apart these are along the edge.
-        y = self.anchor_places(RobotGeometry())[:, 1]
-        low, high = float(y.min(initial=0.0)), float(y.max(initial=0.0))
+        places = np.array(self.anchors or [[0.0, 0.0]])
+        if isinstance(self.anchors, int):
+            places = self.spread(self.anchors, 0.0)
+        low, high = min(0.0, *places[:, 1].tolist()), max(0.0, *places[:, 1].tolist())
         along = (self.spawn_width + 0.5 * (high - low)) * (2.0 * draw[0] - 1.0)
         y = 0.0 if self.plane else along + 0.5 * (low + high)
         back = rim + (self.spawn_min + draw[1] * (self.spawn_max - self.spawn_min))

@@ -75,14 +75,7 @@ class LocalLayers:
         """
         block, position = self.blocks[number], self.state.position
         if not len(block.rows.other):
-            last = position[number - 1]
-            direction = block.rows.places.direction
-            if np.linalg.matrix_rank(direction) < _AXES:
-                return last[None]
-            missed = block.rows.residual(np.tile(last, (block.rows.robots, 1)))
-            weight = 1.0 / np.sqrt(block.rows.variance())
-            moved = np.linalg.lstsq(weight[:, None] * direction, weight * missed)[0]
-            return (last - moved)[None]
+            return _by_coordinates(block, position[number - 1])[None]
         found, cost = candidates(
             block, self.state, self._shapes, non_overlap=self._params.non_overlap
         )
@@ -216,3 +209,14 @@ class LocalLayers:
                     self.shift[robot] = 0.0
                     break
         return state, linear
+
+
+def _by_coordinates(block: Block, start: Reals) -> Reals:
+    """Place a robot where its coordinates say [R], at the start if they leave that open, (3,)."""
+    rows = block.rows
+    if np.linalg.matrix_rank(rows.places.direction) < _AXES:
+        return start
+    weight = 1.0 / np.sqrt(rows.variance())
+    missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
+    place: Reals = start - np.linalg.lstsq(weight[:, None] * rows.places.direction, missed)[0]
+    return place
