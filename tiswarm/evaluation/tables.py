@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-from tiswarm.base.aliases import AnyInts, Ints, Reals
+from tiswarm.base.aliases import AnyInts, Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation import metrics
@@ -40,11 +40,12 @@ def score(
     estimated, true = estimate.position, truth.position
     rmse = metrics.rmse(estimated, true)
     of_contacts = metrics.relative_errors(estimated, true, log.contacts[:, [0, 2]])
+    unknown = np.isnan(log.known_position[:, 0])
     place, free = true / log.dock_radius, estimate.yaw is not None
     modes = floppy_modes(weld(rows, place, yaw_unknown=free))
     return {
         "joined": log.robot_count,
-        "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[1:]),
+        "contacts_per_robot": _mean(contacts.earlier_contact_count(log)[unknown]),
         "rms_radius_R": metrics.rms_radius(true),
         "floppy_modes": np.nan if modes is None else modes,
         "disconnected": int(estimate.disconnected.sum()),
@@ -54,7 +55,7 @@ def score(
         "rmse_yaw_aligned_R": metrics.rmse(metrics.yaw_aligned(estimated, true), true),
         "rmse_rigid_aligned_R": metrics.rmse(metrics.rigidly_aligned(estimated, true), true),
         "rmse_per_contact_R": _mean(of_contacts**2) ** 0.5,
-        "within_dock": _mean(metrics.robot_errors(estimated, true)[1:] <= DOCK_DIAMETER),
+        "within_dock": _mean(metrics.robot_errors(estimated, true)[unknown] <= DOCK_DIAMETER),
         "contacts_within_dock": _mean(of_contacts <= DOCK_DIAMETER),
         "procrustes_disparity": metrics.procrustes_disparity(estimated, true),
         **(
@@ -62,9 +63,9 @@ def score(
             if estimate.at_join is None
             else {"rmse_at_join_R": metrics.rmse(estimate.at_join, true)}
         ),
-        **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[1:])}),
-        **_of_located(truth, estimate),
-        **_calibration(truth, estimate),
+        **({} if estimate.steps is None else {"steps_per_robot": _mean(estimate.steps[unknown])}),
+        **_of_located(truth, estimate, unknown),
+        **_calibration(truth, estimate, unknown),
         **_of_traffic(estimate),
     }
 
@@ -128,8 +129,7 @@ def by_robot(
         table["doubtful"] = estimate.doubtful
     if estimate.traffic is not None:
         table["sent_B"], table["heard_B"] = estimate.traffic["sent"], estimate.traffic["heard"]
-    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
-    apart = pd.Series(contacts.hops(log, anchors).min(axis=0))
+    apart = pd.Series(contacts.hops_from_anchors(log))
     return table.assign(
         error_R=metrics.robot_errors(estimated, true),
         error_yaw_aligned_R=metrics.robot_errors(yaw_aligned, true),
@@ -295,12 +295,12 @@ def score_positions(true: Reals, estimated: Reals) -> dict[str, float]:
     }
 
 
-def _of_located(truth: Truth, estimate: Estimate) -> dict[str, float]:
-    """Return the share of robots located, and their RMSE; both without the anchor."""
+def _of_located(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, float]:
+    """Return the share of robots located, and their RMSE; both without anchors."""
     if estimate.located is None:
         return {}
-    located = estimate.located[1:]
-    square = metrics.robot_errors(estimate.position, truth.position)[1:][located] ** 2
+    located = estimate.located[unknown]
+    square = metrics.robot_errors(estimate.position, truth.position)[unknown][located] ** 2
     return {"located": _mean(located), "rmse_located_R": _mean(square) ** 0.5}
 
 
@@ -318,11 +318,12 @@ def _of_traffic(estimate: Estimate) -> dict[str, float | int]:
     return scores
 
 
-def _calibration(truth: Truth, estimate: Estimate) -> dict[str, float | int]:
-    """Return the shares of robots in their intervals, without the anchor, and the verdicts."""
+def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, float | int]:
+    """Return the shares of robots in their intervals, without anchors, and the verdicts."""
     scores: dict[str, float | int] = {}
     if estimate.sd is not None:
-        error, sd = metrics.robot_errors(estimate.position, truth.position)[1:], estimate.sd[1:]
+        error = metrics.robot_errors(estimate.position, truth.position)[unknown]
+        sd = estimate.sd[unknown]
         scores["coverage_50"] = _mean(error <= HALF_WITHIN * sd)
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
     if (found := estimate.convergence) is not None:

@@ -25,6 +25,13 @@ def hops(log: SensingLog, start: Ints) -> Reals:
     return dijkstra(graph, directed=False, indices=start, unweighted=True)
 
 
+def hops_from_anchors(log: SensingLog) -> Reals:
+    """Count the fewest contacts from any anchor to every robot, infinite without, shape (N,)."""
+    anchors = np.flatnonzero(np.isfinite(log.known_position[:, 0]))
+    fewest: Reals = hops(log, anchors).min(axis=0)
+    return fewest
+
+
 def contact_count(log: SensingLog) -> Ints:
     """Count the contacts that each robot takes part in, shape (N,)."""
     return np.bincount(log.contacts[:, [0, 2]].ravel(), minlength=log.robot_count)

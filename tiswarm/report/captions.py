@@ -36,7 +36,7 @@ CAPTIONS = {
     "linear. Each marker is a suite, its color and shape the way in which robots localize. Bars "
     "are 95 % CI. Farther left and lower is better.",
     "profiles": "RMSE of robots that are alike: by join index (order of joining), true height, "
-    "hops (contacts on the shortest way to the anchor) and number of contacts. Bands cover the "
+    "hops (contacts on the shortest way to an anchor) and number of contacts. Bands cover the "
     "errors of 80 % of these robots. Numbers above count "
     "the robots of a point; hollow dots stand for few. Relative RMSE is the error of the vector "
     "between two robots. Of many series, each has a small panel with RMSE by hops alone.",
@@ -47,7 +47,7 @@ CAPTIONS = {
     "shape": "Accuracy and structure by the robots: mean RMSE, floppy modes (motions that change "
     "no measurement in use), contacts with earlier robots, and height of the structure. Bars are "
     "95 % CI; gray stands for all conditions.",
-    "contact-graph": "Contacts: each ball is a robot, colored by its hops from the anchor, and "
+    "contact-graph": "Contacts: each ball is a robot, colored by its hops from an anchor, and "
     "each rod joins two robots in contact.",
     "error": "True structure, each robot colored by the error of its estimated position.",
     "growth": "Growth of the structure, colored by join index, the order in which robots joined.",

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.progress import Progress
-from tiswarm.measurements.contacts import hops
+from tiswarm.measurements import contacts
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import three_digits
 from tiswarm.report.figure_style import (
@@ -116,14 +116,14 @@ def _scaled(
 
 def _contact_graph(view: SwarmView, around: Reals) -> Picture:
     """Draw robots as balls, colored by hops from the anchor, and contacts as rods."""
-    away = hops(view.log, np.zeros(1, np.int64))[0]
+    away = contacts.hops_from_anchors(view.log)
     farthest = max(np.max(away, initial=1.0, where=np.isfinite(away)), 1.0)
     color = colors_along(np.minimum(away / farthest, 1.0), JOIN_COLORS)
     center = view.best_pose[:, :3]
     nodes = DrawnRobots(center=center, dock=center[:, None], color=color, look=_NODE)
     rods = center[view.log.contacts[:, [0, 2]]]
     scene = build_scene(nodes, view.terrain, rods=rods, around=around)
-    return Picture(scene, Scale(JOIN_COLORS, "hops from the anchor  0", f"{farthest:.0f}"))
+    return Picture(scene, Scale(JOIN_COLORS, "hops from an anchor  0", f"{farthest:.0f}"))
 
 
 def add_legend(picture: Image.Image, legend: Keys | Scale, size: float = 1.0) -> Image.Image:
