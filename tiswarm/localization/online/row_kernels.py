@@ -108,8 +108,9 @@ def give_way(b, robust_square, table: Ref, scratch: Ref):
         missed = 0.0
         for k in range(first, first + parts):
             variance = table.real[start + k, VARIANCE]
-            if table.number[start + k, KIND] != COORDINATE or variance > KNOWN:
-                missed += scratch.row[k, RESIDUAL] ** 2 / (robust_square * variance)
+            missed += scratch.row[k, RESIDUAL] ** 2 / (robust_square * variance)
+        if table.number[start + a, KIND] == COORDINATE and table.real[start + a, VARIANCE] <= KNOWN:
+            missed = 0.0
         scratch.row[a, WIDENED] += table.real[start + a, VARIANCE] * missed
         excess += robust_square * (ti.log(1.0 + missed) - missed / (1.0 + missed)) / parts
     return excess
