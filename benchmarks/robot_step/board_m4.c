@@ -1,5 +1,5 @@
 /* QEMU's board mps2-an386, a Cortex-M4 at 25 MHz. With `-icount shift=0` an instruction takes 1 ns,
- * so that a tick of SysTick is 40 instructions. QEMU loads data where they belong, and clears RAM. */
+ * so a tick of SysTick is 40 instructions. QEMU loads data where they belong, and clears RAM. */
 #include "board.h"
 
 enum { PAINTED = 4096, TICK = 40 }; /* words below the stack pointer; instructions */

@@ -91,7 +91,8 @@ static float extension(const struct block *block, const struct swarm *swarm, vec
 }
 
 /* Spreads starts over the sphere that the sharpest distance leaves. */
-static void spread(const struct block *block, const struct swarm *swarm, const vec *sphere, vec *place)
+static void spread(const struct block *block, const struct swarm *swarm, const vec *sphere,
+                   vec *place)
 {
     const struct row *best = 0;
     for (int a = 0; a < block->rows; a++) {

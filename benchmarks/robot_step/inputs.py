@@ -91,10 +91,10 @@ def _joins(log: SensingLog, params: VirtualForceParams) -> tuple[str, Reals]:
     for robot in range(1, log.robot_count):
         its = log.contacts[log.contacts[:, 2] == robot][:, [3, 0, 1]]
         standing = log.ground_docks[log.ground_docks[:, 0] == robot, 1]
-        height = log.flip_height[robot] - log.anchor_position[2]
+        known = log.ground_z if len(standing) else log.flip_height[robot]
+        height = (known - log.anchor_position[2]) / log.dock_radius
         if len(standing):
-            level = log.ground_z - log.anchor_position[2]
-            height = (level / log.dock_radius + 1.0 - arm[robot, standing, 2]).mean()
+            height += (1.0 - arm[robot, standing, 2]).mean()
         at = f"touches + {len(touches)}"
         joins.append(("placed", at, robot, len(its), arm[robot], float(height)))
         touches += its.tolist()

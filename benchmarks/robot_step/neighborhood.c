@@ -9,7 +9,7 @@ static uint8_t leftmost[MOST_MOVING]; /* first robot that shares a row or an ove
 
 static float *entries(int i) { return information + i * (i + 1) / 2; }
 
-/* Adds the product of two derivatives, by the robots in columns p >= q; the lower triangle of it. */
+/* Adds the product of two derivatives by the robots in columns p >= q; of p = q, half of it. */
 static void add_product(int p, int q, const float *one, const float *two, float weight)
 {
     if (q < 0 || p < q) return;
@@ -41,7 +41,8 @@ static float give_way(const struct block *block, float robust_square, struct see
         int parts = row->kind == OFFSET ? 3 : 1, first = a - row->part;
         float missed = 0;
         for (int k = first; k < first + parts; k++)
-            missed += seen[k].residual * seen[k].residual / (robust_square * block->row[k].variance);
+            missed += seen[k].residual * seen[k].residual / block->row[k].variance;
+        missed /= robust_square;
         seen[a].variance += row->variance * missed;
         excess += robust_square * (logf(1 + missed) - missed / (1 + missed)) / (float)parts;
     }
@@ -113,7 +114,8 @@ static float add_overlaps(const struct neighborhood *near, int i, int k, vec arm
         for (int e = 0; e < DOCKS; e++) {
             vec apart = sub(add(between, arm[i][d]), arm[k][e]);
             float distance = norm(apart);
-            if (distance >= SPACING || distance == 0 || touching(&near->swarm, i, d, k, e)) continue;
+            if (distance >= SPACING || distance == 0) continue;
+            if (touching(&near->swarm, i, d, k, e)) continue;
             vec way = times(1 / (distance * OVERLAP_SD), apart);
             float residual = (distance - SPACING) / OVERLAP_SD;
             int p = near->column[i], q = near->column[k];

@@ -1,7 +1,7 @@
 /* Algorithm 1: a robot that joins takes steps along the virtual forces of Eqs. (1) to (3). */
 #include "robot.h"
 
-/* Force on a dock whose partner is at `apart`: attraction if farther than D, repulsion if nearer. */
+/* Force on a dock, its partner at `apart`: attraction if farther than D, repulsion if nearer. */
 static vec pair_force(vec apart, float attraction, float repulsion)
 {
     float distance = norm(apart), gap = distance - SPACING;
