@@ -10,15 +10,19 @@ import pytest
 from tests.foreign import open_chain
 from tests.structures import with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
+from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.online.annealing import reannealed
 from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State
-from tiswarm.localization.registry import localize
+from tiswarm.localization.registry import centered, localize
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import SensingParams, observe
+from tiswarm.world.growth import grow
+from tiswarm.world.params import CantileverParams
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 LOCAL = OnlineParams(anneal_growth=1e6)
@@ -350,3 +354,28 @@ def test_who_keeps_what_changes_say_knows_how_certain_robots_are(lines):
 
     kept = [said[name] for name in tracker.names.tolist()]
     np.testing.assert_allclose(kept, tracker.sd, rtol=5e-3)
+
+
+def test_the_mean_is_the_minimum_where_chains_agree(towers):
+    """Chains take errors as independent, and end elsewhere in common: that is no other solution."""
+    [cantilever] = grow(CantileverParams(), robots=30, seeds=[2], robot=RobotGeometry())
+    for history in (towers[0], cantilever):
+        log = centered(observe(history, NOISY))
+        minimum = fed(lines_of(log), LOCAL)
+        state = Configuration(minimum.positions - minimum.positions[0], 0.0 * minimum.positions)
+
+        found, shift, sd = reannealed(log, OnlineParams(), state)
+
+        agrees = np.linalg.norm(shift, axis=1) == 0.0
+        assert agrees.mean() > 0.5
+        assert (np.linalg.norm(shift, axis=1) <= 2.0 * sd).all()
+        assert found.position.shape == shift.shape
+
+
+def test_no_robot_is_farther_off_than_its_contacts_let_it(lines):
+    """One that turns freely about a single contact is somewhere on a circle."""
+    tracker, worst = Tracker(lines[0], LOCAL), 0.0
+    for line in lines[1:]:
+        worst = max(worst, float(tracker.join(line).sd.max()))
+
+    assert worst < 4.0

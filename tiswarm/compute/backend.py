@@ -259,11 +259,11 @@ def fast_arithmetic() -> Iterator[None]:
     but may differ between kinds of processors.
     """
     config = ti.lang.impl.current_cfg()
-    config.fast_math = True
+    config.fast_math = config.cfg_optimization = True
     try:
         yield
     finally:
-        config.fast_math = False
+        config.fast_math = config.cfg_optimization = False
 
 
 def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks: int) -> None:
@@ -275,6 +275,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
         "enable_fallback": False,
         "cpu_max_num_threads": threads,
         "fast_math": False,  # it would drop NaN checks and change bits
+        "cfg_optimization": False,  # it takes most of compiling, and LLVM does the same
         "debug": os.environ.get("TISWARM_DEBUG") == "1",
         "saturating_grid_dim": blocks,  # of threads in a loop, on CUDA; 0 leaves it to the library
     }

@@ -64,12 +64,17 @@ def reannealed(
         found.append(cost.refine((set_apart(problem, start), yaw), TIMES.rounds))
     there, linear = min(found, key=lambda each: each[1].cost)
     placed, square = place_disconnected(there.position[None], problem)
-    mean = np.tensordot(ends.weight, ends.position, 1)
-    between = ends.weight @ ((ends.position - mean) ** 2).sum(axis=2)
+    own = linear.variance(draws=TIMES.draws)
+    # Ends are minima of a cost whose errors are independent: where they are is not where the cost
+    # is least, but where they differ, several places are likely.
+    apart = ends.position - ends.position[best] + found[1][0].position - there.position
+    apart[np.linalg.norm(apart, axis=2) <= np.sqrt(own)] = 0.0
+    mean = np.tensordot(ends.weight, apart, 1)
+    between = ends.weight @ ((apart - mean) ** 2).sum(axis=2)
     # Chains that ended far above the best minimum say nothing about it.
     counts = ~problem.untied & (found[1][1].cost <= linear.cost + CANDIDATES.likely)
-    shift = np.where(counts[:, None], mean - there.position, 0.0)
-    sd = np.sqrt(linear.variance(draws=TIMES.draws) + np.where(counts, between, square[0]))
+    shift = np.where(counts[:, None], mean, 0.0)
+    sd = np.sqrt(own + np.where(counts, between, square[0]))
     return Configuration(placed[0], there.turn[walks.final]), shift, sd
 
 

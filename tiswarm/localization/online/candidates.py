@@ -71,7 +71,8 @@ def _sphere(count: int) -> Reals:
     return np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
 
 
-_SPHERE = _sphere(CANDIDATES.starts)
+SPHERE = _sphere(CANDIDATES.starts)
+"""Where steps begin, on the unit sphere, shape (starts, 3)."""
 
 
 def _starts(block: Block, state: Configuration) -> Reals:
@@ -86,7 +87,7 @@ def _starts(block: Block, state: Configuration) -> Reals:
     center = at + row[OTHER_ARM : OTHER_ARM + _AXES] - row[ARM : ARM + _AXES]
     # A vector has the distance, too: that of two docks in contact.
     radius = row[VALUE] if block.number[sharpest, KIND] < OFFSET else SPACING
-    start: Reals = center + radius * _SPHERE
+    start: Reals = center + radius * SPHERE
     return start
 
 

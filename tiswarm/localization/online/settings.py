@@ -65,8 +65,9 @@ class NeighborhoodSettings:
     settled: float = 0.2
     """Gain of a step, as predicted, below which none is taken [1]."""
 
-    open_precision: float = 0.01
-    """Precision of positions that nothing determines, for their sd [R^-2]."""
+    open_precision: float = 0.25
+    """Precision of positions that nothing determines, for their sd [R^-2]: a robot that turns about
+    a contact is within about 2 R."""
 
     longest_step: float = 0.7
     """Longest step of a robot in a round [R]."""
