@@ -309,9 +309,15 @@ class DistributedParams(ChiSquareParams):
     robots: Annotated[int, Field(ge=2)] = 14
     """Robots at most that are asked, and that a robot holds measurements of [1]."""
 
-    solver: Literal["joiner", "partner"] = "partner"
-    """Who solves: the robot that joined, or the first robot that it touches, which has heard more
-    of those nearby."""
+    solver: Literal["joiner", "keeper"] = "keeper"
+    """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
+    touches, which holds the measurements of those nearby."""
+
+    reach: Annotated[int, Field(ge=0, le=254)] = 5
+    """Contacts at most to such a robot [1]; without one, the robot touched solves."""
+
+    growth: Annotated[float, Field(gt=0.0)] = 0.1
+    """Growth after which a robot that solves anneals all robots that it holds [1]."""
 
     chains: Annotated[int, Field(ge=0, le=1000)] = 4
     """Annealings of the robots nearby by the robot that solves; 0 for none."""

@@ -62,6 +62,9 @@ class Known:
     sharing: set[int] = field(default_factory=set)
     """Robots that are known to share rows with it."""
 
+    is_current: bool = False
+    """Whether it lets the robot that holds this know as it moves."""
+
 
 @dataclass(frozen=True)
 class Program:
@@ -138,12 +141,13 @@ class LocalSwarm:
         self.layers.state = Configuration(position[:count], turn[:count])
         self.layers.sd = sd[:count, 0]
 
-    def solve(self, number: int, *, anew: bool) -> Solved:
+    def solve(self, number: int, *, anew: bool, everywhere: bool = False) -> Solved:
         """Solve for a robot and those near it.
 
         Args:
             number: The robot.
             anew: Whether to look for its place among all that its rows allow.
+            everywhere: Whether to anneal all robots.
         """
         layers, k = self.layers, self._index[number]
         before = Configuration(*(each.copy() for each in layers.state))
@@ -151,7 +155,7 @@ class LocalSwarm:
         places = layers.place(k) if anew else None
         layers.solve_near(k, places)
         if self._program.params.chains:
-            moving = self._near(k)
+            moving = np.arange(len(self.numbers)) if everywhere else self._near(k)
             found = annealed(layers, moving, self._program.params, number)
             layers.state, layers.sd[moving] = found.state, found.sd
         state = layers.state

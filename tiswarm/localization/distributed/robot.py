@@ -108,9 +108,12 @@ class Peer:
         self.touching = sorted({other for _, other, _ in line.contacts})
         self.outbox: list[Message] = []
         self._hosts = [self.number]
-        if program.params.solver == "partner":
+        if program.params.solver == "keeper":
             self._hosts = [*self.touching, self.number]
+        self._keepers: dict[int, int] = {}
+        self._watchers: set[int] = set()
         self._search: _Search | None = None
+        self._solved, self._annealed = 0, 0
         self.operations = 0.0
 
     @property
@@ -147,10 +150,37 @@ class Peer:
         elif message.kind == "lines":
             for part in message.parts.values():
                 self._hear_lines(part)
+        elif message.kind == "moved":
+            self._of(message.sender).is_current &= self.number not in message.parts
+        elif message.kind == "task":
+            if line := message.parts.get(self.number):
+                self._take(line)
         elif message.kind == "place":
             for number, part in message.parts.items():
                 self._hear_place(number, part)
+            hops = message.common[0]
+            if self.number in message.parts:
+                self._follow(message.sender, hops)
+            return message._replace(common=bytes([min(hops + 1, 255)]))
         return message
+
+    def _follow(self, keeper: int, hops: int) -> None:
+        """Take note of a robot that moved this one, and let others that hold it know."""
+        self._keepers[keeper] = hops
+        others = self._watchers - {keeper}
+        self._watchers = {keeper}
+        self._say("moved", b"", dict.fromkeys(sorted(others), b""))
+
+    def _take(self, line: bytes) -> None:
+        """Solve for a robot that sent its line."""
+        number = self._program.decoded(line).robot
+        joiner = self._of(number)
+        joiner.line = line
+        joiner.sharing |= self._program.partners(line)
+        for partner in joiner.sharing & self.known.keys():
+            self.known[partner].sharing.add(number)
+        self._begin(number)
+        self._forget()
 
     @property
     def _exchanges(self) -> bool:
@@ -205,15 +235,14 @@ class Peer:
 
     def _hear_join(self, message: Message) -> None:
         """Take in that a robot shares rows with others, and what it sensed."""
-        joiner = self._of(message.sender)
         for partner in message.parts.keys() & self.known.keys():
             self.known[partner].sharing.add(message.sender)
-        for line in filter(None, message.parts.values()):
-            joiner.line = line
-            joiner.sharing |= self._program.partners(line)
-        if message.parts.get(self.number):
-            self._begin(message.sender)
-        self._forget()
+        if line := message.parts.get(self.number):
+            hops, keeper = min(((h, k) for k, h in self._keepers.items()), default=(256, 0))
+            if 0 < hops <= self._program.params.reach:
+                self._say("task", b"", {keeper: line})
+            else:
+                self._take(line)
 
     def _begin(self, joiner: int) -> None:
         """Begin to solve for a robot."""
@@ -232,9 +261,14 @@ class Peer:
             search.current += 1
             search.attempt = 0
             there = {n for n, step in search.step.items() if step == search.current}
-            search.waiting = there - {self.number}
+            search.waiting = {n for n in there if not self._is_current(n)}
             if search.waiting:
                 self._ask(search.waiting)
+
+    def _is_current(self, number: int) -> bool:
+        """Judge whether nothing is to be asked of a robot: it lets this one know as it moves."""
+        its = self._of(number)
+        return number == self.number or (its.is_current and bool(its.line))
 
     def _widen(self, search: _Search) -> bool:
         """Number the robots a step farther; return whether there are any."""
@@ -257,19 +291,23 @@ class Peer:
         """Answer what a robot asked."""
         asked, mine = Reader(part, None), self.known[self.number]
         wants_line, held = asked.number(1), asked.number(_CHECK)
-        is_new = held != self._checksum(self.number)
-        answer = Writer(self._program.params.bits)
-        answer.number(is_new, 1)
-        answer.number(is_new and mine.place is not None, 1)
-        if is_new:
-            write_numbers(answer, mine.sharing)
-            if mine.place is not None:
-                write_place(answer, mine.place)
-                if self._exchanges:
-                    write_candidates(answer, mine.candidates)
-        head = answer.to_bytes()
+        self._watchers.add(asker)
+        head = self._head() if held != self._checksum(self.number) else b"\0"
         line = mine.line if wants_line else b""
         self._say("answer", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
+
+    def _head(self) -> bytes:
+        """Write with whom this robot shares rows, and where it is."""
+        mine = self.known[self.number]
+        answer = Writer(self._program.params.bits)
+        answer.number(1, 1)
+        answer.number(mine.place is not None, 1)
+        write_numbers(answer, mine.sharing)
+        if mine.place is not None:
+            write_place(answer, mine.place)
+            if self._exchanges:
+                write_candidates(answer, mine.candidates)
+        return answer.to_bytes()
 
     def _hear_answer(self, message: Message) -> None:
         length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
@@ -279,6 +317,8 @@ class Peer:
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
+        if self.number in message.parts:
+            its.is_current = True
         # By radio, robots hear answers that others asked for.
         if self._search is not None:
             self._search.answered.add(message.sender)
@@ -335,10 +375,16 @@ class Peer:
         """Solve for a robot with what is held, and send new places."""
         joiner = search.joiner
         held = self._placed()
-        near = {n: held[n] for n in search.step if n in held} | {joiner: self.known[joiner]}
+        near = {n: each for n, each in held.items() if n in search.step or self._is_current(n)}
+        near[joiner] = self.known[joiner]
         if 0 in held:
             near[0] = held[0]
-        solved = LocalSwarm(self._program, near).solve(joiner, anew=near[joiner].place is None)
+        self._solved += 1
+        everywhere = self._solved >= self._annealed + max(1.0, self._program.params.growth * len(near))
+        if everywhere:
+            self._annealed = self._solved
+        swarm = LocalSwarm(self._program, near)
+        solved = swarm.solve(joiner, anew=near[joiner].place is None, everywhere=everywhere)
         # Thinking costs a robot energy, too.
         self.operations += solved.operations
         parts = {}
@@ -351,8 +397,10 @@ class Peer:
             parts[number] = part.to_bytes()
             # The robot holds what others hear, rounded as it is.
             self._hear_place(number, parts[number])
-        parts.pop(self.number, None)
-        self._say("place", b"", parts)
+            self._of(number).is_current = True
+        if parts.pop(self.number, None):
+            self._follow(self.number, 0)
+        self._say("place", b"\1", parts)
 
     def _forget(self) -> None:
         """Drop lines of the robots heard of first, beyond as many as there is room for."""
@@ -360,5 +408,6 @@ class Peer:
         busy = {} if self._search is None else self._search.step
         # Those asked about now are needed.
         beyond = max(len(lines) - self._program.params.robots, 0)
-        for number in [n for n in lines if n not in busy][:beyond]:
+        spare = sorted((n for n in lines if n not in busy), key=self._is_current)
+        for number in spare[:beyond]:
             del self.known[number]
