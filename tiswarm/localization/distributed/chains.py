@@ -58,7 +58,7 @@ def annealed(
     reach = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
     anneal_near(
         (params.seed * 4_099 + number) % 2**31, reach,
-        schedule(params.start_sigma, params.steps), moves,
+        schedule(params.sigma, params.all_steps), moves,
         *rows_of(problem, len(begin)), *docks_of(problem),
         view, np.zeros_like(view), np.zeros_like(view),
     )  # fmt: skip

@@ -39,9 +39,9 @@ _Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 _AXES = 3
 _STEPS = 2
 """Steps of "shares a row" to the robots that move."""
-_OF_ROW = 40
+OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
-_OF_PAIR = 10
+OF_PAIR = 10
 """Operations to find whether two robots are near [1]."""
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -185,11 +185,11 @@ class LocalSwarm:
         """Count what a search for candidates, linear problems and chains take, about."""
         params, near = self._program.params, self._near(k)
         own, rows = len(self.layers.blocks[k]), [len(self.layers.blocks[j]) for j in near.tolist()]
-        search = CANDIDATES.starts * CANDIDATES.rounds * _OF_ROW * own**2 if anew else 0
-        linear = sum(_OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
-        step = _OF_ROW * 2 * sum(rows) + _OF_PAIR * len(near) * len(self.numbers)
+        search = CANDIDATES.starts * CANDIDATES.rounds * OF_ROW * own**2 if anew else 0
+        linear = sum(OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
+        step = OF_ROW * 2 * sum(rows) + OF_PAIR * len(near) * len(self.numbers)
         rounds = NEIGHBORS.rounds * (1 + params.chains)
-        return float(search + rounds * linear + params.chains * params.steps * step)
+        return float(search + rounds * linear + params.chains * params.all_steps * step)
 
     def is_surprising(self, number: int) -> bool:
         """Judge whether chance does not explain the rows and overlaps of a robot."""
@@ -235,7 +235,7 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     farthest = float(np.abs(places).max()) if places else 1.0
     rounding = rounding_sd(farthest, params.bits)
     names = OnlineParams.__dataclass_fields__.keys() & params.__dataclass_fields__.keys()
-    shared = {name: getattr(params, name) for name in names - {"method", "chains", "steps"}}
+    shared = {name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}}
     return OnlineParams(
         **shared
         | {
