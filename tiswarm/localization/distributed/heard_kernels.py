@@ -6,7 +6,7 @@ A robot sends its position as it steps, at a time of its own in each round. Mess
 
 from typing import NamedTuple
 
-from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals1, Reals2, Reals3, Ref, ti
+from tiswarm.compute.lang import F64, I32, Ints1, Ints2, Reals2, Reals3, Ref, ti
 from tiswarm.compute.math_kernels import kick_of, mixed, vector_at
 from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows, force_on, moved
 
@@ -49,12 +49,12 @@ def _hear(seed, i, t, loss, delay, hearing: Ref):
     for j in range(hearing.sent.shape[1]):
         hops = hearing.hops[i, j]
         if hops > 0:
-            round = t - hops * (1 + delay)
-            if round >= 0 and hearing.sent[round % rounds, j, TIME] >= now:
-                round -= 1  # that of this round is still to come
-            if round >= 0 and _chance(seed, i, j, round) < (1.0 - loss) ** hops:
+            sent = t - hops * (1 + delay)
+            if sent >= 0 and hearing.sent[sent % rounds, j, TIME] >= now:
+                sent -= 1  # that of this round is still to come
+            if sent >= 0 and _chance(seed, i, j, sent) < (1.0 - loss) ** hops:
                 for a in ti.static(range(3)):
-                    hearing.view[i, j, a] = hearing.sent[round % rounds, j, a]
+                    hearing.view[i, j, a] = hearing.sent[sent % rounds, j, a]
     return now
 
 
@@ -72,7 +72,8 @@ def rounded(value, farthest, bits):
 
 @ti.kernel
 def step_as_heard(
-    seed: I32, t: I32, counts: I32, sigma: F64, memory: F64, reach: F64, loss: F64, delay: I32, bits: I32,
+    seed: I32, t: I32, counts: I32, sigma: F64, memory: F64, reach: F64,
+    loss: F64, delay: I32, bits: I32,
     start: Ints1, partner: Ints1, arm: Reals2, axis: Reals2, value: Reals2,  # ChainRows
     offset: Reals3, touch_start: Ints1, contact: Ints2,  # ChainDocks
     hops: Ints2, sent_out: Reals3, view_out: Reals3,  # Hearing

@@ -235,7 +235,9 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     farthest = float(np.abs(places).max()) if places else 1.0
     rounding = rounding_sd(farthest, params.bits)
     names = OnlineParams.__dataclass_fields__.keys() & params.__dataclass_fields__.keys()
-    shared = {name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}}
+    shared = {
+        name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}
+    }
     return OnlineParams(
         **shared
         | {

@@ -2,24 +2,24 @@
 
 A robot reads its own memory and the bytes that it hears. It has no other way to another robot.
 
-1. It joins, and sends its line to the robots that it has rows about. They know now that they share
-   rows with it; one of them, or it itself, is to solve.
-2. That one asks robots step by step of "shares a row": whom they share rows with, where they are,
-   and what they sensed unless it holds that.
-3. It solves, and sends each robot that moved its new place.
+1. It joins, and lets the robots that it has rows about know that they share rows. It sends its line
+   to the first that it touches. This one passes it on to its keeper: the nearest robot that moved
+   it before. Without one that is near it becomes a keeper itself.
+2. The keeper asks robots step by step of "shares a row" of which it holds nothing current: whom
+   they share rows with, where they are, and what they sensed unless it holds that.
+3. It solves, and sends each robot that moved its new place. Who is moved lets all others that hold
+   its place know that they hold it no more.
 """
 
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Reals
 from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
+from tiswarm.localization.distributed.replies import CHECK, asking, read_answer, read_result
 from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import (
     NUMBER,
@@ -27,9 +27,6 @@ from tiswarm.localization.distributed.wire import (
     Whereabouts,
     Writer,
     line_bytes,
-    read_candidates,
-    read_numbers,
-    read_place,
     write_candidates,
     write_numbers,
     write_place,
@@ -39,8 +36,8 @@ from tiswarm.records.sensing_format import RobotLine
 _SIZE = 2
 """Bytes of a number or a length between lines."""
 
-_CHECK = 15
-"""Bits of the checksum by which a robot knows that what another one holds of it is current."""
+_FARTHEST = 255
+"""Contacts up to which a message counts those that it takes."""
 
 
 @dataclass
@@ -55,44 +52,6 @@ class _Search:
     waiting: set[int] = field(default_factory=set)
     answered: set[int] = field(default_factory=set)
     attempt: int = 0
-
-
-class _Answer(NamedTuple):
-    """What a robot says of itself, or one that solved says of it."""
-
-    is_new: bool
-    sharing: tuple[int, ...]
-    place: Whereabouts | None
-    candidates: Reals
-
-
-def _asking(wants_line: int, checksum: int) -> bytes:
-    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
-    part = Writer(None)
-    part.number(wants_line, 1)
-    part.number(checksum, _CHECK)
-    return part.to_bytes()
-
-
-_NO_CANDIDATES: Reals = np.empty((0, 3))
-
-
-@lru_cache(maxsize=20_000)
-def _read_answer(content: bytes, bits: int | None, with_candidates: bool) -> _Answer:  # noqa: FBT001
-    answer = Reader(content, bits)
-    is_new, is_placed = answer.number(1) == 1, answer.number(1)
-    sharing = tuple(read_numbers(answer)) if is_new else ()
-    place = read_place(answer) if is_placed else None
-    candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
-    return _Answer(is_new, sharing, place, candidates)
-
-
-@lru_cache(maxsize=20_000)
-def _read_result(content: bytes, bits: int | None) -> _Answer:
-    answer = Reader(content, bits)
-    has_candidates, place = answer.number(1), read_place(answer)
-    candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
-    return _Answer(is_new=True, sharing=(), place=place, candidates=candidates)
 
 
 class Peer:
@@ -110,7 +69,9 @@ class Peer:
         self._hosts = [self.number]
         if program.params.solver == "keeper":
             self._hosts = [*self.touching, self.number]
+        # Robots that moved this one, and contacts to them.
         self._keepers: dict[int, int] = {}
+        # Robots that rely on hearing of it when this one moves.
         self._watchers: set[int] = set()
         self._search: _Search | None = None
         self._solved, self._annealed = 0, 0
@@ -141,38 +102,38 @@ class Peer:
         if message.kind == "join":
             self._hear_join(message)
         elif message.kind == "ask":
-            if self.number in message.parts:
-                self._answer(message.sender, message.parts[self.number])
-            elif self._program.params.channel == "touch":
-                return self._hand_out(message)
+            return self._hear_ask(message)
         elif message.kind == "answer":
             self._hear_answer(message)
         elif message.kind == "lines":
             for part in message.parts.values():
                 self._hear_lines(part)
-        elif message.kind == "moved":
-            self._of(message.sender).is_current &= self.number not in message.parts
-        elif message.kind == "task":
-            if line := message.parts.get(self.number):
-                self._take(line)
+        elif message.kind == "moved" and self.number in message.parts:
+            self._of(message.sender).is_current = False
+        elif message.kind == "task" and self.number in message.parts:
+            self._take(message.parts[self.number])
         elif message.kind == "place":
-            for number, part in message.parts.items():
-                self._hear_place(number, part)
-            hops = message.common[0]
-            if self.number in message.parts:
-                self._follow(message.sender, hops)
-            return message._replace(common=bytes([min(hops + 1, 255)]))
+            return self._hear_places(message)
         return message
 
-    def _follow(self, keeper: int, hops: int) -> None:
+    def _hear_places(self, message: Message) -> Message:
+        """Take in where robots are, and count the contact to the next one."""
+        for number, part in message.parts.items():
+            self._hear_place(number, part)
+        [contacts] = message.common
+        if self.number in message.parts:
+            self._follow(message.sender, contacts)
+        return message._replace(common=bytes([min(contacts + 1, _FARTHEST)]))
+
+    def _follow(self, keeper: int, contacts: int) -> None:
         """Take note of a robot that moved this one, and let others that hold it know."""
-        self._keepers[keeper] = hops
+        self._keepers[keeper] = contacts
         others = self._watchers - {keeper}
         self._watchers = {keeper}
         self._say("moved", b"", dict.fromkeys(sorted(others), b""))
 
     def _take(self, line: bytes) -> None:
-        """Solve for a robot that sent its line."""
+        """Become the keeper of a robot, which sent this line."""
         number = self._program.decoded(line).robot
         joiner = self._of(number)
         joiner.line = line
@@ -234,12 +195,14 @@ class Peer:
         return self.known.setdefault(number, Known())
 
     def _hear_join(self, message: Message) -> None:
-        """Take in that a robot shares rows with others, and what it sensed."""
+        """Take in that a robot shares rows with others, and see that somebody solves for it."""
         for partner in message.parts.keys() & self.known.keys():
             self.known[partner].sharing.add(message.sender)
         if line := message.parts.get(self.number):
-            hops, keeper = min(((h, k) for k, h in self._keepers.items()), default=(256, 0))
-            if 0 < hops <= self._program.params.reach:
+            contacts, keeper = min(
+                ((contacts, keeper) for keeper, contacts in self._keepers.items()), default=(0, 0)
+            )
+            if 0 < contacts <= self._program.params.reach:
                 self._say("task", b"", {keeper: line})
             else:
                 self._take(line)
@@ -284,13 +247,13 @@ class Peer:
         """Ask robots for what this one does not hold of them."""
         parts = {}
         for number in sorted(robots):
-            parts[number] = _asking(not self._of(number).line, self._checksum(number))
+            parts[number] = asking(not self._of(number).line, self._checksum(number))
         self._say("ask", b"", parts)
 
     def _answer(self, asker: int, part: bytes) -> None:
         """Answer what a robot asked."""
         asked, mine = Reader(part, None), self.known[self.number]
-        wants_line, held = asked.number(1), asked.number(_CHECK)
+        wants_line, held = asked.number(1), asked.number(CHECK)
         self._watchers.add(asker)
         head = self._head() if held != self._checksum(self.number) else b"\0"
         line = mine.line if wants_line else b""
@@ -313,7 +276,7 @@ class Peer:
         length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
         its = self._of(message.sender)
         its.line = content[length:] or its.line
-        answer = _read_answer(content[:length], self._program.params.bits, self._exchanges)
+        answer = read_answer(content[:length], self._program.params.bits, self._exchanges)
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
@@ -324,6 +287,14 @@ class Peer:
             self._search.answered.add(message.sender)
             self._check_off()
 
+    def _hear_ask(self, message: Message) -> Message:
+        """Answer a question, or hand out lines as one passes by."""
+        if self.number in message.parts:
+            self._answer(message.sender, message.parts[self.number])
+        elif self._program.params.channel == "touch":
+            return self._hand_out(message)
+        return message
+
     def _hand_out(self, message: Message) -> Message:
         """Answer with lines that this robot holds of others that are asked for them."""
         found, parts = b"", {**message.parts}
@@ -332,7 +303,7 @@ class Peer:
             asked = Reader(part, None)
             if asked.number(1) and line:
                 found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
-                parts[number] = _asking(0, asked.number(_CHECK))
+                parts[number] = asking(0, asked.number(CHECK))
         if found:
             self._say("lines", b"", {message.sender: found})
         return message._replace(parts=parts)
@@ -352,7 +323,7 @@ class Peer:
             self._advance()
 
     def _hear_place(self, number: int, part: bytes) -> None:
-        answer, its = _read_result(part, self._program.params.bits), self._of(number)
+        answer, its = read_result(part, self._program.params.bits), self._of(number)
         its.place = answer.place
         if len(answer.candidates):
             its.candidates = answer.candidates
@@ -365,7 +336,7 @@ class Peer:
         text = Writer(self._program.params.bits)
         write_numbers(text, its.sharing)
         write_place(text, its.place)
-        return zlib.crc32(text.to_bytes()) % int(2**_CHECK - 1) + 1
+        return zlib.crc32(text.to_bytes()) % int(2**CHECK - 1) + 1
 
     def _placed(self) -> dict[int, Known]:
         """List the robots whose lines and places are held."""
@@ -379,12 +350,9 @@ class Peer:
         near[joiner] = self.known[joiner]
         if 0 in held:
             near[0] = held[0]
-        self._solved += 1
-        everywhere = self._solved >= self._annealed + max(1.0, self._program.params.growth * len(near))
-        if everywhere:
-            self._annealed = self._solved
-        swarm = LocalSwarm(self._program, near)
-        solved = swarm.solve(joiner, anew=near[joiner].place is None, everywhere=everywhere)
+        solved = LocalSwarm(self._program, near).solve(
+            joiner, anew=near[joiner].place is None, everywhere=self._has_grown(len(near))
+        )
         # Thinking costs a robot energy, too.
         self.operations += solved.operations
         parts = {}
@@ -402,8 +370,19 @@ class Peer:
             self._follow(self.number, 0)
         self._say("place", b"\1", parts)
 
+    def _has_grown(self, robots: int) -> bool:
+        """Count one more robot solved for, and judge whether all that are held are due."""
+        self._solved += 1
+        is_due = self._solved - self._annealed >= self._program.params.growth * robots
+        if is_due:
+            self._annealed = self._solved
+        return is_due
+
     def _forget(self) -> None:
-        """Drop lines of the robots heard of first, beyond as many as there is room for."""
+        """Drop lines beyond as many as there is room for.
+
+        Those that are not current go first, then those of the robots heard of first.
+        """
         lines = [n for n, each in self.known.items() if each.line and n != self.number]
         busy = {} if self._search is None else self._search.step
         # Those asked about now are needed.

@@ -180,7 +180,10 @@ def write_place(to: Writer, place: Whereabouts) -> None:
 
 def read_place(source: Reader) -> Whereabouts:
     """Take where a robot is."""
-    position, turn = source.lengths(_AXES), source.reals(_AXES, _MOST_TURN, _fewer(source.bits, _TURN))
+    position, turn = (
+        source.lengths(_AXES),
+        source.reals(_AXES, _MOST_TURN, _fewer(source.bits, _TURN)),
+    )
     if source.bits is None:
         return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
     share = source.number(_SD) / (2**_SD - 1)
