@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.localization.test_online import NOISY, lines_of
+from tests.localization.test_online import NOISY
 from tiswarm.compute import backend
 from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows
 from tiswarm.localization.distributed.heard_kernels import SENT, TIME, Hearing, step_as_heard

@@ -119,7 +119,7 @@ def test_a_robot_that_another_one_moved_is_asked_again(log):
     swarm = grown(log, QUICK, 12)
     robot, former = swarm.robots[11], swarm.robots[0]
     place = Writer(QUICK.bits)
-    place.number(0, 1)
+    place.number(0, 2)
     write_place(place, robot.place)
     former.known[11].is_current = True
 
@@ -135,7 +135,7 @@ def test_a_message_counts_the_contacts_that_it_takes(log):
     """Each robot on the way adds one, and notes it if the place is its own."""
     swarm = grown(log, QUICK, 12)
     place = Writer(QUICK.bits)
-    place.number(0, 1)
+    place.number(0, 2)
     write_place(place, swarm.robots[7].place)
     message = Message("place", 3, b"\1", {7: place.to_bytes()})
 

@@ -62,12 +62,11 @@ def annealed_by_messages(
     steps = params.all_steps
     channel.broadcast(HEADER + pose_bytes(params.bits, with_orientation=False), steps)
     layers.state = Configuration(position, np.zeros_like(position))
-    sd, doubtful = np.zeros(robots), np.zeros(robots, np.bool_)
+    sd = np.zeros(robots)
     for number in range(1, robots):
         # What a robot knows alone: its own rows, and others where it heard them last.
         alone = layers.neighborhood(np.array([number]))
         sd[number] = alone.sd(alone.linearized(layers.state))[0] if alone.number else np.inf
-        doubtful[number] = layers.is_surprising(number)
     count = np.diff(rows.start)
     bytes_of_row = -(-_ROW_VALUES * (params.bits or 64) // 8)
     memory = robots * pose_bytes(params.bits, with_orientation=True) + bytes_of_row * count
@@ -79,7 +78,7 @@ def annealed_by_messages(
         at_join=None,
         sd=np.minimum(sd, np.linalg.norm(position, axis=1).max(initial=1.0)),
         lost=np.zeros(robots, np.bool_),
-        doubtful=doubtful,
+        doubtful=np.array(layers.surprising(every), np.bool_),
         traffic=traffic,
         steps=steps,
         reason="one chain was annealed, and many robots at once may be in a mirror image",

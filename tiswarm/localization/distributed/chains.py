@@ -67,8 +67,8 @@ def annealed(
     score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
     best = int(score.argmin())
     state, linear = found[best]
-    # Ends that are as likely as the best one make its position uncertain.
-    weight = np.exp(-0.5 * (score - score[best]))
+    # Ends that are nearly as likely as the best one make its position uncertain.
+    weight = np.exp(-0.5 * (score - score[best]) / CHAINS.tempered)
     weight /= weight.sum()
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)

@@ -62,6 +62,9 @@ class Known:
     sharing: set[int] = field(default_factory=set)
     """Robots that are known to share rows with it."""
 
+    is_surprising: bool = False
+    """Whether chance does not explain its rows and overlaps, as the one that solved for it says."""
+
     is_current: bool = False
     """Whether it lets the robot that holds this know as it moves."""
 
@@ -93,6 +96,9 @@ class Solved(NamedTuple):
 
     places: Mapping[int, Whereabouts]
     """Places of robots that moved, and of the one that was solved for, by number."""
+
+    surprising: set[int]
+    """Those of them whose rows and overlaps chance does not explain."""
 
     candidates: Reals
     """As in `Known`, of the one that was solved for."""
@@ -152,8 +158,7 @@ class LocalSwarm:
         layers, k = self.layers, self._index[number]
         before = Configuration(*(each.copy() for each in layers.state))
         # A robot that has a place keeps it, unless those near it move.
-        places = layers.place(k) if anew else None
-        layers.solve_near(k, places)
+        layers.solve_near(k, layers.place(k) if anew else None)
         if self._program.params.chains:
             moving = np.arange(len(self.numbers)) if everywhere else self._near(k)
             found = annealed(layers, moving, self._program.params, number)
@@ -165,13 +170,19 @@ class LocalSwarm:
         least = 0.0 if self._program.params.bits is None else 1.0
         has_moved = (apart > least * ANSWERS.moved) | (turned > least * ANSWERS.turned)
         has_moved[k] = True
-        moved = {
-            int(self.numbers[j]): Whereabouts(
-                state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j])
-            )
-            for j in np.flatnonzero(has_moved).tolist()
-        }
-        return Solved(moved, layers.places[k], self._operations(k, anew=anew))
+        moved = np.flatnonzero(has_moved)
+        number_of = self.numbers[moved].tolist()
+        places = [
+            Whereabouts(state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]))
+            for j in moved.tolist()
+        ]
+        surprising = layers.surprising(moved)
+        return Solved(
+            dict(zip(number_of, places, strict=True)),
+            {n for n, is_surprise in zip(number_of, surprising, strict=True) if is_surprise},
+            layers.places[k],
+            self._operations(k, anew=anew),
+        )
 
     def _near(self, k: int) -> Ints:
         """List the robots within two steps of sharing rows with one, ascending."""
@@ -190,10 +201,6 @@ class LocalSwarm:
         step = OF_ROW * 2 * sum(rows) + OF_PAIR * len(near) * len(self.numbers)
         rounds = NEIGHBORS.rounds * (1 + params.chains)
         return float(search + rounds * linear + params.chains * params.all_steps * step)
-
-    def is_surprising(self, number: int) -> bool:
-        """Judge whether chance does not explain the rows and overlaps of a robot."""
-        return self.layers.is_surprising(self._index[number])
 
     def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""

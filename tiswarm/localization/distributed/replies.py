@@ -28,6 +28,7 @@ class Answer(NamedTuple):
     sharing: tuple[int, ...]
     place: Whereabouts | None
     candidates: Reals
+    is_surprising: bool
 
 
 def asking(wants_line: int, checksum: int) -> bytes:
@@ -46,13 +47,16 @@ def read_answer(content: bytes, bits: int | None, with_candidates: bool) -> Answ
     sharing = tuple(read_numbers(answer)) if is_new else ()
     place = read_place(answer) if is_placed else None
     candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
-    return Answer(is_new, sharing, place, candidates)
+    return Answer(is_new, sharing, place, candidates, is_surprising=False)
 
 
 @lru_cache(maxsize=20_000)
 def read_result(content: bytes, bits: int | None) -> Answer:
     """Read what one that solved says of a robot."""
     answer = Reader(content, bits)
-    has_candidates, place = answer.number(1), read_place(answer)
+    has_candidates, is_surprising = answer.number(1), answer.number(1) == 1
+    place = read_place(answer)
     candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
-    return Answer(is_new=True, sharing=(), place=place, candidates=candidates)
+    return Answer(
+        is_new=True, sharing=(), place=place, candidates=candidates, is_surprising=is_surprising
+    )

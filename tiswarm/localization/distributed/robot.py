@@ -166,16 +166,14 @@ class Peer:
             self._advance()
 
     def judge(self) -> bool:
-        """Judge whether the robot doubts where it is, by what it holds.
+        """Judge whether the robot doubts where it is, by what it heard.
 
         It does if chance does not explain its rows and overlaps, if its standard deviation is
         large, or if it heard of no place.
         """
-        if not self.number:
-            return False
         if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
             return True
-        return LocalSwarm(self._program, self._placed()).is_surprising(self.number)
+        return self.known[self.number].is_surprising
 
     @property
     def memory(self) -> int:
@@ -324,7 +322,7 @@ class Peer:
 
     def _hear_place(self, number: int, part: bytes) -> None:
         answer, its = read_result(part, self._program.params.bits), self._of(number)
-        its.place = answer.place
+        its.place, its.is_surprising = answer.place, answer.is_surprising
         if len(answer.candidates):
             its.candidates = answer.candidates
 
@@ -359,6 +357,7 @@ class Peer:
         for number, place in solved.places.items():
             part = Writer(self._program.params.bits)
             part.number(number == joiner and self._exchanges, 1)
+            part.number(number in solved.surprising, 1)
             write_place(part, place)
             if number == joiner and self._exchanges:
                 write_candidates(part, solved.candidates)

@@ -13,6 +13,10 @@ class ChainSettings:
     end_sigma: float = 0.01
     """Square root of the temperature at which annealing ends [R]."""
 
+    tempered: float = 4.0
+    """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet
+    few of the likely minima."""
+
     held: float = 0.25
     """Share of the steps at that temperature, over which positions are averaged, where robots
     anneal at once [1]."""
@@ -36,8 +40,9 @@ class AnswerSettings:
     turned: float = 0.2
     """Turn from which on it does [standard deviations]."""
 
-    doubtful_sd: float = 1.0
-    """Standard deviation from which on a robot doubts its position: half a dock diameter [R]."""
+    doubtful_sd: float = 0.5
+    """Standard deviation from which on a robot doubts its position: a quarter of a dock diameter
+    [R]. Of training structures it finds three of three robots that are off by more than 1 R."""
 
     stays_sd: float = 0.05
     """Standard deviation of each coordinate of a robot whose other rows are not here: the robots
