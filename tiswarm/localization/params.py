@@ -313,14 +313,14 @@ class DistributedParams(ChiSquareParams):
     hops: Annotated[int, Field(ge=1)] = 2
     """Steps of "shares a measurement" within which robots are asked [1]."""
 
-    robots: Annotated[int, Field(ge=2)] = 60
+    robots: Annotated[int, Field(ge=2)] = 100
     """Robots at most that are asked, and that a robot holds measurements of [1]."""
 
     solver: Literal["joiner", "keeper"] = "keeper"
     """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
     touches, which holds the measurements of those nearby."""
 
-    reach: Annotated[int, Field(ge=0, le=254)] = 8
+    reach: Annotated[int, Field(ge=0, le=254)] = 12
     """Contacts at most to such a robot [1]; without one, the robot touched solves."""
 
     growth: Annotated[float, Field(gt=0.0)] = 0.1
