@@ -5,8 +5,8 @@ A robot reads its own memory and the bytes that it hears. It has no other way to
 1. It joins, and lets the robots that it has rows about know that they share rows. It sends its line
    to the first that it touches. This one passes it on to its keeper: the nearest robot that moved
    it before. Without one that is near it becomes a keeper itself.
-2. The keeper asks robots step by step of "shares a row" of which it holds nothing current: whom
-   they share rows with, where they are, and what they sensed unless it holds that.
+2. The keeper asks robots step by step of "shares a row", unless what it holds of them is current:
+   whom they share rows with, where they are, and what they sensed if it does not hold that.
 3. It solves, and sends each robot that moved its new place. Who is moved lets all others that hold
    its place know that they hold it no more.
 """
