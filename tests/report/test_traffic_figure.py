@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tiswarm.report.run_data import RunData
-from tiswarm.report.traffic_figure import traffic_painters
+from tiswarm.report.traffic_figure import label_offsets, traffic_painters
 
 
 @pytest.fixture
@@ -40,6 +40,20 @@ def test_means_are_drawn_on_logarithmic_axes(run):
     assert (bars[0].get_xdata()[0], bars[0].get_ydata()[0]) == (1000.0, 0.5)
     lines = {line.get_label(): line.get_ydata() for line in axes.lines}
     assert list(lines["joint"]) == [0.2, 0.2]
+    assert bars.get_label() == "1 touch"
+    assert [text.get_text() for text in axes.texts] == ["1"]
+
+
+def test_numbers_keep_apart_from_markers_and_each_other():
+    """Also where markers are closer to each other than numbers may be."""
+    points = np.array([[0.0, 0.0], [3.0, 1.0], [1.0, 4.0], [5.0, 5.0], [40.0, 9.0]])
+
+    labels = points + label_offsets(points)
+
+    every = np.concatenate([points, labels])
+    apart = np.linalg.norm(labels[:, None] - every, axis=2)
+    apart[np.arange(5), 5 + np.arange(5)] = np.inf
+    assert apart.min() > 7.5
 
 
 def test_runs_in_which_nobody_sends_have_no_such_figure(run):

@@ -20,6 +20,12 @@ _ONE_BY_ONE = (
 )
 """Settings of `virtual-force` that have no meaning where robots move together."""
 
+_OF_SCHEME = {
+    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains"),
+    "algorithm-1": ("poses", "back_propagation"),
+}
+"""Settings of `distributed` that have a meaning in one scheme only."""
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class BackPropagation:
@@ -277,9 +283,10 @@ class DistributedParams(ChiSquareParams):
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
 
-    scheme: Literal["joiner", "algorithm-1"] = "joiner"
+    scheme: Literal["joiner", "annealing", "algorithm-1"] = "joiner"
     """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
-    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
+    their positions and sends them the answer. annealing: all robots anneal at once after the last
+    has joined, and send their positions at each step. algorithm-1: the paper's, by the defaults of
     `virtual-force`, whose positions are those without losses and rounding."""
 
     poses: Literal["once", "every-join"] = "every-join"
@@ -307,21 +314,48 @@ class DistributedParams(ChiSquareParams):
     hops: Annotated[int, Field(ge=1)] = 2
     """Steps of "shares a measurement" within which robots are asked [1]."""
 
-    robots: Annotated[int, Field(ge=2)] = 14
+    robots: Annotated[int, Field(ge=2)] = 100
     """Robots at most that are asked, and that a robot holds measurements of [1]."""
 
-    solver: Literal["joiner", "partner"] = "partner"
-    """Who solves: the robot that joined, or the first robot that it touches, which has heard more
-    of those nearby."""
+    solver: Literal["joiner", "keeper"] = "keeper"
+    """Who solves: the robot that joined, or the nearest one that solved for the first robot that it
+    touches, which holds the measurements of those nearby."""
 
-    chains: Annotated[int, Field(ge=0, le=1000)] = 4
+    reach: Annotated[int, Field(ge=0, le=254)] = 12
+    """Contacts at most to such a robot [1]; without one, the robot touched solves."""
+
+    growth: Annotated[float, Field(gt=0.0)] = 0.1
+    """Growth after which a robot that solves anneals all robots that it holds [1]."""
+
+    chains: Annotated[int, Field(ge=0, le=1000)] = 8
     """Annealings of the robots nearby by the robot that solves; 0 for none."""
 
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
-    """Steps of each of them."""
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    """Steps of each of them, or of all robots in `annealing`; if null 400 and 3,900."""
 
-    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
-    """Square root of the temperature at which annealing begins [R]."""
+    start_sigma: Annotated[float, Field(gt=0.0)] | None = None
+    """Square root of the temperature at which annealing begins [R]; if null 0.4, and 0.6 in
+    `annealing`, which begins farther from where robots are."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings of another scheme."""
+        usual = {field.name: field.default for field in fields(self)}
+        for scheme, names in _OF_SCHEME.items():
+            for name in names:
+                if scheme != self.scheme and getattr(self, name) != usual[name]:
+                    raise ValueError(
+                        f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
+                    )
+
+    @property
+    def all_steps(self) -> int:
+        """Steps of an annealing."""
+        return self.steps or (3900 if self.scheme == "annealing" else 400)
+
+    @property
+    def sigma(self) -> float:
+        """Square root of the temperature at which annealing begins [R]."""
+        return self.start_sigma or (0.6 if self.scheme == "annealing" else 0.4)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

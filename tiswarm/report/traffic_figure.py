@@ -1,4 +1,7 @@
-"""Draws the figure of robots that localize themselves: what they send, and how much they err."""
+"""Draws the figure of robots that localize themselves: what they send, and how much they err.
+
+Conditions lie close to each other, so each marker has a number, which the legend explains.
+"""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -6,8 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, line_style, marker_style, new_panels
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    legend_columns,
+    line_style,
+    marker_style,
+    new_panels,
+)
 from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
@@ -15,8 +25,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _SENT, _ERROR = "sent_B", "rmse_R"
-_TICKS = (1.0, 2.0, 5.0)
+_TICKS = {"x": (1.0, 3.0), "y": (1.0, 2.0, 5.0)}
 _NORMAL_95 = 1.96
+_CLEAR = 8.0
+"""Distance of a number from markers and other numbers at which it is easy to read [pt]."""
+_DIRECTIONS, _RINGS = 12, 5
+"""Places that are tried for a number: in each direction, farther and farther from its marker."""
+_LABEL = 6.0
+"""Size of a number [pt]."""
 
 
 def traffic_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
@@ -45,9 +61,74 @@ def draw_traffic(run: RunData) -> "Figure":
         for axes in panels
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4)
+    figure.legend(
+        handles.values(),
+        handles.keys(),
+        loc="outside upper center",
+        ncols=legend_columns([*handles], PAGE_WIDTH),
+    )
     figure_style.add_note(figure, run.note)
+    # Numbers keep apart on paper, so panels need their final size.
+    figure.draw_without_rendering()
+    for axes in panels:
+        _number_markers(axes)
     return figure
+
+
+def _number_markers(axes: "Axes") -> None:
+    """Write beside each marker its number, which begins its label in the legend."""
+    handles, labels = axes.get_legend_handles_labels()
+    drawn = [
+        (handle[0], label.split()[0])
+        for handle, label in zip(handles, labels, strict=True)
+        if isinstance(handle, tuple)
+    ]
+    if not drawn:
+        return
+    data = np.array([marker.get_xydata()[0] for marker, _ in drawn])
+    points = axes.transData.transform(data) * 72.0 / axes.figure.dpi
+    offsets = label_offsets(points)
+    for (marker, number), at, offset in zip(drawn, data, offsets, strict=True):
+        axes.annotate(
+            number,
+            at,
+            offset,
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=_LABEL,
+            arrowprops={
+                "arrowstyle": "-",
+                "linewidth": 0.4,
+                "color": marker.get_color(),
+                "shrinkA": 0.0,
+                "shrinkB": 2.0,
+            },
+        )
+
+
+def label_offsets(points: Reals) -> Reals:
+    """Choose where to write beside each of some points, apart from all points and labels.
+
+    Args:
+        points: Points on paper [pt], shape (K, 2).
+
+    Returns:
+        Offset of each label from its point [pt], shape (K, 2).
+    """
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    ring = _CLEAR * np.arange(1, _RINGS + 1)
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    offsets = (ring[:, None, None] * around).reshape(-1, 2)
+    chosen = np.empty_like(points)
+    taken = points
+    for k, point in enumerate(points):
+        apart = np.linalg.norm(point + offsets[:, None] - taken, axis=2).min(axis=1)
+        # The nearest place that is clear, or the clearest one.
+        best = int(np.minimum(apart, _CLEAR - 0.1).argmax())
+        chosen[k] = offsets[best]
+        taken = np.concatenate([taken, [point + offsets[best]]])
+    return chosen
 
 
 def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) -> None:
@@ -62,8 +143,9 @@ def _draw_condition(axes: "Axes", cases: pd.DataFrame, name: str, place: int) ->
         return
     across = [[min(_half(cases[_SENT]), 0.5 * cases[_SENT].mean())], [_half(cases[_SENT])]]
     up = [[min(half, 0.5 * mean)], [half]]
-    look = {**marker_style(place), "linestyle": "", "markersize": 4.0}
-    axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=name, **look)
+    look = {**marker_style(place), "linestyle": "", "markersize": 3.0, "elinewidth": 0.6}
+    label = f"{place + 1} {name}"
+    axes.errorbar(cases[_SENT].mean(), mean, xerr=across, yerr=up, label=label, **look)
 
 
 def _half(values: "pd.Series[float]") -> float:
@@ -76,8 +158,8 @@ def _set_scale(axes: "Axes") -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=_TICKS))
+    for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+        axis.set_major_locator(LogLocator(subs=_TICKS[name]))
         axis.set_minor_formatter(NullFormatter())
         axis.set_major_formatter(FuncFormatter(lambda value, _: _short(value)))
 

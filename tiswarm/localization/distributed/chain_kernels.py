@@ -126,10 +126,10 @@ def force_on(v, i, here, robots, reach, square, rows: Ref, docks: Ref, view: Ref
 
 
 @ti.func
-def moved(sigma, force, mass, kick, speed):
+def moved(sigma, force, mass, kick, speed, memory):
     """Change a velocity; return it, and how far it leads in a step."""
     fast = speed + force / mass
-    slow = MEMORY * fast + sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass) * kick
+    slow = memory * fast + sigma * ti.sqrt((1.0 - memory * memory) / mass) * kick
     return slow, 0.5 * (fast + slow)
 
 
@@ -164,7 +164,8 @@ def anneal_near(
                             c, i, here, moves.shape[0], reach, sigma * sigma, rows, docks, view_out
                         )
                         kick = kick_of(seed, c, i, t)
-                        slow, way = moved(sigma, force, mass, kick, _seen(speed_out, c, i))
+                        speed = _seen(speed_out, c, i)
+                        slow, way = moved(sigma, force, mass, kick, speed, MEMORY)
                         for a in ti.static(range(3)):
                             speed_out[c, i, a] = slow[a]
                             step_out[c, i, a] = way[a]

@@ -58,7 +58,7 @@ def annealed(
     reach = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
     anneal_near(
         (params.seed * 4_099 + number) % 2**31, reach,
-        schedule(params.start_sigma, params.steps), moves,
+        schedule(params.sigma, params.all_steps), moves,
         *rows_of(problem, len(begin)), *docks_of(problem),
         view, np.zeros_like(view), np.zeros_like(view),
     )  # fmt: skip
@@ -67,8 +67,8 @@ def annealed(
     score = np.array([each[1].cost - _gain(layers, moving, each[0], reach) for each in found])
     best = int(score.argmin())
     state, linear = found[best]
-    # Ends that are as likely as the best one make its position uncertain.
-    weight = np.exp(-0.5 * (score - score[best]))
+    # Ends that are nearly as likely as the best one make its position uncertain.
+    weight = np.exp(-0.5 * (score - score[best]) / CHAINS.tempered)
     weight /= weight.sum()
     away = [((each.position - state.position)[moving] ** 2).sum(axis=1) for each, _ in found]
     spread = weight @ np.array(away)

@@ -39,9 +39,9 @@ _Entry = TypeVar("_Entry", RobotLine, StanceEntry)
 _AXES = 3
 _STEPS = 2
 """Steps of "shares a row" to the robots that move."""
-_OF_ROW = 40
+OF_ROW = 40
 """Operations for the residual of a row and its derivatives [1]."""
-_OF_PAIR = 10
+OF_PAIR = 10
 """Operations to find whether two robots are near [1]."""
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -61,6 +61,12 @@ class Known:
 
     sharing: set[int] = field(default_factory=set)
     """Robots that are known to share rows with it."""
+
+    is_surprising: bool = False
+    """Whether chance does not explain its rows and overlaps, as the one that solved for it says."""
+
+    is_current: bool = False
+    """Whether it lets the robot that holds this know as it moves."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,9 @@ class Solved(NamedTuple):
 
     places: Mapping[int, Whereabouts]
     """Places of robots that moved, and of the one that was solved for, by number."""
+
+    surprising: set[int]
+    """Those of them whose rows and overlaps chance does not explain."""
 
     candidates: Reals
     """As in `Known`, of the one that was solved for."""
@@ -138,20 +147,20 @@ class LocalSwarm:
         self.layers.state = Configuration(position[:count], turn[:count])
         self.layers.sd = sd[:count, 0]
 
-    def solve(self, number: int, *, anew: bool) -> Solved:
+    def solve(self, number: int, *, anew: bool, everywhere: bool = False) -> Solved:
         """Solve for a robot and those near it.
 
         Args:
             number: The robot.
             anew: Whether to look for its place among all that its rows allow.
+            everywhere: Whether to anneal all robots.
         """
         layers, k = self.layers, self._index[number]
         before = Configuration(*(each.copy() for each in layers.state))
         # A robot that has a place keeps it, unless those near it move.
-        places = layers.place(k) if anew else None
-        layers.solve_near(k, places)
+        layers.solve_near(k, layers.place(k) if anew else None)
         if self._program.params.chains:
-            moving = self._near(k)
+            moving = np.arange(len(self.numbers)) if everywhere else self._near(k)
             found = annealed(layers, moving, self._program.params, number)
             layers.state, layers.sd[moving] = found.state, found.sd
         state = layers.state
@@ -161,13 +170,19 @@ class LocalSwarm:
         least = 0.0 if self._program.params.bits is None else 1.0
         has_moved = (apart > least * ANSWERS.moved) | (turned > least * ANSWERS.turned)
         has_moved[k] = True
-        moved = {
-            int(self.numbers[j]): Whereabouts(
-                state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j])
-            )
-            for j in np.flatnonzero(has_moved).tolist()
-        }
-        return Solved(moved, layers.places[k], self._operations(k, anew=anew))
+        moved = np.flatnonzero(has_moved)
+        number_of = self.numbers[moved].tolist()
+        places = [
+            Whereabouts(state.position[j].copy(), state.turn[j].copy(), float(layers.sd[j]))
+            for j in moved.tolist()
+        ]
+        surprising = layers.surprising(moved)
+        return Solved(
+            dict(zip(number_of, places, strict=True)),
+            {n for n, is_surprise in zip(number_of, surprising, strict=True) if is_surprise},
+            layers.places[k],
+            self._operations(k, anew=anew),
+        )
 
     def _near(self, k: int) -> Ints:
         """List the robots within two steps of sharing rows with one, ascending."""
@@ -181,15 +196,11 @@ class LocalSwarm:
         """Count what a search for candidates, linear problems and chains take, about."""
         params, near = self._program.params, self._near(k)
         own, rows = len(self.layers.blocks[k]), [len(self.layers.blocks[j]) for j in near.tolist()]
-        search = CANDIDATES.starts * CANDIDATES.rounds * _OF_ROW * own**2 if anew else 0
-        linear = sum(_OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
-        step = _OF_ROW * 2 * sum(rows) + _OF_PAIR * len(near) * len(self.numbers)
+        search = CANDIDATES.starts * CANDIDATES.rounds * OF_ROW * own**2 if anew else 0
+        linear = sum(OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
+        step = OF_ROW * 2 * sum(rows) + OF_PAIR * len(near) * len(self.numbers)
         rounds = NEIGHBORS.rounds * (1 + params.chains)
-        return float(search + rounds * linear + params.chains * params.steps * step)
-
-    def is_surprising(self, number: int) -> bool:
-        """Judge whether chance does not explain the rows and overlaps of a robot."""
-        return self.layers.is_surprising(self._index[number])
+        return float(search + rounds * linear + params.chains * params.all_steps * step)
 
     def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""
@@ -231,7 +242,9 @@ def _precise(program: Program, known: Mapping[int, Known]) -> OnlineParams:
     farthest = float(np.abs(places).max()) if places else 1.0
     rounding = rounding_sd(farthest, params.bits)
     names = OnlineParams.__dataclass_fields__.keys() & params.__dataclass_fields__.keys()
-    shared = {name: getattr(params, name) for name in names - {"method", "chains", "steps"}}
+    shared = {
+        name: getattr(params, name) for name in names - {"method", "chains", "steps", "start_sigma"}
+    }
     return OnlineParams(
         **shared
         | {

@@ -1,4 +1,4 @@
-"""The method `distributed`: robots join one by one, and localize themselves by what they send.
+"""The method `distributed`: robots localize themselves by what they send each other.
 
 The log is cut into lines, one for each robot; from then on a robot has its own line, and what it
 hears. Under `touch` robots in contact at the end, as the log has it, hear each other.
@@ -12,6 +12,9 @@ import numpy as np
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
+from tiswarm.localization.distributed.annealing import annealed_by_messages
+from tiswarm.localization.distributed.conclusion import estimate_of
+from tiswarm.localization.distributed.local import Program
 from tiswarm.localization.distributed.published import algorithm_1
 from tiswarm.localization.distributed.swarm import PeerSwarm
 from tiswarm.localization.distributed.wire import MOST_ROBOTS
@@ -19,7 +22,7 @@ from tiswarm.localization.online.lines import refuse_header, refuse_line
 from tiswarm.localization.params import DistributedParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import log_entries
-from tiswarm.records.sensing_format import line_text, parse_header, parse_robot
+from tiswarm.records.sensing_format import RobotLine, line_text, parse_header, parse_robot
 from tiswarm.records.sensing_log import SensingLog
 
 
@@ -56,14 +59,30 @@ def localize_batch(
         lines = [parse_robot(line_text(robot)) for robot in robots]
         for line in lines:
             refuse_line(line)
-        if p.scheme == "algorithm-1":
-            found = algorithm_1(log, p)
-        else:
-            swarm = PeerSwarm(header, p, len(lines))
-            for line in lines:
-                swarm.join(line)
-                on_progress((joined + line.robot + 1) / total)
-            found = swarm.estimate(log)
+
+        def report(share: float, begun: int = joined, robots: int = log.robot_count) -> None:
+            on_progress((begun + share * robots) / total)
+
+        estimates.append(_localized(log, p, header, lines, report))
         joined += log.robot_count
-        estimates.append(found)
     return estimates
+
+
+def _localized(
+    log: SensingLog,
+    params: DistributedParams,
+    header: str,
+    lines: list[RobotLine],
+    on_progress: Callable[[float], None],
+) -> Estimate:
+    """Let robots localize themselves by the scheme that is asked for."""
+    if params.scheme == "algorithm-1":
+        return algorithm_1(log, params)
+    program = Program(params, header)
+    if params.scheme == "annealing":
+        return estimate_of(log, params, annealed_by_messages(program, lines, on_progress))
+    swarm = PeerSwarm(program, len(lines))
+    for line in lines:
+        swarm.join(line)
+        on_progress((line.robot + 1) / len(lines))
+    return estimate_of(log, params, swarm.found())

@@ -2,24 +2,24 @@
 
 A robot reads its own memory and the bytes that it hears. It has no other way to another robot.
 
-1. It joins, and sends its line to the robots that it has rows about. They know now that they share
-   rows with it; one of them, or it itself, is to solve.
-2. That one asks robots step by step of "shares a row": whom they share rows with, where they are,
-   and what they sensed unless it holds that.
-3. It solves, and sends each robot that moved its new place.
+1. It joins, and lets the robots that it has rows about know that they share rows. It sends its line
+   to the first that it touches. This one passes it on to its keeper: the nearest robot that moved
+   it before. Without one that is near it becomes a keeper itself.
+2. The keeper asks robots step by step of "shares a row", unless what it holds of them is current:
+   whom they share rows with, where they are, and what they sensed if it does not hold that.
+3. It solves, and sends each robot that moved its new place. Who is moved lets all others that hold
+   its place know that they hold it no more.
 """
 
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Reals
 from tiswarm.localization.distributed.channel import Message
 from tiswarm.localization.distributed.local import Known, LocalSwarm, Program
+from tiswarm.localization.distributed.replies import CHECK, asking, read_answer, read_result
 from tiswarm.localization.distributed.settings import ANSWERS
 from tiswarm.localization.distributed.wire import (
     NUMBER,
@@ -27,9 +27,6 @@ from tiswarm.localization.distributed.wire import (
     Whereabouts,
     Writer,
     line_bytes,
-    read_candidates,
-    read_numbers,
-    read_place,
     write_candidates,
     write_numbers,
     write_place,
@@ -39,8 +36,8 @@ from tiswarm.records.sensing_format import RobotLine
 _SIZE = 2
 """Bytes of a number or a length between lines."""
 
-_CHECK = 15
-"""Bits of the checksum by which a robot knows that what another one holds of it is current."""
+_FARTHEST = 255
+"""Contacts up to which a message counts those that it takes."""
 
 
 @dataclass
@@ -57,44 +54,6 @@ class _Search:
     attempt: int = 0
 
 
-class _Answer(NamedTuple):
-    """What a robot says of itself, or one that solved says of it."""
-
-    is_new: bool
-    sharing: tuple[int, ...]
-    place: Whereabouts | None
-    candidates: Reals
-
-
-def _asking(wants_line: int, checksum: int) -> bytes:
-    """Write what is asked of a robot: its line, and its place unless that has this checksum."""
-    part = Writer(None)
-    part.number(wants_line, 1)
-    part.number(checksum, _CHECK)
-    return part.to_bytes()
-
-
-_NO_CANDIDATES: Reals = np.empty((0, 3))
-
-
-@lru_cache(maxsize=20_000)
-def _read_answer(content: bytes, bits: int | None, with_candidates: bool) -> _Answer:  # noqa: FBT001
-    answer = Reader(content, bits)
-    is_new, is_placed = answer.number(1) == 1, answer.number(1)
-    sharing = tuple(read_numbers(answer)) if is_new else ()
-    place = read_place(answer) if is_placed else None
-    candidates = read_candidates(answer) if is_placed and with_candidates else _NO_CANDIDATES
-    return _Answer(is_new, sharing, place, candidates)
-
-
-@lru_cache(maxsize=20_000)
-def _read_result(content: bytes, bits: int | None) -> _Answer:
-    answer = Reader(content, bits)
-    has_candidates, place = answer.number(1), read_place(answer)
-    candidates = read_candidates(answer) if has_candidates else _NO_CANDIDATES
-    return _Answer(is_new=True, sharing=(), place=place, candidates=candidates)
-
-
 class Peer:
     """A robot of a swarm that localizes itself."""
 
@@ -108,9 +67,14 @@ class Peer:
         self.touching = sorted({other for _, other, _ in line.contacts})
         self.outbox: list[Message] = []
         self._hosts = [self.number]
-        if program.params.solver == "partner":
+        if program.params.solver == "keeper":
             self._hosts = [*self.touching, self.number]
+        # Robots that moved this one, and contacts to them.
+        self._keepers: dict[int, int] = {}
+        # Robots that rely on hearing of it when this one moves.
+        self._watchers: set[int] = set()
         self._search: _Search | None = None
+        self._solved, self._annealed = 0, 0
         self.operations = 0.0
 
     @property
@@ -138,19 +102,46 @@ class Peer:
         if message.kind == "join":
             self._hear_join(message)
         elif message.kind == "ask":
-            if self.number in message.parts:
-                self._answer(message.sender, message.parts[self.number])
-            elif self._program.params.channel == "touch":
-                return self._hand_out(message)
+            return self._hear_ask(message)
         elif message.kind == "answer":
             self._hear_answer(message)
         elif message.kind == "lines":
             for part in message.parts.values():
                 self._hear_lines(part)
+        elif message.kind == "moved" and self.number in message.parts:
+            self._of(message.sender).is_current = False
+        elif message.kind == "task" and self.number in message.parts:
+            self._take(message.parts[self.number])
         elif message.kind == "place":
-            for number, part in message.parts.items():
-                self._hear_place(number, part)
+            return self._hear_places(message)
         return message
+
+    def _hear_places(self, message: Message) -> Message:
+        """Take in where robots are, and count the contact to the next one."""
+        for number, part in message.parts.items():
+            self._hear_place(number, part)
+        [contacts] = message.common
+        if self.number in message.parts:
+            self._follow(message.sender, contacts)
+        return message._replace(common=bytes([min(contacts + 1, _FARTHEST)]))
+
+    def _follow(self, keeper: int, contacts: int) -> None:
+        """Take note of a robot that moved this one, and let others that hold it know."""
+        self._keepers[keeper] = contacts
+        others = self._watchers - {keeper}
+        self._watchers = {keeper}
+        self._say("moved", b"", dict.fromkeys(sorted(others), b""))
+
+    def _take(self, line: bytes) -> None:
+        """Become the keeper of a robot, which sent this line."""
+        number = self._program.decoded(line).robot
+        joiner = self._of(number)
+        joiner.line = line
+        joiner.sharing |= self._program.partners(line)
+        for partner in joiner.sharing & self.known.keys():
+            self.known[partner].sharing.add(number)
+        self._begin(number)
+        self._forget()
 
     @property
     def _exchanges(self) -> bool:
@@ -175,16 +166,14 @@ class Peer:
             self._advance()
 
     def judge(self) -> bool:
-        """Judge whether the robot doubts where it is, by what it holds.
+        """Judge whether the robot doubts where it is, by what it heard.
 
         It does if chance does not explain its rows and overlaps, if its standard deviation is
         large, or if it heard of no place.
         """
-        if not self.number:
-            return False
         if self.place is None or self.place.sd > ANSWERS.doubtful_sd:
             return True
-        return LocalSwarm(self._program, self._placed()).is_surprising(self.number)
+        return self.known[self.number].is_surprising
 
     @property
     def memory(self) -> int:
@@ -204,16 +193,17 @@ class Peer:
         return self.known.setdefault(number, Known())
 
     def _hear_join(self, message: Message) -> None:
-        """Take in that a robot shares rows with others, and what it sensed."""
-        joiner = self._of(message.sender)
+        """Take in that a robot shares rows with others, and see that somebody solves for it."""
         for partner in message.parts.keys() & self.known.keys():
             self.known[partner].sharing.add(message.sender)
-        for line in filter(None, message.parts.values()):
-            joiner.line = line
-            joiner.sharing |= self._program.partners(line)
-        if message.parts.get(self.number):
-            self._begin(message.sender)
-        self._forget()
+        if line := message.parts.get(self.number):
+            contacts, keeper = min(
+                ((contacts, keeper) for keeper, contacts in self._keepers.items()), default=(0, 0)
+            )
+            if 0 < contacts <= self._program.params.reach:
+                self._say("task", b"", {keeper: line})
+            else:
+                self._take(line)
 
     def _begin(self, joiner: int) -> None:
         """Begin to solve for a robot."""
@@ -232,9 +222,14 @@ class Peer:
             search.current += 1
             search.attempt = 0
             there = {n for n, step in search.step.items() if step == search.current}
-            search.waiting = there - {self.number}
+            search.waiting = {n for n in there if not self._is_current(n)}
             if search.waiting:
                 self._ask(search.waiting)
+
+    def _is_current(self, number: int) -> bool:
+        """Judge whether nothing is to be asked of a robot: it lets this one know as it moves."""
+        its = self._of(number)
+        return number == self.number or (its.is_current and bool(its.line))
 
     def _widen(self, search: _Search) -> bool:
         """Number the robots a step farther; return whether there are any."""
@@ -250,39 +245,53 @@ class Peer:
         """Ask robots for what this one does not hold of them."""
         parts = {}
         for number in sorted(robots):
-            parts[number] = _asking(not self._of(number).line, self._checksum(number))
+            parts[number] = asking(not self._of(number).line, self._checksum(number))
         self._say("ask", b"", parts)
 
     def _answer(self, asker: int, part: bytes) -> None:
         """Answer what a robot asked."""
         asked, mine = Reader(part, None), self.known[self.number]
-        wants_line, held = asked.number(1), asked.number(_CHECK)
-        is_new = held != self._checksum(self.number)
-        answer = Writer(self._program.params.bits)
-        answer.number(is_new, 1)
-        answer.number(is_new and mine.place is not None, 1)
-        if is_new:
-            write_numbers(answer, mine.sharing)
-            if mine.place is not None:
-                write_place(answer, mine.place)
-                if self._exchanges:
-                    write_candidates(answer, mine.candidates)
-        head = answer.to_bytes()
+        wants_line, held = asked.number(1), asked.number(CHECK)
+        self._watchers.add(asker)
+        head = self._head() if held != self._checksum(self.number) else b"\0"
         line = mine.line if wants_line else b""
         self._say("answer", len(head).to_bytes(_SIZE, "big") + head + line, {asker: b""})
+
+    def _head(self) -> bytes:
+        """Write with whom this robot shares rows, and where it is."""
+        mine = self.known[self.number]
+        answer = Writer(self._program.params.bits)
+        answer.number(1, 1)
+        answer.number(mine.place is not None, 1)
+        write_numbers(answer, mine.sharing)
+        if mine.place is not None:
+            write_place(answer, mine.place)
+            if self._exchanges:
+                write_candidates(answer, mine.candidates)
+        return answer.to_bytes()
 
     def _hear_answer(self, message: Message) -> None:
         length, content = int.from_bytes(message.common[:_SIZE], "big"), message.common[_SIZE:]
         its = self._of(message.sender)
         its.line = content[length:] or its.line
-        answer = _read_answer(content[:length], self._program.params.bits, self._exchanges)
+        answer = read_answer(content[:length], self._program.params.bits, self._exchanges)
         if answer.is_new:
             its.sharing, its.place = {*answer.sharing}, answer.place or its.place
             its.candidates = answer.candidates
+        if self.number in message.parts:
+            its.is_current = True
         # By radio, robots hear answers that others asked for.
         if self._search is not None:
             self._search.answered.add(message.sender)
             self._check_off()
+
+    def _hear_ask(self, message: Message) -> Message:
+        """Answer a question, or hand out lines as one passes by."""
+        if self.number in message.parts:
+            self._answer(message.sender, message.parts[self.number])
+        elif self._program.params.channel == "touch":
+            return self._hand_out(message)
+        return message
 
     def _hand_out(self, message: Message) -> Message:
         """Answer with lines that this robot holds of others that are asked for them."""
@@ -292,7 +301,7 @@ class Peer:
             asked = Reader(part, None)
             if asked.number(1) and line:
                 found += number.to_bytes(_SIZE, "big") + len(line).to_bytes(_SIZE, "big") + line
-                parts[number] = _asking(0, asked.number(_CHECK))
+                parts[number] = asking(0, asked.number(CHECK))
         if found:
             self._say("lines", b"", {message.sender: found})
         return message._replace(parts=parts)
@@ -312,8 +321,8 @@ class Peer:
             self._advance()
 
     def _hear_place(self, number: int, part: bytes) -> None:
-        answer, its = _read_result(part, self._program.params.bits), self._of(number)
-        its.place = answer.place
+        answer, its = read_result(part, self._program.params.bits), self._of(number)
+        its.place, its.is_surprising = answer.place, answer.is_surprising
         if len(answer.candidates):
             its.candidates = answer.candidates
 
@@ -325,7 +334,7 @@ class Peer:
         text = Writer(self._program.params.bits)
         write_numbers(text, its.sharing)
         write_place(text, its.place)
-        return zlib.crc32(text.to_bytes()) % int(2**_CHECK - 1) + 1
+        return zlib.crc32(text.to_bytes()) % int(2**CHECK - 1) + 1
 
     def _placed(self) -> dict[int, Known]:
         """List the robots whose lines and places are held."""
@@ -335,30 +344,48 @@ class Peer:
         """Solve for a robot with what is held, and send new places."""
         joiner = search.joiner
         held = self._placed()
-        near = {n: held[n] for n in search.step if n in held} | {joiner: self.known[joiner]}
+        near = {n: each for n, each in held.items() if n in search.step or self._is_current(n)}
+        near[joiner] = self.known[joiner]
         if 0 in held:
             near[0] = held[0]
-        solved = LocalSwarm(self._program, near).solve(joiner, anew=near[joiner].place is None)
+        solved = LocalSwarm(self._program, near).solve(
+            joiner, anew=near[joiner].place is None, everywhere=self._has_grown(len(near))
+        )
         # Thinking costs a robot energy, too.
         self.operations += solved.operations
         parts = {}
         for number, place in solved.places.items():
             part = Writer(self._program.params.bits)
             part.number(number == joiner and self._exchanges, 1)
+            part.number(number in solved.surprising, 1)
             write_place(part, place)
             if number == joiner and self._exchanges:
                 write_candidates(part, solved.candidates)
             parts[number] = part.to_bytes()
             # The robot holds what others hear, rounded as it is.
             self._hear_place(number, parts[number])
-        parts.pop(self.number, None)
-        self._say("place", b"", parts)
+            self._of(number).is_current = True
+        if parts.pop(self.number, None):
+            self._follow(self.number, 0)
+        self._say("place", b"\1", parts)
+
+    def _has_grown(self, robots: int) -> bool:
+        """Count one more robot solved for, and judge whether all that are held are due."""
+        self._solved += 1
+        is_due = self._solved - self._annealed >= self._program.params.growth * robots
+        if is_due:
+            self._annealed = self._solved
+        return is_due
 
     def _forget(self) -> None:
-        """Drop lines of the robots heard of first, beyond as many as there is room for."""
+        """Drop lines beyond as many as there is room for.
+
+        Those that are not current go first, then those of the robots heard of first.
+        """
         lines = [n for n, each in self.known.items() if each.line and n != self.number]
         busy = {} if self._search is None else self._search.step
         # Those asked about now are needed.
         beyond = max(len(lines) - self._program.params.robots, 0)
-        for number in [n for n in lines if n not in busy][:beyond]:
+        spare = sorted((n for n in lines if n not in busy), key=self._is_current)
+        for number in spare[:beyond]:
             del self.known[number]

@@ -1,6 +1,6 @@
 """Constants of robots that localize themselves, each with its unit and its reason. Lengths in R.
 
-Chosen on towers and cantilevers of the seeds 1000 to 1005, which no result is reported on.
+Chosen on towers and cantilevers of the seeds 1000 to 1007, which no result is reported on.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,18 @@ class ChainSettings:
 
     end_sigma: float = 0.01
     """Square root of the temperature at which annealing ends [R]."""
+
+    tempered: float = 4.0
+    """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet
+    few of the likely minima."""
+
+    held: float = 0.25
+    """Share of the steps at that temperature, over which positions are averaged, where robots
+    anneal at once [1]."""
+
+    memory: float = 0.8
+    """What friction leaves of a velocity in a step, where robots anneal at once [1]. What they hear
+    is a round old: without such friction, the delay gives motions more energy than it takes."""
 
     extension: float = 1.5
     """Gain in log-likelihood for each R more between robots that share a row [R^-1], shared among

@@ -1,19 +1,13 @@
 """The robots of a swarm and the channel between them: whose turn it is, and what it all cost."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from tiswarm.base.aliases import Bools, Reals
-from tiswarm.localization.assessment import assess, rms
+from tiswarm.base.aliases import Reals
 from tiswarm.localization.distributed.channel import Channel, Message
+from tiswarm.localization.distributed.conclusion import Found
 from tiswarm.localization.distributed.local import Program
 from tiswarm.localization.distributed.robot import Peer
-from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.params import DistributedParams
-from tiswarm.records.estimate import Convergence, Estimate
 from tiswarm.records.sensing_format import RobotLine
-from tiswarm.records.sensing_log import SensingLog
 
 _MOST_TURNS = 1000
 """Times that robots go on without an answer after a join, before the next one joins."""
@@ -22,10 +16,10 @@ _MOST_TURNS = 1000
 class PeerSwarm:
     """Robots that join one by one. Nothing here looks into one for the sake of another."""
 
-    def __init__(self, header: str, params: DistributedParams, robots: int) -> None:
+    def __init__(self, program: Program, robots: int) -> None:
         """Begin without robots; so many will join, and all are programmed alike."""
-        self._program = Program(params, header)
-        self.channel = Channel(params, robots, self._hear)
+        self._program = program
+        self.channel = Channel(program.params, robots, self._hear)
         self.robots: list[Peer] = []
         self._memory = np.zeros(robots, np.int64)
         self._at_join = np.zeros((robots, 3))
@@ -68,42 +62,20 @@ class PeerSwarm:
         places = [robot.place for robot in self.robots]
         return np.array([np.zeros(3) if place is None else place.position for place in places])
 
-    def estimate(self, log: SensingLog) -> Estimate:
+    def found(self) -> Found:
         """Gather what each robot knows of itself."""
-        position, channel = self._positions(), self.channel
-        lost = np.array([robot.place is None for robot in self.robots], np.bool_)
-        doubtful: Bools = np.array([robot.judge() for robot in self.robots], np.bool_)
-        params, unit = self._program.params, log.dock_radius
-        problem = pose_problem(log, params)
-        sd = np.array([0.0 if r.place is None else r.place.sd for r in self.robots])
-        sd[lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
-        gap = problem.residual(position[None], np.zeros((1, len(position))))
-        is_guess = problem.untied | lost
-        verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)._asdict()
-        verdicts["convergence"] = self._verdict(verdicts["convergence"], int(doubtful.sum()))
-        return Estimate(
-            robot_id=log.robot_id,
-            position=position * unit,
-            disconnected=is_guess,
-            sd=sd * unit,
-            **verdicts,
-            iteration=np.array([len(position)]),
-            trace=position[None] * unit,
-            at_join=self._at_join * unit,
-            residual=rms(gap) * unit,
-            doubtful=doubtful,
-            traffic=channel.traffic(
-                self._memory, np.array([robot.operations for robot in self.robots])
-            ),
-        )
-
-    def _verdict(self, found: Convergence, doubtful: int) -> Convergence:
-        """Say why the search is not to be relied on; whether noise explains rows stands."""
-        if len(self.robots) == 1:
-            return found
+        robots = self.robots
         reason = "robots search near each other only, and many at once may be in a mirror image"
         if not self._program.params.chains:
             reason = "no robot annealed those near it, and any may be in a mirror image"
-        if doubtful:
-            reason = f"{doubtful} of {len(self.robots)} robots doubt their positions"
-        return replace(found, converged=False, reason=reason)
+        operations = np.array([robot.operations for robot in robots])
+        return Found(
+            position=self._positions(),
+            at_join=self._at_join,
+            sd=np.array([0.0 if robot.place is None else robot.place.sd for robot in robots]),
+            lost=np.array([robot.place is None for robot in robots], np.bool_),
+            doubtful=np.array([robot.judge() for robot in robots], np.bool_),
+            traffic=self.channel.traffic(self._memory, operations),
+            steps=len(robots),
+            reason=reason,
+        )

@@ -30,6 +30,12 @@ MOST_ROBOTS = 2**NUMBER
 COUNT = 8
 """Bits of a count."""
 
+_ANGLE = 10
+"""Bits of a part of a quaternion that suffice: the step is a tenth of a degree."""
+
+_TURN = 8
+"""Bits of a turn that suffice: the step is a 16th of a standard deviation."""
+
 _RANGE = 5
 """Bits of the power of two that limits coordinates."""
 
@@ -89,13 +95,14 @@ class Writer:
         self._value = self._value << bits | value
         self._length += bits
 
-    def reals(self, values: Iterable[float], limit: float) -> None:
-        """Append numbers from -limit to limit; those beyond are cut."""
+    def reals(self, values: Iterable[float], limit: float, bits: int | None = None) -> None:
+        """Append numbers from -limit to limit, of so many bits; those beyond are cut."""
+        bits = bits or self.bits
         for value in values:
-            if self.bits is None:
+            if bits is None:
                 self.number(int(np.float64(value).view(np.uint64)), _EXACT)
             else:
-                self.number(_level(value, limit, self.bits), self.bits)
+                self.number(_level(value, limit, bits), bits)
 
     def lengths(self, values: Iterable[float]) -> None:
         """Append lengths [R] with the range that they are in."""
@@ -124,13 +131,14 @@ class Reader:
         self._left -= bits
         return self._value >> self._left & (1 << bits) - 1
 
-    def reals(self, count: int, limit: float) -> Reals:
+    def reals(self, count: int, limit: float, bits: int | None = None) -> Reals:
         """Take numbers from -limit to limit, shape (count,)."""
-        if self.bits is None:
+        bits = bits or self.bits
+        if bits is None:
             exact = [self.number(_EXACT) for _ in range(count)]
             return np.array(exact, np.uint64).view(np.float64)
-        levels = [self.number(self.bits) for _ in range(count)]
-        return np.array(levels, np.float64) * step(limit, self.bits) - limit
+        levels = [self.number(bits) for _ in range(count)]
+        return np.array(levels, np.float64) * step(limit, bits) - limit
 
     def lengths(self, count: int) -> Reals:
         """Take lengths [R], shape (count,)."""
@@ -140,6 +148,11 @@ class Reader:
 def step(limit: float, bits: int) -> float:
     """Distance of neighboring values among 2^bits from -limit to limit."""
     return 2.0 * limit / float(2**bits - 1)
+
+
+def _fewer(bits: int | None, enough: int) -> int | None:
+    """Choose the bits of an angle, whose noise is far above the step of a length."""
+    return None if bits is None else min(bits, max(enough, bits // 2))
 
 
 def _level(value: float, limit: float, bits: int) -> int:
@@ -157,7 +170,7 @@ def rounding_sd(farthest: float, bits: int | None) -> float:
 def write_place(to: Writer, place: Whereabouts) -> None:
     """Append where a robot is."""
     to.lengths(place.position)
-    to.reals(place.turn, _MOST_TURN)
+    to.reals(place.turn, _MOST_TURN, _fewer(to.bits, _TURN))
     if to.bits is None:
         to.reals([place.sd], 1.0)
         return
@@ -167,7 +180,10 @@ def write_place(to: Writer, place: Whereabouts) -> None:
 
 def read_place(source: Reader) -> Whereabouts:
     """Take where a robot is."""
-    position, turn = source.lengths(_AXES), source.reals(_AXES, _MOST_TURN)
+    position, turn = (
+        source.lengths(_AXES),
+        source.reals(_AXES, _MOST_TURN, _fewer(source.bits, _TURN)),
+    )
     if source.bits is None:
         return Whereabouts(position, turn, float(source.reals(1, 1.0)[0]))
     share = source.number(_SD) / (2**_SD - 1)
@@ -292,7 +308,8 @@ def _write_stance(
         # q and -q are one rotation: the largest part is made positive, and follows from the others.
         largest = int(np.abs(parts).argmax())
         to.number(largest, 2)
-        to.reals(np.delete(parts * np.copysign(1.0, parts[largest]), largest), _CORNER)
+        smaller = np.delete(parts * np.copysign(1.0, parts[largest]), largest)
+        to.reals(smaller, _CORNER, _fewer(to.bits, _ANGLE))
     own = sorted(entry.contacts)
     for item in stays:
         to.number(item in own, 1)
@@ -312,7 +329,7 @@ def _read_stance(source: Reader, docks: int, stays: list[list[int]]) -> dict[str
         parts = source.reals(_AXES + 1, 1.0)
     else:
         largest = source.number(2)
-        smaller = source.reals(_AXES, _CORNER)
+        smaller = source.reals(_AXES, _CORNER, _fewer(source.bits, _ANGLE))
         rest = math.sqrt(max(1.0 - float(smaller @ smaller), 0.0))
         parts = np.insert(smaller, largest, rest)
         parts /= np.linalg.norm(parts)

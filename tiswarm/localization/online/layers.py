@@ -136,6 +136,14 @@ class LocalLayers:
         problem = self.neighborhood(self._near(number))
         return self._is_surprise(problem, problem.linearized(self.state), number)
 
+    def surprising(self, robots: Ints) -> list[bool]:
+        """Judge of robots, ascending, whether chance does not explain their rows and overlaps."""
+        if not self._blocks_about(robots):
+            return [False] * len(robots)
+        problem = self.neighborhood(robots)
+        linear = problem.linearized(self.state)
+        return [self._is_surprise(problem, linear, robot) for robot in robots.tolist()]
+
     def neighborhood(self, robots: Ints) -> Neighborhood:
         """Gather the cost of some robots, ascending by join order, all others where they are."""
         return Neighborhood(

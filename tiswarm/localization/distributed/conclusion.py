@@ -1,0 +1,75 @@
+"""What robots found out by themselves, as an estimate."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiswarm.base.aliases import Bools, Reals
+from tiswarm.localization.assessment import assess, rms
+from tiswarm.localization.joint.problem import pose_problem
+from tiswarm.localization.params import DistributedParams
+from tiswarm.records.estimate import Convergence, Estimate
+from tiswarm.records.sensing_log import SensingLog
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What N robots know of themselves, and what that took. Lengths in R, from the anchor."""
+
+    position: Reals
+    """Where each robot takes itself to be; at the anchor if it does not know, shape (N, 3)."""
+
+    at_join: Reals | None
+    """The same as it joined, shape (N, 3); None if robots join before they localize themselves."""
+
+    sd: Reals
+    """Standard deviation of each position, as its robot knows it, shape (N,)."""
+
+    lost: Bools
+    """Robots that do not know where they are, shape (N,)."""
+
+    doubtful: Bools
+    """Robots that doubt where they are, shape (N,)."""
+
+    traffic: dict[str, Reals]
+    """As in `Estimate.traffic`."""
+
+    steps: int
+    """Number of joins, or of rounds."""
+
+    reason: str
+    """Why the search is not to be relied on."""
+
+
+def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Estimate:
+    """Make an estimate of what robots know, with the verdicts that their rows allow."""
+    position, unit = found.position, log.dock_radius
+    problem = pose_problem(log, params)
+    sd = found.sd.copy()
+    sd[found.lost] = np.linalg.norm(position, axis=1).max(initial=0.0)
+    gap = problem.residual(position[None], np.zeros((1, len(position))))
+    is_guess = problem.untied | found.lost
+    verdicts = assess(log, params.cues, position, is_guess=is_guess, sd=sd)._asdict()
+    verdicts["convergence"] = _verdict(verdicts["convergence"], found)
+    return Estimate(
+        robot_id=log.robot_id,
+        position=position * unit,
+        disconnected=is_guess,
+        sd=sd * unit,
+        **verdicts,
+        iteration=np.array([found.steps]),
+        trace=position[None] * unit,
+        at_join=None if found.at_join is None else found.at_join * unit,
+        residual=rms(gap) * unit,
+        doubtful=found.doubtful,
+        traffic=found.traffic,
+    )
+
+
+def _verdict(assessed: Convergence, found: Found) -> Convergence:
+    """Say why the search is not to be relied on; whether noise explains rows stands."""
+    robots, doubtful = len(found.doubtful), int(found.doubtful.sum())
+    if robots == 1:
+        return assessed
+    reason = f"{doubtful} of {robots} robots doubt their positions" if doubtful else found.reason
+    return replace(assessed, converged=False, reason=reason)
