@@ -24,6 +24,9 @@ CUES = (
 )
 """Cues that settings have a switch for."""
 
+ALL_CUES = tuple(dict.fromkeys((*CUES, *cue_names())))
+"""Those, and the ones that every method uses."""
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CueParams:
@@ -75,8 +78,7 @@ class CueParams:
     @property
     def cues(self) -> tuple[str, ...]:
         """What of the log is used: every cue without a switch, and those whose switch is on."""
-        names = dict.fromkeys((*CUES, *cue_names()))
-        return tuple(cue for cue in names if getattr(self, cue, True))
+        return tuple(cue for cue in ALL_CUES if getattr(self, cue, True))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
