@@ -305,6 +305,7 @@ class Cost:
             return self.own_variance, np.zeros(len(residual))
         square = self.robust_sd**2
         missed = residual**2 / (square * self.variance)
+        # Coordinates come last; known ones never give way.
         missed[len(self.rows.other) :][self.variance[len(self.rows.other) :] <= KNOWN] = 0.0
         # The three rows of a vector give way together: they are one measurement.
         offset = slice(len(self.rows.distances.stance), len(self.rows.other))

@@ -35,7 +35,6 @@ from tiswarm.world.walks import Spawn, Walks, climb_limits
 _MAX_TRIES = 64
 """Places drawn for one robot before its spawn counts as blocked."""
 
-
 Believe = Callable[[Sequence[History]], Sequence[Reals]]
 """Returns where the robots of structures that have grown so far believe their docks [R], (n N, 3)
 each; dock k of robot i is in row n i + k."""
@@ -200,21 +199,19 @@ class GrowingStructure:
         self.anchors = anchor_places(params, robot)
         self.rim = [np.inf if self.leads else -robot.dock_radius] * params.sides
         self.low_docks: dict[tuple[int, int], list[Reals]] = {}
-        self.surveyed = 0
         self.walks: list[Walk] = []
         self.loads: list[LoadSummary] = []
         self.sides: list[int] = []
         self.sensed: Reals = np.empty(0)
         self.call: NDArray[np.int32] = np.empty(0, np.int32)
-        self.unsolved = self.spawned = self.rejected = 0
+        self.surveyed = self.unsolved = self.spawned = self.rejected = 0
         self.crossed = False
         self.ended = ""
 
     @property
     def founding(self) -> bool:
         """Whether the next robot may stay without touching another."""
-        params = self.params
-        return len(self.walks) < max(params.founders * params.sides, params.anchor_count)
+        return len(self.walks) < self.params.founder_count
 
     def spawn(self, docks: Reals) -> Spawn | None:
         """Put the next robot on its lowest docks, or upright on one in a plane, turned at random.

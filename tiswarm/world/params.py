@@ -213,6 +213,11 @@ class GrowthParams(RecruitParams):
             return 1
         return self.anchors if isinstance(self.anchors, int) else len(self.anchors)
 
+    @property
+    def founder_count(self) -> int:
+        """Robots that may stay without touching another, the first to join."""
+        return max(self.founders * self.sides, self.anchor_count)
+
     def robot(self, shape: RobotGeometry) -> RobotGeometry:
         """Return the robot of this shape that builds the structure, upright in a plane."""
         return PlanarRobot(**vars(shape)) if self.plane else shape
