@@ -24,8 +24,10 @@ CUES = (
 )
 """Cues that settings have a switch for."""
 
-ALL_CUES = tuple(dict.fromkeys((*CUES, *cue_names())))
-"""Those, and the ones that every method uses."""
+
+def all_cues() -> tuple[str, ...]:
+    """List those, and the ones that every method uses."""
+    return tuple(dict.fromkeys((*CUES, *cue_names())))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -78,7 +80,7 @@ class CueParams:
     @property
     def cues(self) -> tuple[str, ...]:
         """What of the log is used: every cue without a switch, and those whose switch is on."""
-        return tuple(cue for cue in ALL_CUES if getattr(self, cue, True))
+        return tuple(cue for cue in all_cues() if getattr(self, cue, True))
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -26,7 +26,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import Plugin, PluginError, guarded, register, registered
 from tiswarm.base.progress import ignore
-from tiswarm.localization.cue_params import ALL_CUES
+from tiswarm.localization.cue_params import all_cues
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
@@ -37,7 +37,7 @@ KIND = "method"
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _BUILT_IN = ("joint", "virtual-force", "least-squares", "hop-by-hop", "online", "distributed")
 _TAKEN = ("method", "cues", "settings")
-_USUAL = tuple(cue for cue in ALL_CUES if cue != "touches")  # only `joint` finds docks of touches
+_USUAL = tuple(cue for cue in all_cues() if cue != "touches")  # only `joint` finds docks of touches
 
 _Locate = TypeVar("_Locate", bound=Callable[..., Any])
 
@@ -110,8 +110,8 @@ def method(
     if name in _BUILT_IN:
         raise InputError(f"method {name} is taken by tiswarm itself; choose another name")
     for cue in cues:
-        if cue not in ALL_CUES:
-            raise InputError(f"{cue} is not a cue; use {', '.join(ALL_CUES)}")
+        if cue not in all_cues():
+            raise InputError(f"{cue} is not a cue; use {', '.join(all_cues())}")
     section = _section(name, settings)
 
     def add(locate: _Locate) -> _Locate:
