@@ -204,25 +204,12 @@ class LocalSwarm:
 
     def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""
-        program = self._program
-        if number not in lines:
-            return self._renumbered(_measured(program.header, self._params, _ANCHOR, ()))
-        line = program.decoded(lines[number])
-        partners = program.partners(lines[number])
-        line = _about(line, lines.keys())
-        if stays is not None:
-            line = _held(line, stays, _head(program.header))
-        if not number:
-            return self._renumbered(_measured(program.header, self._params, _text(line), ()))
-        members = sorted((partners & lines.keys()) | {0})
-        standing_lines = tuple(
-            _text(standing(program.decoded(lines[each]))) if each in lines else _ANCHOR
-            for each in members
-        )
-        block = _measured(program.header, self._params, _text(line), standing_lines)
-        return self._renumbered(block)
-
-    def _renumbered(self, block: Block) -> Block:
+        line, others = lines.get(number, b""), {}
+        if number:
+            members = sorted(self._program.partners(line) & lines.keys() | {0})
+            others = {each: lines.get(each, b"") for each in members}
+        place = None if stays is None else tuple(stays.position.tolist())
+        block = _measured(self._program, self._params, line, tuple(others.items()), place)
         return replace(block, members=np.array([self._index[n] for n in block.members.tolist()]))
 
     def _touching(self, program: Program, line: bytes) -> set[tuple[int, int, int]]:
@@ -269,29 +256,43 @@ def _about(line: RobotLine, robots: AbstractSet[int]) -> RobotLine:
     return cleared(line).model_copy(update={"stances": stances})
 
 
-def _held(line: RobotLine, place: Whereabouts, head: HeaderLine) -> RobotLine:
-    """Add to a line that the robot is where it is."""
-    unit, center = head.dock_radius, place.position * head.dock_radius + head.anchor_position
+def _held(line: RobotLine, center: Reals, unit: float) -> RobotLine:
+    """Add to a line that the robot is where it is [log unit]."""
     axes = np.eye(_AXES)
     fixes = [(*axis.tolist(), float(axis @ center), ANSWERS.stays_sd * unit) for axis in axes]
     return line.model_copy(update={"fixes": [*(line.fixes or []), *fixes]})
 
 
-def _text(line: RobotLine) -> str:
-    return line.model_dump_json()
-
-
-_ANCHOR = _text(RobotLine(robot=0, orientation_wxyz=list(_LEVEL), contacts=[]))
+_ANCHOR = RobotLine(robot=0, orientation_wxyz=list(_LEVEL), contacts=[])
 """An anchor that nothing is known about but its place."""
 
 
 @lru_cache(maxsize=20_000)
-def _measured(header: str, params: OnlineParams, line: str, others: tuple[str, ...]) -> Block:
-    """Measure the rows of a robot about others, which stand; members are the robots' numbers."""
-    head = _head(header)
+def _measured(
+    program: Program,
+    params: OnlineParams,
+    line: bytes,
+    others: tuple[tuple[int, bytes], ...],
+    stays: tuple[float, ...] | None,
+) -> Block:
+    """Measure the rows of a robot about others, which stand; members are the robots' numbers.
+
+    Args:
+        program: Of every robot.
+        params: Settings of the layers.
+        line: What the robot sensed; empty for an anchor that nothing is known about.
+        others: Number and line of each, ascending; empty as well.
+        stays: Where the robot stays [R]; None if it may move.
+    """
+    head = _head(program.header)
+    about = {number for number, sensed in others if sensed}
+    own = _about(program.decoded(line), about) if line else _ANCHOR
+    if stays is not None:
+        center = np.array(stays) * head.dock_radius + head.anchor_position
+        own = _held(own, center, head.dock_radius)
     builder = SensingLogBuilder(head)
-    every = [RobotLine.model_validate_json(text) for text in (*others, line)]
-    for each in every:
-        builder.add(each)
-    members = np.array([each.robot for each in every], np.int64)
+    for _, sensed in others:
+        builder.add(standing(program.decoded(sensed)) if sensed else _ANCHOR)
+    builder.add(own)
+    members = np.array([*(number for number, _ in others), own.robot], np.int64)
     return block_of(centered(builder.log()), params, members)
