@@ -33,7 +33,7 @@ from tiswarm.localization.distributed.wire import (
     write_place,
 )
 from tiswarm.localization.online.tracker import Tracker
-from tiswarm.localization.params import BackPropagation, DistributedParams
+from tiswarm.localization.params import BackPropagation, DistributedParams, VirtualForceParams
 from tiswarm.localization.registry import centered, localize_many
 from tiswarm.records.sensing_format import parse_robot
 from tiswarm.sensing import observe
@@ -261,6 +261,34 @@ def test_bytes_of_algorithm_1_are_those_counted_by_hand(log):
     assert once["messages"].tolist() == [1] * 5
     # By touch, four transmissions bring a pose to all four, if all five hang together.
     assert relayed["sent"].sum() <= 5 * 4 * (pose + ACKNOWLEDGMENT)
+
+
+@pytest.mark.parametrize("channel", ["touch", "radio"])
+def test_without_undocked_repulsion_robots_hear_of_those_they_touch(log, channel):
+    """Each contact of two robots carries one pose, and one position for each step of a round."""
+    five = {"channel": channel, "undocked_repulsion": False}
+    joined = _five(log, **five)
+    rounds = _five(log, **five, back_propagation=BackPropagation(every=5, sweeps=10))
+    pairs = {(int(max(i, j)), int(min(i, j))) for i, _, j, _ in log.contacts.tolist() if i < 5 > j}
+    later, earlier = np.zeros(5), np.zeros(5)
+    for j, i in pairs:
+        later[i] += 1
+        earlier[j] += 1
+
+    pose, position = 4 + 13, 4 + 7
+    step = position * np.ones(5)
+    acknowledged = 0.0
+    if channel == "touch":
+        step = (position + ACKNOWLEDGMENT) * (earlier + later)
+        acknowledged = ACKNOWLEDGMENT * earlier
+    np.testing.assert_array_equal(joined["sent"], pose * later + acknowledged)
+    np.testing.assert_array_equal(rounds["sent"] - joined["sent"], 10 * step)
+    np.testing.assert_array_equal(joined["memory"], (1 + earlier + later) * 13)
+    local = {"undocked_repulsion": False}
+    estimates = localize_many(
+        [log] * 2, [DistributedParams(scheme="algorithm-1", **local), VirtualForceParams(**local)]
+    )
+    np.testing.assert_array_equal(estimates[0].position, estimates[1].position)
 
 
 def test_branches_carry_the_parts_of_those_behind_them():

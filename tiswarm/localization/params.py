@@ -22,7 +22,7 @@ _ONE_BY_ONE = (
 
 _OF_SCHEME = {
     "joiner": ("hops", "robots", "solver", "reach", "growth", "chains"),
-    "algorithm-1": ("poses", "back_propagation"),
+    "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
 """Settings of `distributed` that have a meaning in one scheme only."""
 
@@ -291,6 +291,10 @@ class DistributedParams(ChiSquareParams):
 
     poses: Literal["once", "every-join"] = "every-join"
     """When robots send their poses in `algorithm-1`: once they are placed, or at each join."""
+
+    undocked_repulsion: bool = True
+    """Use Eq. (2) in `algorithm-1`, for which robots hear of all others; without it they hear of
+    those that they touch alone, once."""
 
     back_propagation: BackPropagation | None = None
     """Rounds of `algorithm-1` in which all robots move again; off if null."""

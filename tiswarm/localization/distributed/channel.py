@@ -134,30 +134,50 @@ class Channel:
             for _, event in sorted(due, key=lambda each: each[0]):
                 event()
 
-    def broadcast(self, size: int, times: int = 1) -> None:
+    @property
+    def degree(self) -> Ints:
+        """Robots that each one touches, shape (N,)."""
+        return np.array([len(touching) for touching in self._links], np.int64)
+
+    def broadcast(self, size: int, times: int = 1, *, by_all: bool = True) -> None:
         """Count messages of so many bytes of each robot to all others, without letting them pass.
 
-        Of repeated ones, the mean counts. By touch each robot hears all others through one contact.
+        Of repeated ones, the mean counts. By touch each robot hears all others through one contact,
+        or, unless they are passed on by all, only those that it touches.
         """
-        params, robots = self._params, len(self._links)
-        if params.channel == "radio":
-            self.sent[:robots] += times * size
-            self.messages[:robots] += times
-            self.heard[:robots] += round(times * (robots - 1) * size * (1.0 - params.loss))
+        robots = range(len(self._links))
+        for source in robots:
+            tree = {source: sorted(self._links[source])}
+            if by_all and self._params.channel == "touch":
+                tree = self._tree(source, {*robots})
+            for sender, after in tree.items():
+                self._count(sender, after, size, times)
+
+    def answer(self, robot: int, size: int) -> None:
+        """Count messages of so many bytes to a robot, one of each that it touches."""
+        for sender in sorted(self._links[robot]):
+            self._count(sender, [robot], size, 1)
+
+    def _count(self, sender: int, receivers: list[int], size: int, times: int) -> None:
+        """Count messages as many times, with what is repeated in the mean; by radio all hear it."""
+        got = 1.0 - self._params.loss
+        if self._params.channel == "radio":
+            others = np.arange(len(self.sent)) < len(self._links)
+            others[sender] = False
+            self.sent[sender] += times * size
+            self.messages[sender] += times
+            self.heard[others] += round(times * got * size)
             return
-        got = 1.0 - params.loss
         # A transmission is repeated unless both it and its acknowledgment were heard.
         failed = 1.0 - got**2
-        tries = sum(failed**k for k in range(params.retries + 1))
-        for source in range(robots):
-            tree = self._tree(source, {*range(robots)})
-            for sender, after in tree.items():
-                self.sent[sender] += round(times * tries * len(after) * size)
-                self.heard[sender] += round(times * tries * got**2 * len(after) * ACKNOWLEDGMENT)
-                self.messages[sender] += round(times * tries * len(after))
-                for other in after:
-                    self.heard[other] += round(times * tries * got * size)
-                    self.sent[other] += round(times * tries * got * ACKNOWLEDGMENT)
+        tries = times * sum(failed**k for k in range(self._params.retries + 1))
+        count = len(receivers)
+        self.sent[sender] += round(tries * count * size)
+        self.heard[sender] += round(tries * got**2 * count * ACKNOWLEDGMENT)
+        self.messages[sender] += round(tries * count)
+        for other in receivers:
+            self.heard[other] += round(tries * got * size)
+            self.sent[other] += round(tries * got * ACKNOWLEDGMENT)
 
     def _tree(self, root: int, targets: set[int]) -> dict[int, list[int]]:
         """Find ways to some robots: by robot, whom it passes a message on to."""

@@ -1,9 +1,10 @@
 """Algorithm 1 of the paper between robots: what it sends, beside the estimate of `virtual-force`.
 
-A robot that joins needs the poses of those that it touches, and of all near it: the paper's minimal
-global channel, on which robots "periodically broadcast an estimated pose proxy (e.g., center and
-dock position)". In a round of back-propagation each robot sends its position after each of its
-steps. By touch, robots pass on what they hear.
+A robot that joins needs the poses of those that it touches, and for undocked repulsion of all near
+it: the paper's minimal global channel, on which robots "periodically broadcast an estimated pose
+proxy (e.g., center and dock position)". Without that repulsion, those that it touches answer it. In
+a round of back-propagation each robot sends its position after each of its steps. By touch, robots
+pass on what they hear.
 """
 
 from dataclasses import replace
@@ -33,7 +34,9 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
         The estimate without losses and rounding, with the traffic of the channel. Robots do not
         judge for themselves.
     """
-    settings = VirtualForceParams(back_propagation=params.back_propagation)
+    settings = VirtualForceParams(
+        back_propagation=params.back_propagation, undocked_repulsion=params.undocked_repulsion
+    )
     [found] = virtual_force.localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, robots, lambda _, message: message)
@@ -45,11 +48,14 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
     rounds = params.back_propagation
     for number in range(robots):
         channel.join(touching[number])
-        if params.poses == "every-join" or number == robots - 1:
+        if not params.undocked_repulsion:
+            channel.answer(number, pose)
+        elif params.poses == "every-join" or number == robots - 1:
             channel.broadcast(pose)
         if rounds is not None and _follows(rounds, number + 1, robots):
-            channel.broadcast(moved, rounds.sweeps)
-    memory = np.full(robots, robots * (pose - HEADER), np.int64)
+            channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
+    heard_of = np.array([robots if params.undocked_repulsion else 1 + n for n in channel.degree])
+    memory = heard_of * (pose - HEADER)
     traffic = channel.traffic(memory, _operations(log, settings, found.steps))
     return replace(found, traffic=traffic)
 
@@ -60,10 +66,10 @@ def _follows(rounds: BackPropagation, joined: int, robots: int) -> bool:
 
 
 def _operations(log: SensingLog, params: VirtualForceParams, steps: Ints | None) -> Reals:
-    """Count the operations of each robot, which looks at all docks that it heard of, shape (N,)."""
+    """Count the operations of each robot, shape (N,); for Eq. (2) it looks at all docks."""
     taken = np.full(log.robot_count, params.iterations) if steps is None else steps
     docks = len(log.dock_offset_body)
     # Only robots that have joined before are heard.
-    pairs = docks**2 * np.arange(log.robot_count)
+    pairs = docks**2 * np.arange(log.robot_count) * params.undocked_repulsion
     per_step = _OF_DISTANCE * pairs + _OF_FORCE * contact_count(log)
     return np.asarray(taken * per_step, np.float64)
