@@ -13,7 +13,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.annealing import reannealed
+from tiswarm.localization.online.annealing import annealed_estimate, reannealed
 from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import HopByHopParams, OnlineParams
@@ -22,7 +22,7 @@ from tiswarm.localization.registry import centered, localize
 from tiswarm.records.sensing_file import log_entries
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
-from tiswarm.world.params import CantileverParams
+from tiswarm.world.params import BridgeParams, CantileverParams
 
 NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 LOCAL = OnlineParams(anneal_growth=1e6)
@@ -323,6 +323,24 @@ def test_the_trace_begins_with_each_robot_as_it_joined(towers, lines):
     final = tracker.estimate(final=True)
     np.testing.assert_allclose(estimate.position, final.position, rtol=0.0, atol=1e-12)
     assert estimate.convergence == final.convergence
+
+
+def test_a_part_is_brought_to_the_contacts_that_tie_it():
+    """The last robot ties five others to the anchor, 25 R from where they were taken to be."""
+    [bridge] = grow(BridgeParams(gap=26.0), robots=13, seeds=[7], robot=RobotGeometry())
+    log = centered(observe(bridge, NOISY))
+    header, *lines = lines_of(log)
+    before = fed([header, *lines[:-1]], LOCAL).log
+    part = np.append(pose_problem(before, LOCAL).untied, False)
+    true = bridge.position - bridge.position[0]
+    away = true + np.where(part[:, None], [25.0, 8.0, 0.0], 0.0)
+
+    found = annealed_estimate(log, OnlineParams(), Configuration(away, np.zeros_like(away)))
+
+    assert part.sum() == 5
+    assert not len(found.outlier_contacts)
+    off = np.linalg.norm(found.position - true, axis=1)
+    assert (off <= np.maximum(3.0 * found.sd, 1.0)).all()
 
 
 def test_the_present_state_has_verdicts_and_sd(lines):

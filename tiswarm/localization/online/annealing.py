@@ -17,6 +17,7 @@ from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import JointParams, OnlineParams
 from tiswarm.localization.refinement import Cost
+from tiswarm.measurements.contacts import untied_directions
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -81,17 +82,34 @@ def reannealed(
 def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuration) -> Estimate:
     """Anneal a structure from where it is, and mix the chains as `joint` does; as `reannealed`.
 
-    An estimate that is not to be trusted gives way to that of `joint`, if that is.
+    An estimate that is not to be trusted, or that gives up what ties robots to the anchor, gives
+    way to that of `joint`, if that is trusted.
     """
     warm = _as_joint(params)
     problem, chains = _chains(log, warm, state)
     estimate = mixed(log, warm, problem, chains, failed(problem, chains))
     estimate = without_outlier_robots(log, warm, problem, chains, estimate)
-    if estimate.convergence is None or estimate.convergence.trusted:
+    is_trusted = estimate.convergence is None or estimate.convergence.trusted
+    if is_trusted and not _is_torn(problem, estimate):
         return estimate
     other = _searched(log, params)
     is_better = other.convergence is not None and other.convergence.trusted
     return other if is_better else estimate
+
+
+def _is_torn(problem: Problem, estimate: Estimate) -> bool:
+    """Judge whether contacts that are taken for outliers alone tie some robots to the anchor.
+
+    Chains cannot bring a part of many robots to where a contact says that is far away.
+    """
+    if estimate.outlier_contacts is None or not len(estimate.outlier_contacts):
+        return False
+    outliers = {*map(tuple, estimate.outlier_contacts.tolist())}
+    counts = np.ones(len(problem.rows), np.bool_)
+    sensed = problem.rows.sensed_contacts.tolist()
+    counts[: len(sensed)] = [tuple(contact) not in outliers for contact in sensed]
+    left = untied_directions(problem.rows.select(counts)).any(axis=(1, 2))
+    return bool((left & ~problem.untied).any())
 
 
 def _searched(log: SensingLog, params: OnlineParams) -> Estimate:
