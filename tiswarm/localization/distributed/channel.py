@@ -142,8 +142,8 @@ class Channel:
     def broadcast(self, size: int, times: int = 1, *, by_all: bool = True) -> None:
         """Count messages of so many bytes of each robot to all others, without letting them pass.
 
-        Of repeated ones, the mean counts. By touch each robot hears all others through one contact,
-        or, unless they are passed on by all, only those that it touches.
+        Of repeated ones, the mean counts. By touch each robot hears all others through one contact;
+        where not all pass messages on, it hears those that it touches.
         """
         robots = range(len(self._links))
         for source in robots:
@@ -159,7 +159,7 @@ class Channel:
             self._count(sender, [robot], size, 1)
 
     def _count(self, sender: int, receivers: list[int], size: int, times: int) -> None:
-        """Count messages as many times, with what is repeated in the mean; by radio all hear it."""
+        """Count transmissions of a robot, with repetitions in the mean; by radio all hear it."""
         got = 1.0 - self._params.loss
         if self._params.channel == "radio":
             others = np.arange(len(self.sent)) < len(self._links)
