@@ -325,6 +325,18 @@ def test_the_trace_begins_with_each_robot_as_it_joined(towers, lines):
     assert estimate.convergence == final.convergence
 
 
+def test_a_robot_that_senses_nothing_joins(lines):
+    """It stands where the last one does, as little known as all that nothing ties."""
+    mute = json.loads(lines[6]) | {"contacts": [], "ground_docks": [], "flip_height": None}
+    tracker = fed([*lines[:6], {key: mute[key] for key in mute if key != "stances"}], LOCAL)
+
+    estimate = tracker.estimate()
+
+    assert estimate.disconnected.tolist() == [*[False] * 5, True]
+    assert np.isfinite(estimate.position).all()
+    assert estimate.sd[-1] > estimate.sd[:-1].max()
+
+
 def test_a_part_is_brought_to_the_contacts_that_tie_it():
     """The last robot ties five others to the anchor, 25 R from where they were taken to be."""
     [bridge] = grow(BridgeParams(gap=26.0), robots=13, seeds=[7], robot=RobotGeometry())

@@ -222,7 +222,7 @@ class LocalLayers:
 def _by_coordinates(block: Block, start: Reals) -> Reals:
     """Place a robot where its coordinates say [R], at the start if they leave that open, (3,)."""
     rows = block.rows
-    if np.linalg.matrix_rank(rows.places.direction) < _AXES:
+    if len(rows) < _AXES or np.linalg.matrix_rank(rows.places.direction) < _AXES:
         return start
     weight = 1.0 / np.sqrt(rows.variance())
     missed = weight * rows.residual(np.tile(start, (rows.robots, 1)))
