@@ -146,28 +146,37 @@ class Channel:
         where not all pass messages on, it hears those that it touches.
         """
         robots = range(len(self._links))
+        if self._params.channel == "radio":
+            self._count_by_radio([*robots], size, times)
+            return
         for source in robots:
             tree = {source: sorted(self._links[source])}
-            if by_all and self._params.channel == "touch":
+            if by_all:
                 tree = self._tree(source, {*robots})
             for sender, after in tree.items():
-                self._count(sender, after, size, times)
+                self._count_by_touch(sender, after, size, times)
 
     def answer(self, robot: int, size: int) -> None:
         """Count messages of so many bytes to a robot, one of each that it touches."""
-        for sender in sorted(self._links[robot]):
-            self._count(sender, [robot], size, 1)
-
-    def _count(self, sender: int, receivers: list[int], size: int, times: int) -> None:
-        """Count transmissions of a robot, with repetitions in the mean; by radio all hear it."""
-        got = 1.0 - self._params.loss
+        senders = sorted(self._links[robot])
         if self._params.channel == "radio":
-            others = np.arange(len(self.sent)) < len(self._links)
-            others[sender] = False
-            self.sent[sender] += times * size
-            self.messages[sender] += times
-            self.heard[others] += round(times * got * size)
+            self._count_by_radio(senders, size, 1)
             return
+        for sender in senders:
+            self._count_by_touch(sender, [robot], size, 1)
+
+    def _count_by_radio(self, senders: list[int], size: int, times: int) -> None:
+        """Count transmissions of some robots, which all others hear."""
+        joined, got = len(self._links), 1.0 - self._params.loss
+        self.sent[senders] += times * size
+        self.messages[senders] += times
+        others = np.full(joined, len(senders))
+        others[senders] -= 1
+        self.heard[:joined] += np.round(times * got * size * others).astype(np.int64)
+
+    def _count_by_touch(self, sender: int, receivers: list[int], size: int, times: int) -> None:
+        """Count transmissions of a robot to each of some others, with repetitions in the mean."""
+        got = 1.0 - self._params.loss
         # A transmission is repeated unless both it and its acknowledgment were heard.
         failed = 1.0 - got**2
         tries = times * sum(failed**k for k in range(self._params.retries + 1))

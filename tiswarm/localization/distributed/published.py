@@ -54,7 +54,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
             channel.broadcast(pose)
         if rounds is not None and _follows(rounds, number + 1, robots):
             channel.broadcast(moved, rounds.sweeps, by_all=params.undocked_repulsion)
-    heard_of = np.array([robots if params.undocked_repulsion else 1 + n for n in channel.degree])
+    heard_of = np.full(robots, robots) if params.undocked_repulsion else 1 + channel.degree
     memory = heard_of * (pose - HEADER)
     traffic = channel.traffic(memory, _operations(log, settings, found.steps))
     return replace(found, traffic=traffic)
