@@ -28,7 +28,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test check docs gpu lint format clean unusable
+.PHONY: help run test trial check docs gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -36,8 +36,11 @@ help:  ## List what can be made
 run: $(installed) $(system_checked)  ## Set up, then run a scenario (SCENARIO=scenarios/tower.yaml)
 	$(bin)/tiswarm run "$(SCENARIO)"
 
-test: lint $(system_checked)  ## Set up with the developers' tools, then check everything
+test: lint $(system_checked)  ## Set up with the developers' tools, then check every claim
 	$(tests) --durations=25
+
+trial: $(installed_dev) $(system_checked)  ## Check claims at full size, processes, packages, devices
+	$(tests) -m "trial and not slow" --durations=25
 
 check: lint  ## Check style, types and contracts, and run quick tests (ROOMS='world study')
 	$(tests) --quiet tests/test_architecture.py tests/test_language.py tests/test_pages.py \

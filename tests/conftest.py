@@ -19,6 +19,30 @@ BOUNDS = "TISWARM_DEBUG"
 """Variable by which kernels check the bounds of arrays; read when the backend starts."""
 
 ROOMS_WITH_KERNELS = {"compute", "engine", "localization", "world"}
+THREADS = "test_threads.py"
+"""File of all tests that compute on several numbers of threads."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort tests by the program that their kernels need; the rest of their order stays.
+
+    A program traces every kernel that it runs anew, seconds for growth alone. So each worker of
+    pytest starts each program once, as far as tests allow. Those on numbers of threads come first:
+    they run the methods once more, and a worker hands on its last tests, not its first.
+    """
+    items.sort(key=lambda item: (item.path.name != THREADS, _checks_bounds(item), _choice(item)))
+
+
+def _checks_bounds(node: pytest.Item | pytest.Module) -> bool:
+    """Whether kernels check the bounds of arrays in a test or a module."""
+    room = node.path.parent.name
+    return room in ROOMS_WITH_KERNELS and node.get_closest_marker("unchecked") is None
+
+
+def _choice(item: pytest.Item) -> list[tuple[str, object]]:
+    """Return the arguments with which a test starts the backend, in an order."""
+    marker = item.get_closest_marker("program")
+    return sorted(marker.kwargs.items()) if marker else []
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -28,18 +52,17 @@ def _bounds(request: pytest.FixtureRequest) -> None:
     Annealing takes two and a half times as long with checks, and whole runs would find nothing that
     tests of kernels do not.
     """
-    room = request.path.parent.name
-    checks = room in ROOMS_WITH_KERNELS and request.node.get_closest_marker("unchecked") is None
-    if os.environ[BOUNDS] != str(int(checks)):
-        os.environ[BOUNDS] = str(int(checks))
+    checks = str(int(_checks_bounds(request.node)))
+    if os.environ[BOUNDS] != checks:
+        os.environ[BOUNDS] = checks
         backend.start(precision="f32")  # another program, so that the next one starts anew
     backend.start()  # fixtures of the module come before the first test
 
 
 @pytest.fixture(autouse=True)
-def _running_backend() -> None:
-    """Start every test on the same backend."""
-    backend.start()
+def _running_backend(request: pytest.FixtureRequest) -> None:
+    """Start every test on the same backend, or on the one that its marker `program` names."""
+    backend.start(**dict(_choice(request.node)))
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,5 @@
 """The swarm step against the equations written out, and laws that hold for any structure."""
 
-import json
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -194,35 +189,6 @@ def test_structures_side_by_side_are_as_if_alone():
     )  # fmt: skip
 
     np.testing.assert_array_equal(together.position[70:], alone.position)
-
-
-_BYTES = """
-import hashlib, json, sys
-import numpy as np
-from tests.engine.test_relax import GAINS, ROBOT, swarm
-from tiswarm import relax
-sides, threads = json.loads(sys.argv[1])
-place = swarm(100_000, 5, sides)
-for count in threads:
-    done = relax(*place, robot=ROBOT, ramp=0.5, steps=5, threads=count, **GAINS | {"max_step": 0.5})
-    assert done.list_builds > 1
-    print(hashlib.sha256(done.position.tobytes()).hexdigest())
-"""
-
-
-@pytest.mark.parametrize("sides", [(1, 1, 1), (1, 1, 400)], ids=["dense", "tall"])
-def test_threads_change_no_bit(sides):
-    """100,000 robots in shuffled order; races have shown at this size and hidden at 20,000."""
-    done = subprocess.run(
-        [sys.executable, "-c", _BYTES, json.dumps([sides, [1, 2]])],
-        capture_output=True, text=True, check=False, env=_without_bounds_checks(),
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert len(set(done.stdout.split())) == 1
-
-
-def _without_bounds_checks():
-    return {name: value for name, value in os.environ.items() if name != "TISWARM_DEBUG"}
 
 
 both_small = pytest.mark.parametrize("small", [2_000, 0], ids=["by structure", "all at once"])

@@ -5,11 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.engine.test_relax import swarm
 from tests.localization.test_virtual_force import _pair
 from tests.oracle import swarm_step
 from tiswarm.base.errors import InputError
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
 from tiswarm.localization.params import BackPropagation, Together, VirtualForceParams
@@ -140,33 +138,6 @@ def test_company_does_not_change_a_byte_in_f32(towers):
 
     assert batch[0].trace.tobytes() == localize(logs[0], SHORT).trace.tobytes()
     assert 0.0 < np.abs(batch[0].trace - in_f64.trace).max() < 1e-4
-
-
-@pytest.mark.parametrize("robots", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_threads_change_no_bit(robots):
-    """One structure, on one thread and on two."""
-    center, orientation, contacts = swarm(robots, 5)
-    log = SensingLog(
-        robot_id=np.arange(robots),
-        dock_radius=1.0,
-        dock_offset_body=RobotGeometry().dock_offset_body,
-        anchor_position=center[0],
-        orientation_wxyz=orientation,
-        contacts=np.where(
-            (contacts[:, 0] < contacts[:, 2])[:, None], contacts, contacts[:, [2, 3, 0, 1]]
-        ).astype(np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=center[:, 2],
-        spawn_position=np.full((robots, 3), np.nan),
-    )
-    params = dataclasses.replace(SHORT, together=Together(steps=6))
-
-    found = []
-    for threads in (1, 2):
-        backend.start(threads=threads)
-        found.append(localize_many([log], [params])[0].trace.tobytes())
-
-    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.runs import REPOSITORY, assert_same_results
+from tests.runs import REPOSITORY
 from tests.world.test_beliefs import same
 from tiswarm import study
 from tiswarm.base.progress import Progress
@@ -28,8 +28,8 @@ def _loaded(*sets):
     return load_scenario(REPOSITORY / "tests" / "tower.yaml", [*SETS, *sets])
 
 
-def _run(folder, *sets, threads=None) -> Path:
-    return study.run(_loaded(*sets), folder, threads=threads, progress=Progress()).folder
+def _run(folder, *sets) -> Path:
+    return study.run(_loaded(*sets), folder, progress=Progress()).folder
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +112,3 @@ def test_methods_that_place_robots_as_they_join_build_what_whole_logs_do(monkeyp
     anew = built()
 
     assert all(same(a, b) for a, b in zip(one_by_one.walks, anew.walks, strict=True))
-
-
-def test_a_closed_loop_writes_the_same_bytes_on_any_number_of_threads(built, tmp_path):
-    """The same scenario and seed grow and estimate the same."""
-    assert_same_results(built, _run(tmp_path, *BOTH, threads=1))

@@ -1,0 +1,243 @@
+"""Threads change no bit: the same work on one thread and on two, kernels as users run them.
+
+A start on another number of threads traces all kernels anew, so one fixture does all of the work on
+one thread, and then on two.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests.engine.test_relax import GAINS, ROBOT, swarm
+from tests.localization.test_annealing_by_messages import QUICK as BY_MESSAGES
+from tests.localization.test_branch_sums import annealer
+from tests.localization.test_distributed import QUICK as DISTRIBUTED
+from tests.localization.test_joint_estimates import BIASED, NOISY
+from tests.localization.test_joint_estimates import SHORT as JOINT
+from tests.localization.test_online import QUICK as ONLINE
+from tests.localization.test_together import SHORT as TOGETHER
+from tests.localization.test_virtual_force import CUES
+from tests.runs import REPOSITORY, repeated_files
+from tests.sensing.test_sight import cloud, views
+from tests.world.test_growth import FIREANT, KINDS
+from tiswarm import relax, study
+from tiswarm.base.progress import Progress
+from tiswarm.base.robot import RobotGeometry
+from tiswarm.compute import backend
+from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
+from tiswarm.localization.params import HopByHopParams, LeastSquaresParams, Together
+from tiswarm.localization.registry import METHODS, localize_many
+from tiswarm.records.sensing_log import SensingLog
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing.suites.sight import in_sight
+from tiswarm.world.growth import grow
+from tiswarm.world.params import TowerParams
+
+
+class Scale(NamedTuple):
+    """How much of the work is done."""
+
+    structures: int
+    """Structures side by side."""
+
+    robots: int
+    """Robots of each."""
+
+    swarm: int
+    """Robots that move all at once."""
+
+
+SMALL = Scale(structures=1, robots=12, swarm=10_000)
+FULL = Scale(structures=3, robots=30, swarm=100_000)
+
+Work = Callable[[Scale, Path], object]
+"""Computes something; what it writes goes into the folder."""
+
+
+def _bits(value: object) -> object:
+    """Return a value with its arrays as bytes, so that `==` compares all of their bits."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if dataclasses.is_dataclass(value):
+        return {f.name: _bits(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: _bits(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_bits(each) for each in value]
+    return value if isinstance(value, bytes) else repr(value)
+
+
+# --- work ------------------------------------------------------------------------------------
+
+
+def _logs(scale: Scale, noise: SensingParams = NOISY) -> list[SensingLog]:
+    """Logs of noisy towers."""
+    seeds = range(scale.structures)
+    towers = grow(TowerParams(), robots=scale.robots, seeds=seeds, robot=FIREANT)
+    return [observe(tower, noise) for tower in towers]
+
+
+_swarm = cache(swarm)
+"""Structures of the engine; two numbers of threads move the same one."""
+
+
+def _growth(kind: str, movers: int) -> Work:
+    params = dataclasses.replace(KINDS[kind], movers=movers)
+    return lambda *_: grow(params, robots=25, seeds=[1, 3, 4], robot=FIREANT)
+
+
+def _sight(*_: object) -> object:
+    history = cloud(1, 60, 30.0)
+    return in_sight(history, views(1, history, 2000, [30.0, 30.0, 30.0]))
+
+
+def _method(*params: object) -> Work:
+    """Localize all logs by each of some settings, all at once."""
+
+    def localize(scale: Scale, _: Path) -> object:
+        logs = _logs(scale)
+        every = [each for each in params for _ in logs]
+        return localize_many(logs * len(params), every)
+
+    return localize
+
+
+def _joint(scale: Scale, _: Path) -> object:
+    logs = [*_logs(scale), *_logs(scale, BIASED)]
+    apart = dataclasses.replace(JOINT, height=False, walk_contacts=False)
+    return localize_many(logs * 2, [JOINT] * len(logs) + [apart] * len(logs))
+
+
+def _joint_on_a_card(scale: Scale, _: Path) -> object:
+    """Let the processor sum forces on branches as a card does: many threads, one sum."""
+    running = dataclasses.replace(backend.current(), arch="vulkan")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(backend, "current", lambda: running)
+        card = annealer(_logs(scale))
+        card.advance(2 * STEPS_A_LAUNCH + 1)
+        return card.by_robot(card.swarm.position)
+
+
+def _messages(scheme: object, channel: str) -> Work:
+    params = dataclasses.replace(scheme, channel=channel, loss=0.3, delay=1)
+    return lambda scale, _: localize_many(_logs(scale)[:1], [params])
+
+
+def _together(scale: Scale, _: Path) -> object:
+    robots = scale.swarm
+    center, orientation, contacts = _swarm(robots, 5)
+    is_first = (contacts[:, 0] < contacts[:, 2])[:, None]
+    log = SensingLog(
+        robot_id=np.arange(robots),
+        dock_radius=1.0,
+        dock_offset_body=RobotGeometry().dock_offset_body,
+        anchor_position=center[0],
+        orientation_wxyz=orientation,
+        contacts=np.where(is_first, contacts, contacts[:, [2, 3, 0, 1]]).astype(np.int32),
+        ground_docks=np.empty((0, 2), np.int32),
+        flip_height=center[:, 2],
+        spawn_position=np.full((robots, 3), np.nan),
+    )
+    return localize_many([log], [dataclasses.replace(TOGETHER, together=Together(steps=6))])
+
+
+def _relax(sides: tuple[int, int, int]) -> Work:
+    """Move robots in shuffled order; races have shown at this size and hidden at 20,000."""
+
+    def move(*_: object) -> object:
+        place = _swarm(100_000, 5, sides)
+        done = relax(
+            *place, robot=ROBOT, ramp=0.5, steps=5, threads=backend.current().threads,
+            **GAINS | {"max_step": 0.5},
+        )  # fmt: skip
+        assert done.list_builds > 1
+        return done.position
+
+    return move
+
+
+def _run(*sets: str) -> Work:
+    """Run a scenario and read all files that must repeat."""
+
+    def run(_: Scale, folder: Path) -> object:
+        scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", sets)
+        threads = backend.current().threads
+        done = study.run(scenario, folder, threads=threads, progress=Progress())
+        return repeated_files(done.folder)
+
+    return run
+
+
+WORKS: dict[str, Work] = {
+    **{f"growth of a {kind}": _growth(kind, 1) for kind in ("cantilever", "bridge", "chain")},
+    **{f"growth of a {kind} by three": _growth(kind, 3) for kind in ("tower", "cantilever")},
+    "sight": _sight,
+    "joint": _joint,
+    "joint on a card": _joint_on_a_card,
+    "virtual-force": _method(*CUES),
+    "virtual-force together": _together,
+    "least-squares": _method(LeastSquaresParams()),
+    "hop-by-hop": _method(HopByHopParams()),
+    "online": _method(ONLINE),
+    "distributed by touch": _messages(DISTRIBUTED, "touch"),
+    "distributed by radio": _messages(DISTRIBUTED, "radio"),
+    "distributed annealing by touch": _messages(BY_MESSAGES, "touch"),
+    "distributed annealing by radio": _messages(BY_MESSAGES, "radio"),
+    "relax, dense": _relax((1, 1, 1)),
+    "relax, tall": _relax((1, 1, 400)),
+    "run": _run("robots=12", "seeds=2"),
+    "closed loop": _run(
+        "robots=8",
+        "seeds=1",
+        "sensing.tilt_noise_deg=1",
+        "sweep={structure.navigate_by: [truth, estimate]}",
+        "conditions={once: {}, back: {localization.back_propagation: {every: 5}}}",
+    ),
+}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[SMALL, pytest.param(FULL, marks=pytest.mark.trial)],
+    ids=["small", "full"],
+)
+def found(request, tmp_path_factory) -> dict[str, list[object]]:
+    """By work, what came of it on one thread and on two; an exception if it failed."""
+    found: dict[str, list[object]] = {name: [] for name in WORKS}
+    for threads in (1, 2):
+        backend.start(threads=threads)
+        for name, work in WORKS.items():
+            try:
+                value = _bits(work(request.param, tmp_path_factory.mktemp("work")))
+            except Exception as error:  # noqa: BLE001 - the test of this work raises it
+                value = error
+            found[name].append(value)
+            assert backend.current().threads == threads
+    return found
+
+
+# --- claims ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WORKS)
+def test_threads_change_no_bit(found, name):
+    """The same scenario, seed and version give the same bytes at any number of threads."""
+    one, two = found[name]
+
+    for value in (one, two):
+        if isinstance(value, Exception):
+            raise value
+    assert len(repr(one)) > 1000
+    assert one == two
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_is_among_them(method):
+    """A new method brings a work of its own."""
+    assert any(f"{name} ".startswith(f"{method} ") for name in WORKS)
