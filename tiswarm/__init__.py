@@ -24,6 +24,7 @@ returns prints itself. `help(tiswarm.localize)` explains a call. A mistake in an
 an `InputError`.
 """
 
+import random
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -104,7 +105,11 @@ def __getattr__(name: str) -> object:
     """Import a name when it is used; `import tiswarm` alone loads no kernel compiler."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME.get(name, "tiswarm.api")), name)
+    drawn = random.getstate()
+    try:
+        return getattr(import_module(_HOME.get(name, "tiswarm.api")), name)
+    finally:
+        random.setstate(drawn)  # rich draws numbers as it is imported
 
 
 def __dir__() -> list[str]:

@@ -1,9 +1,11 @@
 """The backend is the one asked for, or an error."""
 
+import json
 import math
 import os
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.devices import run_child
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Allocator
-from tiswarm.compute.lang import LIBRARY, ti
+from tiswarm.compute.lang import LIBRARIES, ti, variables_hidden
 from tiswarm.compute.math_kernels import probe_arithmetic
 
 
@@ -83,24 +86,35 @@ def test_starting_twice_is_starting_once():
     assert backend.start(precision="f32").precision == "f32"
 
 
-def test_environment_variables_cannot_change_the_backend_unseen():
-    """Taichi obeys a variable over its caller, which is noticed; quadrants does not."""
-    code = (
-        "from tiswarm.compute import backend\n"
-        "backend.start()\n"
-        "from tiswarm.compute.lang import ti\n"
-        "print(ti.lang.impl.current_cfg().arch == ti.cpu)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"TI_ARCH": "vulkan", "QD_ARCH": "vulkan"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def test_variables_of_the_kernel_library_change_neither_device_nor_arithmetic(monkeypatch):
+    """It obeys them over its caller; they stay in place for the caller's own kernels."""
+    asked = []
+    monkeypatch.setattr("urllib.request.urlopen", lambda *request, **_: asked.append(request))
+    for prefix in LIBRARIES.values():
+        monkeypatch.setenv(f"{prefix}_ARCH", "vulkan")
+        monkeypatch.setenv(f"{prefix}_OPT_LEVEL", "0")
+        monkeypatch.setenv(f"{prefix}_OFFLINE_CACHE_CLEANING_POLICY", "nonsense")
+        monkeypatch.setenv(f"{prefix}_VISIBLE_DEVICE", "0")
+    before, running = dict(os.environ), set(threading.enumerate())
 
-    assert "EnvironmentTroubleError" in done.stderr or done.stdout == "True\n"
-    assert LIBRARY != "taichi" or done.returncode == 1
+    backend.start(threads=1)
+
+    assert ti.lang.impl.current_cfg().arch == ti.cpu
+    assert ti.lang.impl.current_cfg().opt_level == 1
+    assert dict(os.environ) == before
+    assert {*threading.enumerate()} <= running, "a thread asks for a newer version"
+    assert asked == []
+
+
+def test_a_card_among_several_is_chosen_by_the_variable_of_the_library():
+    """No argument names one, so this variable alone is left to the library."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TI_VISIBLE_DEVICE", "1")
+        patch.setenv("TI_ARCH", "vulkan")
+        with variables_hidden("taichi", {"TI_ENABLE_PYBUF": "0"}):
+            seen = {name: value for name, value in os.environ.items() if name[:3] == "TI_"}
+
+    assert seen == {"TI_VISIBLE_DEVICE": "1", "TI_ENABLE_PYBUF": "0"}
 
 
 @pytest.mark.parametrize("home", [{"HOME": "/proc/nowhere"}, {}])
@@ -115,20 +129,44 @@ def test_a_home_that_cannot_be_written_does_no_harm(home):
     assert Path(done.stdout.strip()).exists() == (not home)
 
 
-def test_linear_algebra_has_one_thread_whatever_is_loaded_later():
-    """NumPy and SciPy bring a library each; threads of their own would round differently."""
-    code = (
-        "from tiswarm.compute import backend; backend.start()\n"
-        "import scipy.linalg, scipy.sparse.linalg, threadpoolctl\n"
-        "print({each['num_threads'] for each in threadpoolctl.threadpool_info()"
-        " if each['user_api'] == 'blas'})"
-    )
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
+_STATE = """
+import decimal, json, locale, logging, os, random, signal, sys, threading, warnings
+import numpy as np, scipy.sparse.linalg, scipy.special, threadpoolctl
 
-    assert done.stdout.splitlines()[-1] == "{1}"
+def state():
+    return {
+        "random": random.getstate(), "numpy": str(np.random.get_state()),
+        "filters": warnings.filters[:], "show": warnings.showwarning,
+        "variables": dict(os.environ), "folder": os.getcwd(), "locale": locale.setlocale(0),
+        "signals": [signal.getsignal(each) for each in signal.valid_signals()],
+        "errors": np.geterr(), "print": str(np.get_printoptions()), "path": sys.path[:],
+        "log": (logging.root.level, logging.root.handlers[:]), "dl": sys.getdlopenflags(),
+        "hooks": (sys.excepthook, threading.excepthook, sys.unraisablehook, sys.displayhook),
+        "limits": (sys.getrecursionlimit(), sys.getswitchinterval(), sys.get_int_max_str_digits()),
+        "streams": (sys.stdin, sys.stdout, sys.stderr), "decimal": str(decimal.getcontext()),
+    }
+
+random.seed(7), np.random.seed(7)
+before = state()
+import tiswarm
+tiswarm.localize
+from tiswarm.compute import backend
+backend.start()
+after = state()
+print(json.dumps({
+    "changed": [name for name in before if before[name] != after[name]],
+    "threads": [each["num_threads"] for each in threadpoolctl.threadpool_info()
+                if each["user_api"] == "blas"],
+}))
+"""
+
+
+def test_a_start_changes_nothing_of_the_process_but_the_threads_of_linear_algebra():
+    """Random numbers, warnings and variables are the caller's; BLAS would round otherwise."""
+    found = json.loads(run_child(_STATE, OPENBLAS_NUM_THREADS="2"))
+
+    assert found["changed"] == []
+    assert {*found["threads"]} == {1}
 
 
 def test_the_first_use_is_known_by_its_folder(tmp_path):

@@ -289,7 +289,7 @@ def _init(arch: Arch, threads: int, precision: Precision, cache: Path, *, blocks
     running = ti.lang.impl.current_cfg()
     if running.arch != wanted or running.default_fp != real:
         raise EnvironmentTroubleError(
-            f"asked for {arch} in {precision}, got {running.arch}; unset TI_* variables"
+            f"asked for {arch} in {precision}, got {running.arch}; use --arch cpu"
         )
 
 

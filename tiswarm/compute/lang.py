@@ -25,7 +25,9 @@ kernel calls at its top are shared by all threads, as those that stand there.
 import io
 import os
 import sys
-from contextlib import redirect_stdout
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -34,6 +36,32 @@ from tiswarm.base.errors import EnvironmentTroubleError
 
 LIBRARIES = {"taichi": "TI", "quadrants": "QD"}
 """The implementations, best first, with the prefix of their environment variables."""
+
+
+HONOURED = ("VISIBLE_DEVICE",)
+"""Variables of the libraries that no argument replaces: which of several Vulkan cards computes."""
+
+
+@contextmanager
+def variables_hidden(library: str, instead: Mapping[str, str]) -> Iterator[None]:
+    """Hide a library's variables while it starts, as it obeys them over its arguments.
+
+    Args:
+        library: Name of the library.
+        instead: Variables to set meanwhile.
+    """
+    prefix = f"{LIBRARIES[library]}_"
+    kept = {prefix + name for name in HONOURED}
+    hidden = {name for name in os.environ if name.startswith(prefix)} - kept
+    before = {name: os.environ.pop(name, None) for name in hidden.union(instead)}
+    os.environ.update(instead)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 def load_library() -> tuple[str, Any]:
@@ -52,12 +80,14 @@ def load_library() -> tuple[str, Any]:
     trouble, flags = "", sys.getdlopenflags()
     notebook = "0" if sys.stdout is sys.__stdout__ else "1"
     for name in filter(find_spec, LIBRARIES if asked is None else (asked,)):
-        os.environ.setdefault(f"ENABLE_{name.upper()}_HEADER_PRINT", "0")
-        print_buffer = f"{LIBRARIES[name]}_ENABLE_PYBUF"
-        is_ours = print_buffer not in os.environ
-        os.environ.setdefault(print_buffer, notebook)
+        silent = {f"ENABLE_{name.upper()}_HEADER_PRINT": "0"}
+        silent[f"{LIBRARIES[name]}_ENABLE_PYBUF"] = notebook
         try:
-            with redirect_stdout(io.StringIO()):  # a failed import prints; a notebook looks alike
+            with (
+                redirect_stdout(io.StringIO()),  # a failed import prints; a notebook looks alike
+                warnings.catch_warnings(),  # it adds filters of its own
+                variables_hidden(name, silent),
+            ):
                 library = import_module(name)
         except (ImportError, OSError) as error:
             trouble = f"{name} cannot be imported: {' '.join(str(error).split())}"
@@ -66,9 +96,6 @@ def load_library() -> tuple[str, Any]:
             if trouble:
                 sys.stderr.write(f"tiswarm: warning: {trouble}; computing with {name}\n")
             return name, library
-        finally:
-            if is_ours:  # read at import only; child processes decide for themselves
-                del os.environ[print_buffer]
     if trouble:
         raise EnvironmentTroubleError(f"{trouble}; on Debian, run: apt-get install libx11-6")
     raise EnvironmentTroubleError(

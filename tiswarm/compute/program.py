@@ -19,10 +19,13 @@ from typing import Any
 
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import kernel_cache
-from tiswarm.compute.lang import LIBRARIES, LIBRARY, ti
+from tiswarm.compute.lang import LIBRARIES, LIBRARY, ti, variables_hidden
 
 _PROGRAM = "prog" if LIBRARY == "taichi" else "_prog"
 """Where the library's record of a program has the program itself; it has None after its end."""
+
+_QUIET = {"TI_SKIP_VERSION_CHECK": "ON"}
+"""Variables while a program starts: taichi would ask a server of its makers for a newer version."""
 
 _turn = threading.RLock()
 _cache: Path | None = None
@@ -82,7 +85,11 @@ def start(cache: Path, **options: Any) -> None:  # noqa: ANN401 - the library's 
         pass  # finds damage before the library reads it
     _cache, _runtime = cache, None
     atexit.register(end)
-    with contextlib.redirect_stdout(io.StringIO()), _float_state_kept():
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        _float_state_kept(),
+        variables_hidden(LIBRARY, _QUIET),
+    ):
         ti.init(offline_cache=True, offline_cache_file_path=str(cache), **options)
     _runtime = weakref.ref(ti.lang.impl.get_runtime(), lambda _: kernel_cache.seal(cache))
 
