@@ -71,6 +71,12 @@ def towers() -> list[History]:
     return grow(TowerParams(), robots=30, seeds=[0, 1, 2], robot=RobotGeometry())
 
 
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Offer a file name that every example of a property test may use again."""
+    return tmp_path_factory.mktemp("scratch") / "file"
+
+
 @pytest.fixture(scope="session")
 def tiswarm() -> runs.Command:
     """Call `tiswarm` with some arguments, in this process."""

@@ -104,12 +104,6 @@ def histories(draw):
     return lines, [*robot_of.values()], gone
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("events") / "sensing.jsonl"
-
-
 @settings(deadline=None, max_examples=200)
 @given(history=histories())
 def test_a_log_with_events_is_that_of_its_lines_after_them(scratch, history):

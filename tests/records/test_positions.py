@@ -23,12 +23,6 @@ from tiswarm.records.positions import (
 COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,gone][,yaw_deg][,undetermined]"
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("tables") / "truth.csv"
-
-
 @settings(deadline=None, max_examples=40)
 @given(
     position=hnp.arrays(

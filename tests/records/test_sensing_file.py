@@ -223,12 +223,6 @@ def content(record):
     return repr(record)
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("logs") / "sensing.jsonl"
-
-
 HEADER = {
     "format": "tiswarm-sensing",
     "version": 2,

@@ -527,12 +527,6 @@ def test_mistakes_in_options_come_after_those_in_the_file(scenario):
     assert [mistake.argument for mistake in mistakes] == ["", "overrides"]
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("scenarios") / "scenario.yaml"
-
-
 new_bytes = st.binary(min_size=1, max_size=3) | st.sampled_from(
     [b"&a ", b"*a", b"!!int ", b"\t", b"[", b"{", b"- ", b": ", b"\n", b"'", b"0x", b"? ", b"---\n"]
 )

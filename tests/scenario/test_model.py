@@ -71,12 +71,6 @@ scenarios = st.builds(
 ).map(lambda made: replace(made, **{key: DEFAULTS[key] for key in DEFAULTS if key in made.sweep}))
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("scenarios") / "scenario.yaml"
-
-
 @settings(deadline=None, max_examples=100)
 @given(scenario=scenarios)
 def test_a_scenario_loads_back_from_its_text(scratch, scenario):

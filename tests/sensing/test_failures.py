@@ -23,12 +23,6 @@ WAYS = ("mute", "deaf", "drift", "stuck")
 shares = st.fixed_dictionaries({way: st.sampled_from([0.0, 0.1, 0.3, 1.0]) for way in WAYS})
 
 
-@pytest.fixture(scope="module")
-def scratch(tmp_path_factory):
-    """Offer a file name that every example of a property test may use again."""
-    return tmp_path_factory.mktemp("logs") / "sensing.jsonl"
-
-
 def sensed(history, **share):
     """What robots sense with some noise, where some of them fail."""
     return observe(history, dataclasses.replace(NOISY, **share))
