@@ -14,7 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import AnyInts
 from tiswarm.records.sensing_log import SensingLog
+from tiswarm.sensing import SensingParams
 from tiswarm.world.history import History
+
+NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
+"""Senses with the usual noise of orientation."""
 
 SPACING = 2.0
 GAP = 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.localization.test_problem import true_yaw
-from tests.structures import with_directions
+from tests.structures import NOISY, with_directions
 from tiswarm.localization.params import JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize, localize_many
 from tiswarm.records.sensing_log import SensingLog
@@ -16,7 +16,6 @@ pytestmark = pytest.mark.unchecked
 
 QUICK = JointParams(chains=3, steps=600, hold_steps=200)
 METHODS = [QUICK, LeastSquaresParams(non_overlap=False)]
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 
 
 def directed(history, params=NOISY, **options) -> SensingLog:

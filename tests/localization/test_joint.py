@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tests.structures import with_directions, with_fixes, with_ranges
+from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.localization.joint import annealing, initialization
 from tiswarm.localization.joint.arrays import (
     AGE,
@@ -26,7 +26,6 @@ from tiswarm.sensing import SensingParams, observe
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
 PAIR = JointParams(steps=300, start_sigma=0.1, end_sigma=0.1, non_overlap=False)
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 

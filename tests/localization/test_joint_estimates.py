@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.localization.test_problem import true_yaw
+from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.compute.math import dock_offsets
@@ -27,7 +28,6 @@ from tiswarm.world.params import CantileverParams
 pytestmark = pytest.mark.unchecked
 
 SHORT = JointParams(chains=2, steps=300, hold_steps=100)
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = dataclasses.replace(NOISY, yaw_bias_deg=15.0, spawn_noise=0.2)
 
 

@@ -8,13 +8,13 @@ from scipy.optimize import least_squares
 
 from tests.localization.test_hop_by_hop import fixed, ranging, swarm
 from tests.localization.test_problem import true_yaw
+from tests.structures import NOISY
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import HopByHopParams, JointParams, LeastSquaresParams
 from tiswarm.localization.registry import localize
 from tiswarm.sensing import SensingParams, observe
 
 APART = LeastSquaresParams(non_overlap=False)
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 
 
 def noisy_ranges(seed, sd=0.05):

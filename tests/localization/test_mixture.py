@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests import foreign
+from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint.chains import Annealed, deviation
 from tiswarm.localization.joint.ends import aligned, ranked
@@ -28,7 +29,6 @@ pytestmark = pytest.mark.unchecked
 ALL = JointParams()
 AS_ENDED = JointParams(refine=False, robust=False)
 """Chains are ranked by their squares where they ended."""
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 SIGMA = 0.025
 SOUND = np.zeros(4, np.bool_)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.foreign import open_chain
-from tests.structures import with_directions, with_fixes, with_ranges
+from tests.structures import NOISY, with_directions, with_fixes, with_ranges
 from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint.problem import pose_problem
@@ -19,11 +19,10 @@ from tiswarm.localization.params import HopByHopParams, OnlineParams
 from tiswarm.localization.refinement import Cost, State
 from tiswarm.localization.registry import centered, localize
 from tiswarm.records.sensing_file import log_entries
-from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing import observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import BridgeParams, CantileverParams
 
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 LOCAL = OnlineParams(anneal_growth=1e6)
 """Settings with which a structure is annealed after surprises alone."""
 QUICK = OnlineParams(chains=2, steps=60, hold_steps=20)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.structures import NOISY
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.joint import method, outliers
 from tiswarm.localization.joint.problem import pose_problem
@@ -17,13 +18,12 @@ from tiswarm.measurements.consistency import stuck_robots
 from tiswarm.measurements.odometry import Odometry
 from tiswarm.measurements.verdicts import describe_outliers
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN
-from tiswarm.sensing import SensingParams, observe
+from tiswarm.sensing import observe
 from tiswarm.world.growth import grow
 from tiswarm.world.params import TowerParams
 
 pytestmark = pytest.mark.unchecked
 
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 DRIFT = np.radians([0.0, 6.0, 0.0])
 """Error that an orientation gains at each stance, about a horizontal axis."""
 

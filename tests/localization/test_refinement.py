@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.structures import (
+    NOISY,
     Rule,
     structure,
     with_connections,
@@ -30,7 +31,6 @@ from tiswarm.measurements.orientations import connections_of, with_orientations
 from tiswarm.records.sensing_log import SensingNoise
 from tiswarm.sensing import SensingParams, observe
 
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 BIASED = replace(NOISY, yaw_bias_deg=20.0, spawn_noise=0.0)
 ALL = JointParams()
 UNIT = 1e-6

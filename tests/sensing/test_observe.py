@@ -5,10 +5,9 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.structures import NOISY
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 from tiswarm.sensing import SensingParams, observe
-
-NOISY = SensingParams(tilt_noise_deg=1.0, yaw_noise_deg=2.0)
 
 
 def test_a_log_holds_only_what_robots_sense():
