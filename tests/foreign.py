@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tests import structures
 from tiswarm.records.sensing_log import SensingLog, SensingNoise
 
 Log = tuple[SensingLog, NDArray[np.float64]]
@@ -25,18 +26,12 @@ CEILING = np.array([[0.0, 0.0, 2.5], [6.0, 0.0, 2.5], [6.0, 5.0, 2.5], [0.0, 5.0
 
 def silent(place: NDArray[np.float64], *, radius: float = 0.1) -> SensingLog:
     """Log robots that sensed nothing but their orientation, without noise."""
-    robots, angle = len(place), 2.0 * np.pi * np.arange(3) / 3.0
+    angle = 2.0 * np.pi * np.arange(3) / 3.0
     docks = 1.2 * radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
-    return SensingLog(
-        robot_id=np.arange(robots),
+    return structures.silent(
+        place,
         dock_radius=radius,
         dock_offset_body=docks,
-        anchor_position=place[0].copy(),
-        orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)),
-        contacts=np.empty((0, 4), np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=np.full(robots, np.nan),
-        spawn_position=np.full((robots, 3), np.nan),
         noise=SensingNoise(tilt_deg=0.0, yaw_deg=0.0),
         length_unit="m",
     )

@@ -6,13 +6,15 @@ there, and turn about it until another one touches. Lengths in R.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import AnyInts
+from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import SensingParams
 from tiswarm.world.history import History
@@ -154,25 +156,63 @@ def _log(
     pair = pair[pair[:, 0] // docks != pair[:, 1] // docks].reshape(-1, 2)
     pair = pair[np.lexsort(pair.T)]
     pair = pair[rng.random(len(pair)) >= rule.missed]
-    silent = rng.random(robots) < rule.untied
-    pair = pair[~silent[pair[:, 1] // docks]]
+    is_untied = rng.random(robots) < rule.untied
+    pair = pair[~is_untied[pair[:, 1] // docks]]
     is_wrong = (rng.random(len(pair)) < rule.wrong) & (pair[:, 1] // docks > 1)
     other = rng.integers(0, pair[:, 1] // docks * docks)
     pair[:, 0] = np.where(is_wrong, other, pair[:, 0])
     pair = np.unique(pair, axis=0)
     contacts = np.column_stack([pair[:, 0] // docks, pair[:, 0] % docks,
                                 pair[:, 1] // docks, pair[:, 1] % docks])  # fmt: skip
-    return SensingLog(
-        robot_id=np.arange(robots),
-        dock_radius=1.0,
+    return silent(
+        center,
         dock_offset_body=body,
-        anchor_position=center[0],
         orientation_wxyz=turn.as_quat(scalar_first=True),
-        contacts=contacts.astype(np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=np.full(robots, np.nan),
-        spawn_position=np.full((robots, 3), np.nan),
+        contacts=contacts,
     )
+
+
+def silent(place: ArrayLike, **sensed: Any) -> SensingLog:
+    """Log robots that sensed nothing but their orientation.
+
+    Args:
+        place: True centers [log unit], shape (N, 3); the log knows the first.
+        sensed: Other fields of the log.
+    """
+    place = np.asarray(place, np.float64)
+    robots, angle = len(place), 2.0 * np.pi * np.arange(3) / 3.0
+    fields: dict[str, Any] = {
+        "robot_id": np.arange(robots),
+        "dock_radius": 1.0,
+        "dock_offset_body": 1.506 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]),
+        "anchor_position": place[0].copy(),
+        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)),
+        "contacts": (),
+        "ground_docks": np.empty((0, 2), np.int32),
+        "flip_height": np.full(robots, np.nan),
+        "spawn_position": np.full((robots, 3), np.nan),
+        **sensed,
+    }
+    fields["contacts"] = np.array(fields["contacts"], np.int32).reshape(-1, 4)
+    return SensingLog(**fields)
+
+
+def exact_estimate(log: SensingLog, position: NDArray[np.float64], **known: Any) -> Estimate:
+    """Return an estimate without iterations, by default one that knows no uncertainty.
+
+    Args:
+        log: Log that the estimate is of.
+        position: Estimated centers [log unit], shape (N, 3).
+        known: Other fields of the estimate.
+    """
+    fields: dict[str, Any] = {
+        "disconnected": np.zeros(log.robot_count, bool),
+        "iteration": np.zeros(1, np.int64),
+        "trace": position[None],
+        "residual": np.zeros(1),
+        **known,
+    }
+    return Estimate(robot_id=log.robot_id, position=position, **fields)
 
 
 def with_fixes(

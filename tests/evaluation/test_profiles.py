@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.structures import exact_estimate
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import relative_errors
 from tiswarm.evaluation.profiles import (
@@ -15,7 +16,6 @@ from tiswarm.evaluation.profiles import (
 from tiswarm.evaluation.tables import by_robot, score
 from tiswarm.measurements.contacts import hops
 from tiswarm.measurements.cues import measure
-from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import Truth
 from tiswarm.sensing import SensingParams, observe
 
@@ -30,14 +30,7 @@ def _scored(history, off):
         position=history.position,
         orientation_wxyz=history.orientation_wxyz,
     )
-    estimate = Estimate(
-        robot_id=log.robot_id,
-        position=history.position + off,
-        disconnected=np.zeros(log.robot_count, bool),
-        iteration=np.array([0]),
-        trace=(history.position + off)[None],
-        residual=np.zeros(1),
-    )
+    estimate = exact_estimate(log, history.position + off)
     return truth, log, estimate
 
 

@@ -13,11 +13,11 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
 from tests.robustness.mutations import Random, damaged
+from tests.structures import exact_estimate
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.interop.exports import FORMATS, export_view
-from tiswarm.records.estimate import Estimate
 from tiswarm.records.mcap_file import encode_messages
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.swarm_view import view_log
@@ -30,14 +30,8 @@ def view(towers):
     """A tower of 30 robots in cm, its exact log, and an estimate that is 0.25 cm off."""
     log = observe(towers[0], SensingParams())
     true = towers[0].position
-    estimate = Estimate(
-        robot_id=log.robot_id,
-        position=true + np.array([0.25, 0.0, 0.0]),
-        disconnected=np.zeros(30, bool),
-        sd=np.ones(30),
-        iteration=np.zeros(1, int),
-        trace=true[None],
-        residual=np.zeros(1),
+    estimate = exact_estimate(
+        log, true + np.array([0.25, 0.0, 0.0]), sd=np.ones(30), trace=true[None]
     )
     return view_log(replace(log, length_unit="cm"), estimate, true)
 

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.interop.test_stances import BODY
+from tests.structures import exact_estimate
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
 from tiswarm.evaluation.metrics import rmse
@@ -19,7 +20,6 @@ from tiswarm.interop.imports import import_poses, write_import
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.measurements.cues import cue_names, measure
-from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_file import read_sensing_log
 from tiswarm.report.swarm_view import view_log
 from tiswarm.sensing import SensingParams, observe
@@ -263,14 +263,7 @@ def test_an_exported_graph_comes_back(towers, tmp_path):
     sensed = observe(towers[0], SensingParams())
     apart = float(np.linalg.norm(towers[0].position[20] - towers[0].position[5]))
     log = replace(sensed, ranges=np.array([[20.0, 5.0, apart, 0.1, -1.0]]))
-    estimate = Estimate(
-        robot_id=log.robot_id,
-        position=towers[0].position,
-        disconnected=np.zeros(30, bool),
-        iteration=np.zeros(1, int),
-        trace=towers[0].position[None],
-        residual=np.zeros(1),
-    )
+    estimate = exact_estimate(log, towers[0].position)
     view = view_log(log, estimate, towers[0].position)
     export_view(view, "pyfg", tmp_path, Progress())
 

@@ -11,10 +11,9 @@ import pytest
 import trimesh
 from mcap.reader import make_reader
 
-from tests.structures import Rule, structure
+from tests.structures import Rule, exact_estimate, structure
 from tiswarm.base.progress import Progress
 from tiswarm.interop.exports import FORMATS, export_view
-from tiswarm.records.estimate import Estimate
 from tiswarm.report.swarm_view import view_log
 
 RADIUS = 0.0329
@@ -34,15 +33,8 @@ def _view(anchor):
         anchor_position=anchor,
         length_unit="m",
     )
-    estimate = Estimate(
-        robot_id=log.robot_id,
-        position=place + np.array([0.1, 0.0, 0.0]),
-        disconnected=np.zeros(8, bool),
-        sd=None,
-        iteration=np.zeros(1, int),
-        trace=place[None],
-        residual=np.zeros(1),
-        length_unit="m",
+    estimate = exact_estimate(
+        log, place + np.array([0.1, 0.0, 0.0]), trace=place[None], length_unit="m"
     )
     return view_log(log, estimate, place)
 

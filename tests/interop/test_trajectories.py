@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.interop.test_stances import BODY, assert_same_stances, rows_of, sampled
+from tests.structures import exact_estimate
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
 from tiswarm.interop.assumptions import Assumptions
 from tiswarm.interop.exports import export_view
 from tiswarm.interop.imports import import_poses
-from tiswarm.records.estimate import Estimate
 from tiswarm.report.swarm_view import view_log
 from tiswarm.sensing import SensingParams, observe
 
@@ -25,14 +25,7 @@ SHAPE = {"type": "SphereUnion", "centers": BODY.tolist(), "diameters": [2.0, 2.0
 def exported(towers, tmp_path_factory):
     """Folder with the exports of a tower."""
     out, log = tmp_path_factory.mktemp("exported"), observe(towers[0], SensingParams())
-    estimate = Estimate(
-        robot_id=log.robot_id,
-        position=towers[0].position,
-        disconnected=np.zeros(30, bool),
-        iteration=np.zeros(1, int),
-        trace=towers[0].position[None],
-        residual=np.zeros(1),
-    )
+    estimate = exact_estimate(log, towers[0].position)
     for form in ("gsd", "tum"):
         export_view(view_log(log, estimate, towers[0].position), form, out, Progress())
     return out

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.structures import (
     Rule,
+    silent,
     structure,
     with_directions,
     with_fixes,
@@ -30,22 +31,6 @@ HOPS = HopByHopParams(non_overlap=False)  # points at random overlap
 METHODS = [HOPS, dataclasses.replace(HOPS, order="join")]
 
 
-def swarm(truth: np.ndarray) -> SensingLog:
-    """Make a log of robots that sensed nothing but where the anchor is."""
-    robots = len(truth)
-    return SensingLog(
-        robot_id=np.arange(robots),
-        dock_radius=1.0,
-        dock_offset_body=np.array([[1.506, 0.0, 0.0], [-0.753, 1.304, 0.0], [-0.753, -1.304, 0.0]]),
-        anchor_position=truth[0],
-        orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)),
-        contacts=np.empty((0, 4), np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=np.full(robots, np.nan),
-        spawn_position=np.full((robots, 3), np.nan),
-    )
-
-
 def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP) -> SensingLog:
     """Add exact fixes of some robots along some directions."""
     robot, n = np.repeat(robots, len(axes)), np.tile(axes, (len(robots), 1))
@@ -58,7 +43,7 @@ def fixed(log: SensingLog, truth: np.ndarray, robots, axes=EVERY_AXIS, sd=SHARP)
 def ranging(seed: int, robots: int = 20) -> tuple[SensingLog, np.ndarray]:
     """Make a log of robots anywhere with exact ranges; the anchor and three others are known."""
     truth = np.random.default_rng(seed).uniform(-4.0, 4.0, (robots, 3))
-    log = fixed(swarm(truth), truth, [1, 2, 3])
+    log = fixed(silent(truth), truth, [1, 2, 3])
     ranged = with_ranges(log, SimpleNamespace(position=truth), reach=7.0, sd=0.0)
     ranged.ranges[:, 3] = 0.05
     return ranged, truth
@@ -73,7 +58,7 @@ def test_four_noisy_ranges_are_solved_as_by_least_squares(params, seed):
     sd = np.array([0.02, 0.05, 0.1, 0.2])
     reach = np.linalg.norm(truth[4] - truth[:4], axis=1) + sd * rng.normal(size=4)
     ranges = np.column_stack([np.full(4, 4), np.arange(4), reach, sd, np.full(4, -1)])
-    log = dataclasses.replace(fixed(swarm(truth), truth, [1, 2, 3]), ranges=ranges)
+    log = dataclasses.replace(fixed(silent(truth), truth, [1, 2, 3]), ranges=ranges)
 
     found = localize(log, params)
 
@@ -96,7 +81,7 @@ def test_two_sweep_planes_and_a_height_cross(params):
     """Two planes of a lighthouse and a height are three linear equations."""
     truth = np.array([[0.0, 0.0, 1.0], [3.0, -2.0, 5.0]])
     sweeps = np.array([[0.6, 0.0, 0.8], [0.48, 0.6, 0.64]])
-    log = fixed(swarm(truth), truth + 0.1, [1], sweeps, sd=0.1)
+    log = fixed(silent(truth), truth + 0.1, [1], sweeps, sd=0.1)
     log.flip_height[1] = 5.2
 
     found = localize(log, params)
@@ -150,7 +135,7 @@ def test_errors_that_partners_share_do_not_average_out():
     """A robot that twelve partners of sd 0.3 R tie exactly is as uncertain as each of them."""
     truth = np.random.default_rng(0).uniform(-6.0, 6.0, (14, 3))
     partners = np.arange(1, 13)
-    log = fixed(swarm(truth), truth, partners, sd=0.3)
+    log = fixed(silent(truth), truth, partners, sd=0.3)
     reach = np.linalg.norm(truth[13] - truth[partners], axis=1)
     known = np.tile([SHARP, -1.0], (12, 1))
     ranges = np.column_stack([np.full(12, 13), partners, reach, known])
@@ -245,7 +230,7 @@ def test_whatever_numbers_are_sensed_positions_are_finite(seed):
         return length, 10.0 ** rng.uniform(-6.0, 6.0, count), rng.integers(-1, 2, count)
 
     log = dataclasses.replace(
-        swarm(np.zeros((6, 3))),
+        silent(np.zeros((6, 3))),
         ranges=np.column_stack([pair, *any_numbers(len(pair))]),
         fixes=np.column_stack([robot, direction, *any_numbers(len(robot))]),
         source_name=("camera", "radio"),
@@ -283,7 +268,7 @@ def test_in_join_order_later_robots_change_nothing():
 def test_a_robot_that_is_not_located_is_guessed_by_one_that_was_guessed(params):
     """A chain of contacts alone: docks touch, though no position is determined."""
     chain = np.array([[0, 0, 1, 1], [1, 0, 2, 1], [2, 2, 3, 0]], np.int32)
-    log = dataclasses.replace(swarm(np.zeros((4, 3))), contacts=chain)
+    log = dataclasses.replace(silent(np.zeros((4, 3))), contacts=chain)
 
     found = localize(log, params)
 
@@ -296,7 +281,7 @@ def test_a_robot_that_is_not_located_is_guessed_by_one_that_was_guessed(params):
 def test_open_coordinates_are_reported():
     """Robots that no rows determine name the axes, and so do those that depend on them."""
     truth = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [3.0, 3.0, 4.0]])
-    log = swarm(truth)
+    log = silent(truth)
     level = fixed(log, truth, [1], EVERY_AXIS[:2], sd=0.5).fixes
     upright = fixed(log, truth, [2], EVERY_AXIS[2:], sd=0.5).fixes
     tied = fixed(log, truth, [3], EVERY_AXIS[1:], sd=0.1).fixes
@@ -314,7 +299,7 @@ def test_open_coordinates_are_reported():
 def test_of_two_mirror_images_the_upper_is_taken_but_not_called_located():
     """Three ranges to robots on the ground have a solution below it, too."""
     truth = np.array([[0.0, 0.0, 1.0], [16.0, 0.0, 1.0], [0.0, 16.0, 1.0], [8.0, 8.0, 5.0]])
-    log = fixed(swarm(truth), truth, [1, 2])
+    log = fixed(silent(truth), truth, [1, 2])
     log = with_ranges(log, SimpleNamespace(position=truth), reach=13.0, sd=0.0)
     log.ranges[:, 3] = 0.05
 
@@ -349,7 +334,7 @@ def test_readings_that_say_the_same_together_place_robots_alike(seed, times):
 def test_the_error_of_a_source_does_not_average_out():
     """However often a camera finds a robot, its own place is no better known."""
     truth = np.array([[0.0, 0.0, 1.0], [9.0, 0.0, 1.0]])
-    log = fixed(swarm(truth), truth, [1], sd=0.1)
+    log = fixed(silent(truth), truth, [1], sd=0.1)
     fixes = np.repeat(log.fixes, 100, axis=0)
     fixes[:, 6] = 0
     source = {"source_name": ("camera",), "source_sd": np.array([0.5])}
@@ -364,7 +349,7 @@ def test_the_error_of_a_source_does_not_average_out():
 @pytest.mark.parametrize("reach", [6.0, 10.0])
 def test_a_robot_with_one_range_is_as_unsure_as_its_sphere_is_large(reach):
     """Across the range, the prior of one partner leaves a variance of a third of its square."""
-    log = swarm(np.zeros((2, 3)))
+    log = silent(np.zeros((2, 3)))
     log = dataclasses.replace(log, ranges=np.array([[1, 0, reach, 0.1, -1.0]]))
 
     found = localize(log, HOPS)
@@ -378,7 +363,7 @@ def test_a_dock_in_the_way_excludes_a_mirror_image():
     truth = np.array(
         [[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [0.0, 4.0, 1.0], [2.0, 2.0, -2.0], [2.0, 2.0, 4.0]]
     )
-    log = fixed(swarm(truth), truth, [1, 2, 4])
+    log = fixed(silent(truth), truth, [1, 2, 4])
     reach = np.linalg.norm(truth[3] - truth[:3], axis=1)
     known = np.tile([0.05, -1.0], (3, 1))
     ranges = np.column_stack([np.full(3, 3), np.arange(3), reach, known])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests import oracle
-from tests.structures import NOISY, with_directions, with_fixes, with_ranges
+from tests.structures import NOISY, silent, with_directions, with_fixes, with_ranges
 from tiswarm.localization.joint import annealing, initialization
 from tiswarm.localization.joint.arrays import (
     AGE,
@@ -200,16 +200,11 @@ def test_what_is_likelier_the_farther_it_reaches_does_not_draw_contacts_out():
 
 def _pair() -> SensingLog:
     """Two robots of one dock each, which touch; orientation is all else that is known."""
-    return SensingLog(
-        robot_id=np.arange(2),
-        dock_radius=1.0,
+    return silent(
+        np.zeros((2, 3)),
         dock_offset_body=np.array([[1.5, 0.0, 0.0]]),
-        anchor_position=np.zeros(3),
         orientation_wxyz=np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]),
-        contacts=np.zeros((1, 4), np.int32) + np.array([0, 0, 1, 0], np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=np.full(2, np.nan),
-        spawn_position=np.full((2, 3), np.nan),
+        contacts=[[0, 0, 1, 0]],
     )
 
 

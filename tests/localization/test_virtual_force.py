@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests import oracle
 from tests.strategies import rotations, vectors
+from tests.structures import silent
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.compute import backend
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link
@@ -333,18 +334,7 @@ def test_later_robots_correct_earlier_ones(log):
 
 def _pair(contacts):
     """Two robots, turned alike."""
-    angle = np.arange(3) * 2 * np.pi / 3
-    return SensingLog(
-        robot_id=np.arange(2),
-        dock_radius=1.0,
-        dock_offset_body=1.506 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]),
-        anchor_position=np.zeros(3),
-        orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
-        contacts=np.array(contacts, np.int32).reshape(-1, 4),
-        ground_docks=np.empty((0, 2), np.int32),
-        flip_height=np.full(2, np.nan),
-        spawn_position=np.full((2, 3), np.nan),
-    )
+    return silent(np.zeros((2, 3)), contacts=contacts)
 
 
 def _least_gap(log, offset):

@@ -6,28 +6,23 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from tests.structures import silent
 from tiswarm.measurements.consistency import contradictions, inconsistent_places
 from tiswarm.measurements.cues import measure
-from tiswarm.records.sensing_log import SensingLog, SensingNoise, Stances
+from tiswarm.records.sensing_log import SensingNoise, Stances
 from tiswarm.sensing import SensingParams, observe
 
 CUES = ("ground", "height", "walk_contacts")
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]
-DOCKS = 1.506 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.75**0.5, 0.0], [-0.5, -(0.75**0.5), 0.0]])
 
 
 def _log(contacts, heights=(0.0, 0.0, 0.0), noise=0.0):
     """Three robots, named 10, 11 and 12, turned alike."""
-    return SensingLog(
+    return silent(
+        np.zeros((3, 3)),
         robot_id=np.array([10, 11, 12]),
-        dock_radius=1.0,
-        dock_offset_body=DOCKS,
-        anchor_position=np.zeros(3),
-        orientation_wxyz=np.tile(UPRIGHT, (3, 1)),
-        contacts=np.array(contacts, np.int32).reshape(-1, 4),
-        ground_docks=np.empty((0, 2), np.int32),
+        contacts=contacts,
         flip_height=np.array(heights),
-        spawn_position=np.full((3, 3), np.nan),
         noise=SensingNoise(tilt_deg=noise, yaw_deg=noise),
     )
 

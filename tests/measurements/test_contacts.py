@@ -5,27 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.structures import silent
 from tiswarm.localization.joint.problem import pose_problem
 from tiswarm.localization.params import JointParams
 from tiswarm.measurements.contacts import contact_count, disconnected, earlier_contact_count
 from tiswarm.measurements.cues import measure
-from tiswarm.records.sensing_log import SensingLog
-
-
-def log_with(robots, contacts):
-    """Make a log of which only the contacts matter."""
-    return SensingLog(
-        robot_id=np.arange(robots),
-        dock_radius=1.0,
-        dock_offset_body=np.eye(3),
-        anchor_position=np.zeros(3),
-        orientation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (robots, 1)),
-        contacts=np.array(contacts, dtype=np.int32).reshape(-1, 4),
-        ground_docks=np.zeros((0, 2), dtype=np.int32),
-        flip_height=np.full(robots, np.nan),
-        spawn_position=np.full((robots, 3), np.nan),
-    )
-
 
 CHAIN_AND_PAIR = [(0, 0, 1, 1), (1, 0, 2, 1), (1, 2, 2, 2), (3, 0, 4, 0)]
 
@@ -41,14 +25,16 @@ CHAIN_AND_PAIR = [(0, 0, 1, 1), (1, 0, 2, 1), (1, 2, 2, 2), (3, 0, 4, 0)]
 )
 def test_a_robot_is_connected_by_a_chain_of_contacts_to_the_anchor(robots, contacts, expected):
     """Robots without such a chain are disconnected, whatever else they touch."""
-    tied = ~disconnected(measure(log_with(robots, contacts), ["contacts", "height"]))
+    tied = ~disconnected(
+        measure(silent(np.zeros((robots, 3)), contacts=contacts), ["contacts", "height"])
+    )
 
     assert tied.tolist() == expected
 
 
 def test_odometry_connects_whoever_knows_where_it_started_and_all_it_touches():
     """With or without stances, for the annealer and for the analysis; a height does not."""
-    log = log_with(6, CHAIN_AND_PAIR)
+    log = silent(np.zeros((6, 3)), contacts=CHAIN_AND_PAIR)
     spawn = log.spawn_position.copy()
     spawn[4] = [9.0, 0.0, 1.0]
     log = dataclasses.replace(log, spawn_position=spawn, flip_height=np.ones(6))
@@ -61,7 +47,7 @@ def test_odometry_connects_whoever_knows_where_it_started_and_all_it_touches():
 
 def test_contacts_are_counted_at_both_ends_and_at_the_joiner():
     """Two docks that touch the same neighbor are two contacts."""
-    log = log_with(6, CHAIN_AND_PAIR)
+    log = silent(np.zeros((6, 3)), contacts=CHAIN_AND_PAIR)
 
     assert contact_count(log).tolist() == [1, 3, 2, 1, 1, 0]
     assert earlier_contact_count(log).tolist() == [0, 1, 2, 0, 1, 0]

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.structures import exact_estimate
 from tiswarm.base.errors import InputError
 from tiswarm.measurements.cues import cue_names, measure
 from tiswarm.measurements.verdicts import (
@@ -19,7 +20,7 @@ from tiswarm.measurements.verdicts import (
     headline,
     verdict,
 )
-from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Estimate, Solution
+from tiswarm.records.estimate import MOST_MISFIT_SD, Convergence, Solution
 from tiswarm.records.messages import percent
 from tiswarm.sensing import SensingParams, observe
 
@@ -41,16 +42,10 @@ def log(towers):
 @pytest.fixture(scope="module")
 def estimate(log, towers):
     """An estimate that is right and trusted."""
-    return Estimate(
-        robot_id=log.robot_id,
-        position=towers[0].position,
-        disconnected=np.zeros(30, bool),
-        sd=np.full(30, 0.1),
-        convergence=GOOD,
-        iteration=np.empty(0, np.int64),
-        trace=np.empty((0, 30, 3)),
-        residual=np.empty(0),
-    )
+    return exact_estimate(
+        log, towers[0].position, sd=np.full(30, 0.1), convergence=GOOD,
+        iteration=np.empty(0, np.int64), trace=np.empty((0, 30, 3)), residual=np.empty(0),
+    )  # fmt: skip
 
 
 def _solution(weight, chi_square=1.0, chains=1, off=None):
