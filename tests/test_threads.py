@@ -17,17 +17,17 @@ from tests.engine.test_relax import GAINS, ROBOT, swarm
 from tests.localization.test_annealing_by_messages import QUICK as BY_MESSAGES
 from tests.localization.test_branch_sums import annealer
 from tests.localization.test_distributed import QUICK as DISTRIBUTED
-from tests.localization.test_joint_estimates import BIASED, NOISY
+from tests.localization.test_joint_estimates import BIASED
 from tests.localization.test_joint_estimates import SHORT as JOINT
 from tests.localization.test_online import QUICK as ONLINE
 from tests.localization.test_together import SHORT as TOGETHER
 from tests.localization.test_virtual_force import CUES
 from tests.runs import REPOSITORY, repeated_files
 from tests.sensing.test_sight import cloud, views
+from tests.structures import NOISY, silent
 from tests.world.test_growth import FIREANT, KINDS
 from tiswarm import relax, study
 from tiswarm.base.progress import Progress
-from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute import backend
 from tiswarm.localization.joint.card_kernels import STEPS_A_LAUNCH
 from tiswarm.localization.params import HopByHopParams, LeastSquaresParams, Together
@@ -130,19 +130,13 @@ def _messages(scheme: object, channel: str) -> Work:
 
 
 def _together(scale: Scale, _: Path) -> object:
-    robots = scale.swarm
-    center, orientation, contacts = _swarm(robots, 5)
+    center, orientation, contacts = _swarm(scale.swarm, 5)
     is_first = (contacts[:, 0] < contacts[:, 2])[:, None]
-    log = SensingLog(
-        robot_id=np.arange(robots),
-        dock_radius=1.0,
-        dock_offset_body=RobotGeometry().dock_offset_body,
-        anchor_position=center[0],
+    log = silent(
+        center,
         orientation_wxyz=orientation,
-        contacts=np.where(is_first, contacts, contacts[:, [2, 3, 0, 1]]).astype(np.int32),
-        ground_docks=np.empty((0, 2), np.int32),
+        contacts=np.where(is_first, contacts, contacts[:, [2, 3, 0, 1]]),
         flip_height=center[:, 2],
-        spawn_position=np.full((robots, 3), np.nan),
     )
     return localize_many([log], [dataclasses.replace(TOGETHER, together=Together(steps=6))])
 

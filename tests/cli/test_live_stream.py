@@ -10,9 +10,10 @@ from urllib.request import urlopen
 import pytest
 
 from tests.browser import dump
-from tests.localization.test_online import NOISY, QUICK, lines_of
+from tests.localization.test_online import QUICK, lines_of
 from tests.localization.test_stream import as_input
 from tests.runs import REPOSITORY, environment, interruptible
+from tests.structures import NOISY
 from tiswarm.base.errors import InputError
 from tiswarm.cli import main
 from tiswarm.localization.online.stream import follow

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.localization.test_online import NOISY
+from tests.structures import NOISY
 from tiswarm.localization.distributed.chain_kernels import ChainDocks, ChainRows
 from tiswarm.localization.distributed.heard_kernels import SENT, TIME, Hearing, step_as_heard
 from tiswarm.localization.params import DistributedParams

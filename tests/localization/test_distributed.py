@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.localization.test_online import LOCAL, NOISY, lines_of
-from tests.structures import with_directions, with_fixes
+from tests.localization.test_online import LOCAL, lines_of
+from tests.structures import NOISY, with_directions, with_fixes
 from tiswarm.base.errors import InputError
 from tiswarm.localization.distributed.channel import (
     ACKNOWLEDGMENT,

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.localization.test_online import NOISY, QUICK, fed, lines_of
+from tests.localization.test_online import QUICK, fed, lines_of
+from tests.structures import NOISY
 from tiswarm.localization.online.neighborhood import Configuration
 from tiswarm.localization.online.tracker import Tracker
 from tiswarm.localization.params import (

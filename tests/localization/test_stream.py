@@ -9,8 +9,9 @@ import time
 
 import pytest
 
-from tests.localization.test_online import NOISY, lines_of
+from tests.localization.test_online import lines_of
 from tests.runs import environment
+from tests.structures import NOISY
 from tiswarm.base.errors import InputError
 from tiswarm.localization.online.stream import follow
 from tiswarm.localization.params import OnlineParams
