@@ -12,7 +12,15 @@ import numpy as np
 
 from benchmarks.reactivebuild.curves import Array, Curve
 from benchmarks.reactivebuild.laws import STALL_ROBOTS, LawCurves
-from tiswarm.report.figure_style import COLUMN_WIDTH, PAGE_WIDTH, STYLE, TRUE_BLUE, new_figure, png
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    PAGE_WIDTH,
+    STYLE,
+    TRUE_BLUE,
+    label_plainly,
+    new_figure,
+    png,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -158,7 +166,7 @@ def draw_chains(curves: LawCurves) -> "Figure":
     _dots(over_f, curves.get("chain depth over F", {}))
     _stretch(over_f, _power(0.75), (2.5, 5, 10, 25), (1.5, 28.0))
     over_f.set(xlabel="Threshold F [weight of a dock]", ylabel="Depth below the ground [R]")
-    _title(over_f, "F$^{3/4}$")
+    _title(over_f, "F^0.75")
     of_series = curves.get("chain depth over N", {})
     _lines(over_n, of_series)
     over_n.set(xscale="log", xlabel=f"{ROBOTS} (complete chains)", xlim=(24, 105))
@@ -234,11 +242,8 @@ def _stretch(
 
 def _plain_ticks(axes: "Axes", ticks: tuple[float, ...] = ()) -> None:
     """Write plain numbers on logarithmic axes, not powers of ten."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        label_plainly(axis)
     if ticks:
         axes.minorticks_off()
         axes.set_xticks(ticks)

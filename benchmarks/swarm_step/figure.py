@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from benchmarks.swarm_step.engines.registry import ENGINES
-from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, new_figure, png
+from tiswarm.report.figure_style import PAGE_WIDTH, PALETTE, STYLE, label_plainly, new_figure, png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,5 +66,7 @@ def _draw_scene(panel: "Axes", table: pd.DataFrame) -> dict[str, "Line2D"]:
             style |= {"color": "0.6", "marker": "none"}
             value = "step_cpu_ns"
         lines[str(engine)] = panel.loglog(rows["robots"], rows[value], **style)[0]
+    for axis in (panel.xaxis, panel.yaxis):
+        label_plainly(axis)
     panel.grid(visible=True, linewidth=0.3)
     return lines

@@ -8,6 +8,7 @@ import pytest
 
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
+from tiswarm.report import figure_style
 
 ROBOTS = 12
 POSE = "x_R,y_R,z_R,qw,qx,qy,qz,x_est_R,y_est_R,z_est_R,qw_sensed,qx_sensed,qy_sensed,qz_sensed"
@@ -79,6 +80,41 @@ def write_summary(folder, header, rows):
     columns = [*first.split(","), *(name for name in names if name not in first.split(","))]
     table = [[row.get(name, "") for name in columns] for row in rows]
     write_table(folder / "summary.csv", ",".join(columns), table)
+
+
+def require_alike(draw, run):
+    """Require that a narrow figure shows what the wide one shows, in the width of a column.
+
+    Axes have the same limits and series, and no text has signs of formulas.
+    """
+    from matplotlib import style
+    from matplotlib.text import Text
+
+    with style.context(["default", figure_style.STYLE]):
+        wide, narrow = draw(run), draw(run, figure_style.COLUMN_WIDTH)
+        figure_style.lay_out(narrow)
+
+    panels, columns = ([a for a in f.axes if a.axison and a.lines] for f in (wide, narrow))
+    assert narrow.get_size_inches()[0] <= figure_style.COLUMN_WIDTH
+    assert [panel.get_title().split() for panel in panels] == [
+        panel.get_title().split() for panel in columns
+    ]
+    for one, other in zip(panels, columns, strict=True):
+        assert (one.get_xlim(), one.get_ylim()) == (other.get_xlim(), other.get_ylim())
+        for name in ("lines", "collections"):
+            series = zip(getattr(one, name), getattr(other, name), strict=True)
+            for shown, again in series:
+                np.testing.assert_array_equal(_points(shown), _points(again))
+        box = other.get_position()
+        assert 0.0 <= box.x0 < box.x1 <= 1.0 and 0.0 <= box.y0 < box.y1 <= 1.0  # noqa: PT018
+    for figure in (wide, narrow):
+        words = [text.get_text() for text in figure.findobj(Text) if text.get_visible()]
+        assert not [word for word in words if "$" in word or "\\" in word]
+
+
+def _points(artist):
+    """Return the points of a line or of dots."""
+    return artist.get_xydata() if hasattr(artist, "get_xydata") else artist.get_offsets()
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.report.conftest import require_alike
 from tiswarm.report.building_figure import building_painters
 from tiswarm.report.run_data import RunData
 
@@ -62,3 +63,8 @@ def test_runs_by_the_truth_have_no_such_figure(run):
     by_truth = run.summary[run.summary["structure.navigate_by"] == "truth"]
 
     assert building_painters(RunData(run.folder, by_truth)) == {}
+
+
+def test_it_is_the_same_in_a_narrow_page(run):
+    """Another width changes neither limits nor series."""
+    require_alike(building_painters(run)["building"], run)

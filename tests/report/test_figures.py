@@ -32,34 +32,48 @@ FIGURES = ["convergence", "error-against-height"]
 
 
 def test_every_figure_is_drawn(run_folder):
-    """Each figure is a PNG file that shows something, and an SVG; a wide one, a stacked one too."""
+    """Each figure is a PNG file that shows something, and an SVG; a wide one, a narrow one too."""
     written = draw_figures(load_run(run_folder), Progress())
 
     pictures = [path for path in written if path.suffix == ".png"]
     assert {path.stem for path in pictures} == set(FIGURES)
     drawings = {path.stem for path in written if path.suffix == ".svg"}
-    assert drawings == {*FIGURES, "error-against-height-stacked"}
+    assert drawings == {*FIGURES, "error-against-height-narrow"}
     for path in pictures:
         with Image.open(path) as image:
             assert not is_blank(image)
 
 
-def test_a_stacked_figure_is_narrow_and_each_panel_has_numbers(run_folder):
+def test_a_narrow_figure_has_a_panel_below_the_other():
     """A phone shows it at its size: five points of a letter remain five."""
     panels = 3
-    figure, axes = figure_style.new_panels(7.0, 2.0, panels, panels, share="y")
-    axes[0].plot([1.0, 2.0], [3.0, 4.0], label="a condition")
-    figure_style.add_key(figure, axes[0], "mean", 2)
 
-    figure_style.stack(figure)
+    figure, axes = figure_style.new_panels(
+        7.0, 2.0, panels, panels, share="y", most=figure_style.COLUMN_WIDTH
+    )
+    axes[0].plot([1.0, 2.0], [3.0, 4.0], label="a condition with a name as long as a sentence")
+    axes[0].plot([1.0, 2.0], [4.0, 5.0], label="another condition")
+    figure_style.add_key(figure, axes[0], "mean", 2)
     figure_style.svg(figure)
 
     assert figure.get_size_inches()[0] == figure_style.COLUMN_WIDTH
     places = [panel.get_position() for panel in axes]
     assert all(low.y1 < high.y0 for high, low in pairwise(places))
     assert all(panel.yaxis.get_tick_params()["labelleft"] for panel in axes)
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["a condition"]
+    assert len(figure.legends) == 1
+    assert figure.get_size_inches()[1] > panels * 2.0  # the legend has two lines
+
+
+def test_names_of_users_are_text(run_folder):
+    """A name with two dollar signs was set as a formula, and one with a bad formula ended a run."""
+    from matplotlib import rc_context
+
+    with rc_context(figure_style.STYLE):
+        figure, [axes] = figure_style.new_panels(2.0, 2.0, 1, 1)
+        axes.set_title(r"a $\nonsense{ b$")
+        drawn = figure_style.svg(figure).decode()
+
+    assert r"a $\nonsense{ b$</text>" in drawn
 
 
 def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
@@ -195,8 +209,6 @@ def test_each_kind_of_structure_has_its_panel_and_picture(tmp_path, monkeypatch)
     write_summary(tmp_path, COLUMNS, rows)
     drawn = []
     monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
-
-    monkeypatch.setattr(figures, "stack", lambda figure: None)
 
     files = draw_figures(load_run(tmp_path), Progress())
 

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.report.conftest import require_alike
 from tiswarm.report.joining_figure import joining_painters
 from tiswarm.report.run_data import RunData
 
@@ -59,3 +60,8 @@ def test_runs_without_joins_or_sizes_have_no_such_figure(run):
 
     assert joining_painters(RunData(run.folder, one_size)) == {}
     assert joining_painters(RunData(run.folder, offline)) == {}
+
+
+def test_it_is_the_same_in_a_narrow_page(run):
+    """Another width changes neither limits nor series."""
+    require_alike(joining_painters(run)["joining"], run)

@@ -50,7 +50,7 @@ def test_a_page_gets_a_figure_for_each_width():
     shown = show_placement(PLACEMENT._replace(unit="$m<m"), "a caption")
 
     assert shown.caption == "a caption"
-    for drawing in (shown.drawing, shown.stacked):
+    for drawing in (shown.drawing, shown.narrow):
         assert drawing.startswith("<svg") and "touches robot 3" in drawing  # noqa: PT018
         assert "$m&lt;m" in drawing
 

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.report.conftest import write_case, write_summary, write_table
-from tiswarm.base.progress import Progress
-from tiswarm.report import figure_style, figures, table_figures
+from tests.report.conftest import require_alike, write_case, write_summary, write_table
+from tiswarm.records.frames import read_frame
+from tiswarm.report import error_figures, figures, table_figures
 from tiswarm.report.curve_figures import PROFILED, SCALING_PANELS
 from tiswarm.report.run_data import load_run
 
@@ -90,35 +90,39 @@ def _write_run(folder, kind, width, random):
 
 @pytest.mark.parametrize("width", [0.1, 1.0, 4.0])
 @pytest.mark.parametrize("kind", ["tower", "cantilever"])
-def test_no_point_lies_outside_its_axes(tmp_path, monkeypatch, kind, width):
+def test_no_point_lies_outside_its_axes(tmp_path, kind, width):
     """A quarter of the robots of cantilevers were drawn over the title, others nowhere."""
-    drawn = []
-    monkeypatch.setattr(figures, "stack", lambda figure: None)
     _write_run(tmp_path, kind, width, np.random.default_rng(round(10 * width)))
-    for module in (figures, figure_style):
-        monkeypatch.setattr(module, "png", lambda figure: drawn.append(figure) or b"")
+    run = load_run(tmp_path)
 
-    files = figures.draw_figures(load_run(tmp_path), Progress())
-    written = [path.stem for path in files if path.suffix == ".png"]
-    table_figures.draw_comparison(tmp_path, Progress())
+    drawn = {name: draw(run) for name, draw in figures.painters_of(run).items()}
+    comparison = table_figures.draw_rows(read_frame(tmp_path / "comparison.csv", ["run"]))
 
     errors = "error-against-height" if kind == "tower" else "error-along-growth"
     several = ["scaling", "accuracy", "shape", "price-and-error", "back-propagation", "profiles"]
-    assert written == ["convergence", errors, *several]
-    assert {name: outside(figure) for name, figure in zip(written, drawn, strict=False)} == {
-        name: [] for name in written
-    }
-    assert outside(drawn[-1]) == []
+    assert [*drawn] == ["convergence", errors, *several]
+    assert {name: outside(figure) for name, figure in drawn.items()} == {name: [] for name in drawn}
+    assert outside(comparison) == []
 
 
-def test_a_structure_that_grows_outward_is_drawn_along_it(tmp_path, monkeypatch):
+def test_a_narrow_figure_shows_what_the_wide_one_shows(tmp_path):
+    """Axes of phones ran from 1e-5 to 1e5 for errors of 0.05 to 5 R, with TeX as labels."""
+    _write_run(tmp_path, "tower", 4.0, np.random.default_rng(0))
+    run = load_run(tmp_path)
+
+    painters = figures.painters_of(run)
+
+    assert len(painters) > 1
+    for draw in painters.values():
+        require_alike(draw, run)
+
+
+def test_a_structure_that_grows_outward_is_drawn_along_it(tmp_path):
     """Robots of a cantilever are at nearly the same height; errors add up along the arm."""
-    drawn = []
     _write_run(tmp_path, "cantilever", 1.0, np.random.default_rng(0))
-    monkeypatch.setattr(figures, "png", lambda figure: drawn.append(figure) or b"")
 
-    figures.draw_figures(load_run(tmp_path), Progress())
+    figure = error_figures.draw_errors(load_run(tmp_path))
 
-    assert drawn[1].get_supxlabel() == "True distance out from the edge [R]"
-    x = drawn[1].axes[0].collections[0].get_offsets()[:, 0]
+    assert figure.get_supxlabel() == "True distance out from the edge [R]"
+    x = figure.axes[0].collections[0].get_offsets()[:, 0]
     np.testing.assert_allclose(np.unique(x), np.arange(12.0))  # `write_case` steps 1 R along x

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.report.conftest import require_alike
 from tiswarm.report.run_data import RunData
 from tiswarm.report.traffic_figure import label_offsets, traffic_painters
 
@@ -62,3 +63,8 @@ def test_runs_in_which_nobody_sends_have_no_such_figure(run):
 
     assert traffic_painters(RunData(run.folder, silent)) == {}
     assert traffic_painters(RunData(run.folder, silent.drop(columns="sent_B"))) == {}
+
+
+def test_it_is_the_same_in_a_narrow_page(run):
+    """Another width changes neither limits nor series."""
+    require_alike(traffic_painters(run)["traffic"], run)

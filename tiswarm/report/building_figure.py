@@ -1,6 +1,5 @@
 """Draws the figure of what robots build that go by their own estimates, beside the truth."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +7,15 @@ import pandas as pd
 
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, marker_style, new_panels
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    Painter,
+    add_legend,
+    entries_of,
+    label_rows,
+    marker_style,
+    new_panels,
+)
 from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
@@ -27,13 +34,13 @@ _PANELS = {
 _NORMAL_95 = 1.96
 
 
-def building_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def building_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if some robots of a run navigate by estimates."""
     planned = run.summary.get("flips_as_planned")
     return {"building": draw_building} if planned is not None and planned.notna().any() else {}
 
 
-def draw_building(run: RunData) -> "Figure":
+def draw_building(run: RunData, most: float = np.inf) -> "Figure":
     """Draw how high, far and often robots build, with a row for what they navigate by.
 
     A marker is the mean of a kind of structure with its 95 % confidence interval.
@@ -44,23 +51,16 @@ def draw_building(run: RunData) -> "Figure":
     names, kinds = list(dict.fromkeys(rows["by"])), list(dict.fromkeys(rows["structure"]))
     shown = {name: panel for name, panel in _PANELS.items() if _of_kind(rows, panel[0])[name].any()}
     height = 0.9 + len(names) * (0.16 + 0.07 * len(kinds))
-    figure, panels = new_panels(PAGE_WIDTH, height, len(shown), len(shown), share="y")
+    figure, panels = new_panels(PAGE_WIDTH, height, len(shown), len(shown), share="y", most=most)
     for axes, (column, (kind, label)) in zip(panels, shown.items(), strict=True):
         _draw_panel(axes, _of_kind(rows, kind), column, names, kinds)
         axes.set_xlabel(label)
         axes.set_xlim(left=0.0)
-    panels[0].set_yticks(range(len(names)), names)
+    label_rows(panels[0], names)
     panels[0].invert_yaxis()
-    most = counted(int(rows.groupby(["by", "structure"]).size().max()), "structure")
-    handles = {
-        label: handle
-        for axes in panels
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside upper right", ncols=len(kinds),
-        title=f"mean and 95 % CI, {most}", title_fontsize=7.0,
-    )  # fmt: skip
+    structures = counted(int(rows.groupby(["by", "structure"]).size().max()), "structure")
+    title = f"mean and 95 % CI, {structures}"
+    add_legend(figure, entries_of(panels), title, loc="outside upper right")
     figure_style.add_note(figure, run.note)
     return figure
 

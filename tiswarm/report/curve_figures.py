@@ -1,7 +1,7 @@
 """Draws the figures of tables whose rows are points of a curve: rounds, profiles and scaling."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +13,15 @@ from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     MOST_BANDS,
     PAGE_WIDTH,
+    Painter,
+    add_legend,
+    entries_of,
     fit_axis,
+    label_left,
     marker_style,
     new_panels,
+    set_log,
+    set_title,
     shortened,
 )
 from tiswarm.report.run_data import RunData, swept_columns, swept_words
@@ -46,12 +52,12 @@ SCALING_PANELS = {
 }
 
 
-def scaling_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def scaling_painters(run: RunData) -> dict[str, Painter]:
     """List the figure of sizes by file name, if a run has several."""
     return {"scaling": draw_scaling} if run.sweeps_robots else {}
 
 
-def round_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def round_painters(run: RunData) -> dict[str, Painter]:
     """List the figure of rounds of back-propagation by file name, if a run compares some."""
     return {"back-propagation": draw_rounds} if compares_rounds(run) else {}
 
@@ -64,7 +70,7 @@ def compares_rounds(run: RunData) -> bool:
     return len(set(table.groupby("condition")["round_every"].first().dropna())) > 1
 
 
-def draw_rounds(run: RunData) -> "Figure":
+def draw_rounds(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against steps per robot, for rounds of back-propagation at several intervals.
 
     A line joins rounds that move equally many robots by equally many steps. A condition without
@@ -78,7 +84,7 @@ def draw_rounds(run: RunData) -> "Figure":
     shown = points[:_MOST_POINTS]
     one_length = len(set(table["round_sweeps"].dropna())) == 1
     figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 3.2 * -(-len(shown) // 2), len(shown), 2, share="x"
+        PAGE_WIDTH, 0.6 + 3.2 * -(-len(shown) // 2), len(shown), 2, share="x", most=most
     )
     for axes, (point, part) in zip(panels, shown, strict=True):
         has_rounds = part["round_every"].notna()
@@ -92,11 +98,13 @@ def draw_rounds(run: RunData) -> "Figure":
             name += "" if one_length else f", {sweeps:g} steps"
             _draw_family(axes, family, {"label": name, **marker_style(place)})
         title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
-        axes.set_title(shortened(title), fontsize=8.0)
-        axes.set(xscale="log", xlabel="Steps per robot")
+        set_title(axes, shortened(title))
+        axes.set_xlabel("Steps per robot")
         axes.set_ylim(bottom=0.0)
     steps = table.loc[table["round_every"].notna(), "steps_per_robot_mean"]
-    panels[0].set(ylabel="RMSE [R]", xlim=(0.7 * steps.min(), 1.4 * steps.max()))
+    label_left(panels, "RMSE [R]")
+    set_log(panels[0], "x", 2.0 * steps.max() / steps.min())
+    panels[0].set_xlim(0.7 * steps.min(), 1.4 * steps.max())
     words = "robots moved in a round; mean and 95 % CI"
     figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
     more = figure_style.left_out(len(points) - len(shown), "table.csv")
@@ -131,7 +139,7 @@ def _draw_level(axes: "Axes", name: str, mean: float, half: float, *, at_right: 
     )  # fmt: skip
 
 
-def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def profile_painters(run: RunData) -> dict[str, Painter]:
     """List the profile figures of a run by file name: one for each of a few sweep points.
 
     All series share a figure if there are many points, or no sweep.
@@ -145,14 +153,14 @@ def profile_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     points = dict(list(table.groupby(swept, sort=False))) if swept else {}
     if not 1 < len(points) <= _MOST_POINTS:
         return {"profiles": partial(_draw_profiles, table=table)}
-    painters: dict[str, Callable[[RunData], Figure]] = {}
+    painters: dict[str, Painter] = {}
     for point, part in points.items():
         slug = re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(map(str, point))).strip("-")
         painters[f"profiles-{slug}"] = partial(_draw_profiles, table=part.drop(columns=swept))
     return painters
 
 
-def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
+def _draw_profiles(run: RunData, most: float = np.inf, *, table: pd.DataFrame) -> "Figure":
     """Draw RMSE against join, height, hops and contacts, and relative RMSE against hops.
 
     Bands of a few series cover the errors of most robots of a range, 10 % to 90 %. Small numbers
@@ -163,8 +171,8 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
     many = table["count"] >= _FEWEST_ROBOTS
     table = table.assign(at=(table["low"] + table["high"]) / 2.0, many=many | (not many.any()))
     if len(table[swept].drop_duplicates()) > len(figure_style.PALETTE):
-        return _draw_small_profiles(run, table, swept)
-    figure, panels = new_panels(PAGE_WIDTH, 3.6, len(PROFILED), 3)
+        return _draw_small_profiles(run, table, swept, most)
+    figure, panels = new_panels(PAGE_WIDTH, 3.6, len(PROFILED), 3, most=most)
     bands = len(table[swept].drop_duplicates()) <= MOST_BANDS
     for axes, (name, label) in zip(panels, PROFILED.items(), strict=True):
         part = table[table["by"] == name]
@@ -187,17 +195,23 @@ def _draw_profiles(run: RunData, table: pd.DataFrame) -> "Figure":
         axes.set(xlabel=label, ylabel="RMSE [R]")
         rmse = part["rmse_R"].to_numpy(float)
         fit_axis(axes, "y", rmse[part["many"]], others=rmse)
-    axes.set(xscale="log", ylabel="Relative RMSE [R]")
+    set_log(axes, "x")
+    axes.set_ylabel("Relative RMSE [R]")
     ticks = sorted(set(part["low"]))
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
+    if figure.axes[-1] in panels:
+        add_legend(figure, entries_of([axes]))
+    else:
+        figure.axes[-1].legend(*axes.get_legend_handles_labels(), loc="center left")
     opened = "" if table["many"].all() else f"open: fewer than {_FEWEST_ROBOTS}"
     figure_style.add_note(figure, "above: robots or pairs of a point", opened, run.note)
     return figure
 
 
-def _draw_small_profiles(run: RunData, table: pd.DataFrame, swept: list[str]) -> "Figure":
+def _draw_small_profiles(
+    run: RunData, table: pd.DataFrame, swept: list[str], most: float
+) -> "Figure":
     """Draw RMSE against hops for more series than colors: a panel for each.
 
     Series of a sweep point share its panel, if there are few. In gray behind each panel are the
@@ -214,7 +228,7 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, swept: list[str]) ->
     shown = dict(list(panels_of.items())[:_MOST_SMALL])
     figure, panels = new_panels(
         PAGE_WIDTH, 0.6 + 1.15 * -(-len(shown) // _SMALL_COLUMNS), len(shown), _SMALL_COLUMNS,
-        share="xy",
+        share="xy", most=most,
     )  # fmt: skip
     first = next(iter(shown.values()))
     for axes, (point, rows) in zip(panels, shown.items(), strict=True):
@@ -223,13 +237,13 @@ def _draw_small_profiles(run: RunData, table: pd.DataFrame, swept: list[str]) ->
         for place, (condition, line) in enumerate(rows.groupby("condition", sort=False)):
             look: dict[str, Any] = {"color": figure_style.PALETTE[place], "markersize": 2.0}
             axes.plot(line["at"], line["rmse_R"], "o-", linewidth=1.0, label=condition, **look)
-        axes.set_title(shortened(str(point)), fontsize=6.5, pad=2.0)
+        set_title(axes, shortened(str(point)), 6.5)
     fit_axis(panels[0], "y", part["rmse_R"].to_numpy(float))
     figure.supxlabel(PROFILED[_SMALL], fontsize=8.0)
     figure.supylabel("RMSE [R]", fontsize=8.0)
-    handles, labels = panels[0].get_legend_handles_labels()
-    if len(labels) > 1:
-        figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    entries = entries_of(panels[:1])
+    if len(entries) > 1:
+        add_legend(figure, entries)
     more = figure_style.left_out(len(panels_of) - len(shown), "profiles.csv")
     figure_style.add_note(figure, "gray: first panel", more, run.note)
     return figure
@@ -245,7 +259,7 @@ def _count(axes: "Axes", places: "pd.Series[float]", counts: "pd.Series[float]")
         )  # fmt: skip
 
 
-def draw_scaling(run: RunData) -> "Figure":
+def draw_scaling(run: RunData, most: float = np.inf) -> "Figure":
     """Draw means over structures against the number of robots N on logarithmic axes.
 
     Panels state the power of N fitted to all sizes, and to the two largest. Where all series are
@@ -253,7 +267,7 @@ def draw_scaling(run: RunData) -> "Figure":
     """
     numbers = ["robots", "mean", "exponent", "slope"]
     table = run.table("scaling.csv", ["series", "measure"], numbers, after="measure")
-    figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3)
+    figure, panels = new_panels(PAGE_WIDTH, 4.4, len(SCALING_PANELS), 3, most=most)
     sizes = sorted(set(table["robots"]))
     labels = [f"{n:g}" if n < 1000 else f"{n / 1000:g}k" for n in sizes]  # noqa: PLR2004 - k
     names = list(dict.fromkeys(table["series"]))
@@ -273,7 +287,8 @@ def draw_scaling(run: RunData) -> "Figure":
                 _powers(part), (0.0, 1.0), (3.0, 3.0 + 8.0 * place), color=look["color"],
                 xycoords="axes fraction", textcoords="offset points", fontsize=6.0,
             )  # fmt: skip
-        axes.set(xscale="log", xlabel="Robots N", ylabel=label)
+        set_log(axes, "x")
+        axes.set(xlabel="Robots N", ylabel=label)
         axes.set_xticks(sizes, labels)
         axes.minorticks_off()
         if measure.endswith("_MB"):
@@ -281,7 +296,7 @@ def draw_scaling(run: RunData) -> "Figure":
         else:
             fit_axis(axes, "y", rows["mean"].to_numpy(float))
     shown = [name for name in (*names, "all series") if name in legend]
-    figure.legend([legend[name] for name in shown], shown, loc="outside upper right", ncols=4)
+    add_legend(figure, {name: legend[name] for name in shown}, loc="outside upper right")
     powers = "powers of N are fitted to all sizes, then to the two largest"
     fitted = table["exponent"].notna().any()
     figure_style.add_note(figure, powers if fitted else "", run.note)
@@ -293,4 +308,4 @@ def _powers(part: "pd.DataFrame") -> str:
     if part.empty or pd.isna(part["exponent"].iloc[0]):
         return ""
     every, largest = part["exponent"].iloc[0], part["slope"].iloc[-1]
-    return f"$N^{{{every:.2f}}}$, last $N^{{{largest:.2f}}}$"
+    return f"N^{every:.2f}, last N^{largest:.2f}"

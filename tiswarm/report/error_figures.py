@@ -1,8 +1,6 @@
 """Draws the figures of errors: against the iterations of a method, and along the structure."""
 
-from collections.abc import Callable
-from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +11,15 @@ from tiswarm.report.figure_style import (
     COLUMN_WIDTH,
     MOST_BANDS,
     PAGE_WIDTH,
+    Painter,
+    add_legend,
     fit_axis,
+    is_narrow,
+    label_left,
     line_style,
     new_panels,
+    set_log,
+    set_title,
     shortened,
 )
 from tiswarm.report.run_data import RunData, Series, StoredCase
@@ -32,8 +36,7 @@ _MOST_VECTORS = 2_000  # points in all panels that an SVG has one by one
 _MAX_KINDS = 4
 _LOW_AND_MIDDLE = (0.05, 0.5)  # quantiles of errors that an axis must show apart
 _OTHERS = {"color": "0.75", "linewidth": 0.7}  # look of lines beyond the colors that there are
-_TITLE_WIDTH = 40  # letters in a line of a panel's title
-_LEGEND_LINE = 0.14  # height of a line of text in a legend or title [inch]
+_TITLE_LINE = 0.14  # height of a line of a title [inch]
 
 _HEIGHT = ("z_R", "True height [R]")
 _GROWS = {
@@ -45,7 +48,7 @@ _GROWS = {
 """By kind of structure, the column of `robots.csv` along which it grows, and the axis label."""
 
 
-def error_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def error_painters(run: RunData) -> dict[str, Painter]:
     """List the figures of errors that a run has, by file name."""
     if _first_by_kind(run.series):
         return {"convergence": draw_convergence, "error-along-growth": _draw_error_along_growth}
@@ -54,7 +57,7 @@ def error_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     return {"convergence": draw_convergence, name: draw_errors}
 
 
-def draw_convergence(run: RunData) -> "Figure":
+def draw_convergence(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against iteration: mean over seeds, and a band of one standard deviation.
 
     Each point of a sweep has a panel with a line for each condition; many lines have no bands.
@@ -66,25 +69,21 @@ def draw_convergence(run: RunData) -> "Figure":
     drawn = {name for of_point in shown.values() for name in of_point}
     bands = len(drawn) <= MOST_BANDS and seeds > 1
     columns = 2 if len(shown) == 4 else min(3, len(shown))  # noqa: PLR2004 - a square
-    rows, in_line = -(-len(shown) // columns), 2 if columns == 1 else 4
+    rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
-    height = 0.8 + 1.9 * rows + _LEGEND_LINE * (len(names) // in_line)
-    figure, panels = new_panels(width, height, len(shown), columns, share="y")
+    figure, panels = new_panels(width, 0.8 + 1.9 * rows, len(shown), columns, share="y", most=most)
     legend: dict[str, Artist] = {}
     top = 0.0
     for axes, (title, of_point) in zip(panels, shown.items(), strict=True):
         top = max(top, _plot_convergence(axes, of_point, names, bands=bands))
-        axes.set_title(fill(title, _TITLE_WIDTH), fontsize=8.0)
+        set_title(axes, title)
         legend |= {str(line.get_label()): line for line in axes.lines}
     lines = [np.asarray(line.get_ydata(), float) for axes in panels for line in axes.lines]
     ends = np.array([line[-1] for line in lines])
     panels[0].set_ylim(top=1.05 * top or 1.0)
     fit_axis(panels[0], "y", ends, others=np.concatenate([np.empty(0), *lines]))
     figure.supylabel("RMSE [R]", fontsize=8.0)
-    figure.legend(
-        legend.values(), legend.keys(), loc="outside upper center", ncols=in_line,
-        title=f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}", title_fontsize=7.0,
-    )  # fmt: skip
+    add_legend(figure, legend, f"mean{' ± 1 sd' * bands}, {counted(seeds, 'structure')}")
     left = len(points) - len(shown)
     more = f"{counted(left, 'more sweep point')} not shown" if left else ""
     figure_style.add_note(figure, more, run.note)
@@ -142,7 +141,7 @@ def _plot_convergence(axes: "Axes", series: Series, names: list[str], *, bands: 
     axes.margins(x=0.0)
     ends = [float(np.max(line.get_xdata())) for line in axes.lines]
     if max(ends, default=0.0) > _MANY_TIMES * min(ends, default=0.0) > 0.0:
-        axes.set_xscale("log", nonpositive="mask")
+        set_log(axes, "x")
     return top
 
 
@@ -155,7 +154,7 @@ def _traces(cases: list[StoredCase]) -> tuple[Reals, Reals]:
     return iteration, np.array([np.interp(iteration, *table.T) for table in tables])
 
 
-def draw_errors(run: RunData) -> "Figure":
+def draw_errors(run: RunData, most: float = np.inf) -> "Figure":
     """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each series has a panel. Of many series, the first conditions of all sweep points are drawn.
@@ -171,17 +170,18 @@ def draw_errors(run: RunData) -> "Figure":
     rows = -(-len(shown) // columns)
     width = COLUMN_WIDTH if columns == 1 else 1.2 + 2.0 * columns
     lines = max(name.count(", ") for name, _ in shown)
-    height = 0.5 + (2.0 + _LEGEND_LINE * lines) * rows
+    height = 0.5 + (2.0 + _TITLE_LINE * lines) * rows
     ways = [_way(cases) for _, cases in shown]
     alike = len(set(ways)) == 1
-    figure, panels = new_panels(width, height, len(shown), columns, share="xy" if alike else "y")
+    share = "xy" if alike else "y"
+    figure, panels = new_panels(width, height, len(shown), columns, share=share, most=most)
     tables = [_errors_at(cases, way[0]) for (_, cases), way in zip(shown, ways, strict=True)]
     _scatter(panels, tables)
     notes = [run.note]
     for axes, (name, _), table in zip(panels, shown, tables, strict=True):
         if len(table) > _MAX_POINTS:
             notes.append(f"{name}: {_MAX_POINTS} of {len(table)} robots drawn")
-        axes.set_title(shortened(name).replace(", ", ",\n"), fontsize=7.0)
+        set_title(axes, shortened(name).replace(", ", ",\n"), 7.0)
     if alike:
         figure.supxlabel(ways[0][1], fontsize=8.0)
     else:
@@ -194,19 +194,19 @@ def draw_errors(run: RunData) -> "Figure":
     return figure
 
 
-def _draw_error_along_growth(run: RunData) -> "Figure":
+def _draw_error_along_growth(run: RunData, most: float = np.inf) -> "Figure":
     """Draw each robot's error against its place along the structure, colored by its join index.
 
     Each kind of structure has a panel with the first condition.
     """
     kinds = _first_by_kind(run.series)
-    figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y")
+    figure, panels = new_panels(PAGE_WIDTH, 2.6, len(kinds), len(kinds), share="y", most=most)
     _scatter(panels, [_errors_at(cases, _way(cases)[0]) for cases in kinds.values()])
     for axes, (kind, cases) in zip(panels, kinds.items(), strict=True):
         axes.set_xlabel(_way(cases)[1])
         many = counted(len(cases), "structure")
-        axes.set_title(f"{kind}, {cases[0].condition}, {many}", fontsize=8.0)
-    panels[0].set_ylabel("Error [R]")
+        set_title(axes, f"{kind}, {cases[0].condition}, {many}")
+    label_left(panels, "Error [R]")
     figure_style.add_note(figure, run.note)
     return figure
 
@@ -260,8 +260,10 @@ def _scatter(panels: "list[Axes]", tables: list[Reals]) -> None:
         )  # fmt: skip
         top = max(top, float(y.max(initial=0.0)))
     panels[0].set_ylim(low, (1.3 if low > 0.0 else 1.05) * top or 1.0)
-    figure = panels[0].figure
-    aspect = 25 * -(-len(panels) // 3)
-    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", aspect=aspect, pad=0.02)
+    figure: Any = panels[0].figure
+    look: dict[str, Any] = {"aspect": 25 * -(-len(panels) // 3)}
+    if is_narrow(figure) and len(panels) > 1:
+        look = {"aspect": 40, "location": "top"}
+    bar = figure.colorbar(dots, ax=figure.axes, label="Join index", pad=0.02, **look)
     bar.locator = MaxNLocator("auto", integer=True)
     bar.ax.spines["outline"].set_visible(False)

@@ -2,9 +2,9 @@
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,21 @@ from tiswarm.base.aliases import Reals
 from tiswarm.records.messages import counted
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.figure import Figure
+
+    from tiswarm.report.run_data import RunData
+
+
+class Painter(Protocol):
+    """What draws a figure of a run."""
+
+    def __call__(self, run: "RunData", most: float = ...) -> "Figure":
+        """Draw the figure, at most so wide [inch]."""
+
 
 TRUE_BLUE = "#0072B2"
 ESTIMATE_ORANGE = "#E69F00"
@@ -37,16 +49,21 @@ PALETTE = (TRUE_BLUE, ESTIMATE_ORANGE, "#009E73", "#D55E00", "#CC79A7", "#56B4E9
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.0
 """Widths of a column and of a page of a paper [inch]."""
 
-STACKED = "-stacked"
-"""End of the name of an SVG whose panels are one below the other."""
+NARROW = "-narrow"
+"""End of the name of an SVG that is drawn as wide as a column."""
 
 MOST_BANDS = 5
 """Lines in a panel beyond which bands would hide each other."""
 
 _PLACES = 6  # digits to which axes have the same place in every process [share of the figure]
-_LONG_LABEL = 20  # letters of a row's label beyond which a stacked figure wraps it
+_LONG_LABEL = 20  # letters of a row's label beyond which a narrow figure wraps it
 _LEGEND_LINE = 0.14  # height of a line of text in a legend [inch]
 _LEGEND_MARK, _LEGEND_LETTER = 0.5, 0.055  # widths of marker and letter in a legend [inch]
+_NOTE_LINE = 0.1  # height of a line of a note [inch]
+_LETTER = 0.58  # width of a letter, as a share of its size
+_TITLE_SIZE, _NOTE_SIZE = 7.0, 5.5  # letters of a legend's title and of a note [pt]
+_MANY_PANELS = 4  # panels with common axes beyond which two fit into a row of a column
+_EXACT = (1e-3, 1e4)  # numbers of an axis that have no power of ten
 _MOST_LINEAR = 12.0  # greatest ratio of values that a linear axis shows well
 _MOST_LABELS = 60.0  # greatest ratio with three labels a decade
 
@@ -61,6 +78,7 @@ STYLE: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
     "svg.hashsalt": "tiswarm",
+    "text.parse_math": False,  # names of users may have any letter
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
 }
@@ -92,20 +110,69 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def new_panels(
-    width: float, height: float, count: int, columns: int, *, share: str = ""
+    width: float,
+    height: float,
+    count: int,
+    columns: int,
+    *,
+    share: str = "",
+    most: float = np.inf,
 ) -> "tuple[Figure, list[Axes]]":
     """Make a figure of a size [inch] with `count` panels, `columns` in a row.
 
-    Panels have the axes named in `share`, such as "xy", in common.
+    Panels have the axes named in `share`, such as "xy", in common. Where the figure may be at most
+    so wide [inch], panels keep their size as far as they can, and get more rows.
     """
+    rows = -(-count // columns)
+    if most < width:
+        fitting = 2 if share and count > _MANY_PANELS else 1
+        columns = max(fitting, int(columns * most / width))
+        height *= -(-count // columns) / rows
+        rows, width = -(-count // columns), most
     figure = new_figure(width, height)
-    x, y, rows = "x" in share, "y" in share, -(-count // columns)
+    x, y = "x" in share, "y" in share
     grid = figure.subplots(rows, columns, sharex=x, sharey=y, squeeze=False).ravel()
     for unused in grid[count:]:
         unused.set_axis_off()
     for lowest in grid[max(0, count - columns) : count]:
         lowest.tick_params(labelbottom=True)  # above an unused place, too
     return figure, list(grid[:count])
+
+
+def is_narrow(figure: "Figure") -> bool:
+    """Whether a figure is as wide as a column of a paper, or less."""
+    return float(figure.get_size_inches()[0]) <= COLUMN_WIDTH
+
+
+def label_rows(axes: "Axes", names: Sequence[str]) -> None:
+    """Name the rows of a panel, 0, 1, ...; a narrow figure breaks long names into lines."""
+    figure: Any = axes.figure
+    if is_narrow(figure):
+        names = [fill(name, _LONG_LABEL) for name in names]
+    axes.set_yticks(np.arange(len(names)), names)
+
+
+def label_left(panels: "Iterable[Axes]", label: str) -> None:
+    """Label the vertical axis of the first panel of each row."""
+    for axes in panels:
+        spec = axes.get_subplotspec()
+        if spec is not None and spec.is_first_col():
+            axes.set_ylabel(label)
+
+
+def set_title(axes: "Axes", title: str, size: float = 8.0) -> None:
+    """Write the title of a panel in as many lines as it needs; `size` is that of letters [pt]."""
+    spec = axes.get_subplotspec()
+    columns = 1 if spec is None else spec.get_gridspec().ncols
+    figure: Any = axes.figure
+    width = float(figure.get_size_inches()[0]) / columns
+    axes.set_title(_filled(title, width, size), fontsize=size)
+
+
+def _filled(text: str, width: float, size: float) -> str:
+    """Break a text into lines of a width [inch] for letters of a size [pt]."""
+    letters = max(1, int(width * 72.0 / (_LETTER * size)))
+    return "\n".join(fill(line, letters) for line in text.split("\n"))
 
 
 def line_style(place: int) -> dict[str, Any]:
@@ -147,22 +214,57 @@ def fit_axis(
         nonpositive: Whether a logarithmic axis leaves out what is not positive ("mask"), or has it
             at its end ("clip").
     """
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axis: Any = getattr(axes, f"{which}axis")
     bounds: Any = getattr(axes, f"set_{which}lim")
     positive = values[values > 0.0]
     span = float(positive.max() / positive.min()) if len(positive) else 1.0
     if span <= _MOST_LINEAR:
         bounds(0.0, None)
         return
-    getattr(axes, f"set_{which}scale")("log", nonpositive=nonpositive)
+    set_log(axes, which, span, nonpositive=nonpositive)
     every = positive if others is None else np.concatenate([positive, others[others > 0.0]])
     bounds(0.6 * every.min(), None)
-    if span < _MOST_LABELS:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())
+
+
+def set_log(axes: "Axes", which: str, span: float = np.inf, *, nonpositive: str = "mask") -> None:
+    """Make the axis x or y logarithmic, with labels in plain text.
+
+    Args:
+        axes: Panel.
+        which: "x" or "y".
+        span: Ratio of the values that are drawn; three labels a decade where it is small.
+        nonpositive: Whether what is not positive is left out ("mask"), or at the end ("clip").
+    """
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    getattr(axes, f"set_{which}scale")("log", nonpositive=nonpositive)
+    axis: Axis = getattr(axes, f"{which}axis")
+    few = span < _MOST_LABELS
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    # Each tick costs 2 ms of a layout: two between powers of ten show the scale.
+    axis.set_minor_locator(NullLocator() if few else LogLocator(subs=(2.0, 5.0)))
+    label_plainly(axis)
+
+
+def label_plainly(axis: "Axis") -> None:
+    """Write the numbers of an axis as text: matplotlib writes powers of ten as formulas."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    axis.set_major_formatter(FuncFormatter(lambda value, _: plain_number(value)))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def plain_number(value: float) -> str:
+    """Write a number with at most six digits, large and small ones with a power of ten.
+
+    >>> [plain_number(value) for value in (0.05, 1000, 1e5, 2e-4, 0)]
+    ['0.05', '1000', '10⁵', '2·10⁻⁴', '0']
+    """
+    if value == 0.0 or _EXACT[0] <= abs(value) < _EXACT[1]:
+        return f"{value:g}"
+    digits, _, power = f"{value:e}".partition("e")
+    raised = str(int(power)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    factor = f"{float(digits):g}"
+    return f"10{raised}" if factor == "1" else f"{factor}·10{raised}"
 
 
 def shortened(name: str) -> str:
@@ -176,29 +278,52 @@ def shortened(name: str) -> str:
 
 
 def add_note(figure: "Figure", *notes: str) -> None:
-    """Write a small line below the figure, at the right, unless all notes are empty."""
+    """Write small lines below the figure, at the right, unless all notes are empty."""
     note = "; ".join(filter(None, notes))
     if not note:
         return
-    _leave_room(figure)
-    figure.text(0.995, 0.0, note, fontsize=5.5, color="0.35", ha="right", va="bottom")
-
-
-def _leave_room(figure: "Figure") -> None:
-    """Leave a line of 0.1 inch below the panels for a note."""
-    line = 0.1 / float(figure.get_size_inches()[1])
+    width, height = map(float, figure.get_size_inches())
+    note = _filled(note, width, _NOTE_SIZE)
+    room = _NOTE_LINE * (1 + note.count("\n")) / height
     engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0.0, line, 1.0, 1.0 - line))
+    engine.set(rect=(0.0, room, 1.0, 1.0 - room))
+    figure.text(0.995, 0.0, note, fontsize=_NOTE_SIZE, color="0.35", ha="right", va="bottom")
+
+
+def entries_of(panels: "Iterable[Axes]") -> "dict[str, Artist]":
+    """Gather what a legend of some panels lists, by label in the order of drawing."""
+    return {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+
+
+def add_legend(
+    figure: "Figure",
+    entries: "Mapping[str, Artist]",
+    title: str = "",
+    *,
+    loc: str = "outside upper center",
+) -> None:
+    """Add a legend on top, in as many columns as fit, and enlarge the figure by further lines."""
+    width, height = map(float, figure.get_size_inches())
+    columns = legend_columns([*entries], width)
+    title = _filled(title, width, _TITLE_SIZE)
+    lines = -(-len(entries) // columns) + title.count("\n")
+    figure.set_size_inches(width, height + _LEGEND_LINE * max(0, lines - 1))
+    figure.legend(
+        entries.values(), entries.keys(), loc=loc, ncols=columns,
+        title=title or None, title_fontsize=_TITLE_SIZE,
+    )  # fmt: skip
 
 
 def add_key(
     figure: "Figure", axes: "Axes", words: str, structures: int, loc: str = "outside upper center"
 ) -> None:
     """Add the legend of the lines of a panel, under what they mean and the number of structures."""
-    figure.legend(
-        *axes.get_legend_handles_labels(), loc=loc, ncols=4,
-        title=f"{words}, {counted(structures, 'structure')}", title_fontsize=7.0,
-    )  # fmt: skip
+    title = f"{words}, {counted(structures, 'structure')}"
+    add_legend(figure, entries_of([axes]), title, loc=loc)
 
 
 def left_out(points: int, file: str) -> str:
@@ -206,57 +331,13 @@ def left_out(points: int, file: str) -> str:
     return f"{counted(points, 'more sweep point')} in {file}" if points else ""
 
 
-def stack(figure: "Figure") -> None:
-    """Arrange the panels of a figure one below the other, as wide as a column of a paper.
-
-    Each panel gets the numbers of its own axes, and legends get as many columns as fit.
-    """
-    panels = [axes for axes in figure.axes if axes.axison and axes.get_subplotspec()]
-    rows = {spec.rowspan.start for axes in panels if (spec := axes.get_subplotspec())}
-    height = float(figure.get_size_inches()[1]) / len(rows) * len(panels)
-    grid = figure.add_gridspec(len(panels), 1)
-    for place, axes in enumerate(panels):
-        axes.set_subplotspec(grid[place])
-        axes.tick_params(labelbottom=True, labelleft=True)
-        if any(len(label.get_text()) > _LONG_LABEL for label in axes.get_yticklabels()):
-            labels = [fill(label.get_text(), _LONG_LABEL) for label in axes.get_yticklabels()]
-            axes.set_yticks(axes.get_yticks(), labels)
-    unused = [axes for axes in figure.axes if not axes.axison]
-    height += _LEGEND_LINE * _restack_legends(figure, unused)
-    for axes in unused:
-        axes.remove()
-    figure.set_size_inches(COLUMN_WIDTH, height)
-    figure.set_layout_engine("constrained")
-    if any(text.get_position()[1] == 0.0 for text in figure.texts):
-        _leave_room(figure)
-
-
-def _restack_legends(figure: "Figure", unused: "Sequence[Axes]") -> int:
-    """Put the legends of a figure and its unused panels on top; returns their lines."""
-    legends = [*figure.legends, *filter(None, (axes.get_legend() for axes in unused))]
-    drawn: dict[str, Any] = {}
-    for axes in figure.axes:
-        handles, labels = axes.get_legend_handles_labels()
-        drawn |= dict(zip(labels, handles, strict=True))
-    lines = 0
-    for legend in legends:
-        names = [text.get_text() for text in legend.get_texts()]
-        columns = legend_columns(names, COLUMN_WIDTH)
-        lines += -(-len(names) // columns)
-        copies: Any = zip(names, legend.legend_handles, strict=True)
-        legend.remove()
-        figure.legend(
-            [drawn.get(name, copy) for name, copy in copies], names, ncols=columns,
-            loc="outside upper center", title=legend.get_title().get_text() or None,
-            title_fontsize=7.0,
-        )  # fmt: skip
-    return lines
-
-
 def legend_columns(names: Sequence[str], width: float, most: int = 4) -> int:
     """Return how many columns of a legend fit into a width [inch]."""
-    column = _LEGEND_MARK + _LEGEND_LETTER * max(map(len, names), default=0)
-    return max(1, min(most, int(width / column)))
+    for columns in range(min(most, len(names)), 1, -1):
+        longest = [max(map(len, part)) for part in np.array_split([*names], columns)]
+        if columns * _LEGEND_MARK + _LEGEND_LETTER * sum(longest) <= width:
+            return columns
+    return 1
 
 
 def png(figure: "Figure") -> bytes:
@@ -285,7 +366,16 @@ def svg(figure: "Figure") -> bytes:
 def _encoded(
     figure: "Figure", canvas: "type[FigureCanvasBase]", form: str, metadata: dict[str, None]
 ) -> bytes:
-    """Lay out a figure once, and encode it; `savefig` would draw it once more before.
+    """Encode a figure that is laid out once; `savefig` would draw it once more before."""
+    lay_out(figure)
+    stream, before = io.BytesIO(), figure.canvas
+    getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
+    figure.set_canvas(before)
+    return stream.getvalue()
+
+
+def lay_out(figure: "Figure") -> None:
+    """Place the panels of a figure for good; a second call changes nothing.
 
     The layout's solver orders variables by where they are in memory, so its last digits vary, and
     SVG names clip paths by them.
@@ -296,8 +386,3 @@ def _encoded(
     for axes in figure.axes:
         left, bottom, width, height = np.round(axes.get_position(original=True).bounds, _PLACES)
         axes.set_position((left, bottom, width, height))
-        axes.set_in_layout(True)  # again, for a figure that is stacked afterwards
-    stream, before = io.BytesIO(), figure.canvas
-    getattr(canvas(figure), f"print_{form}")(stream, metadata=metadata)
-    figure.set_canvas(before)
-    return stream.getvalue()

@@ -1,6 +1,5 @@
 """Draws the figures of a run; each kind is a module of its own."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,15 @@ from tiswarm.base.progress import Progress
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import did_you_mean
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import COLUMN_WIDTH, STACKED, pdf, png, stack, svg
+from tiswarm.report.figure_style import (
+    COLUMN_WIDTH,
+    NARROW,
+    Painter,
+    is_narrow,
+    pdf,
+    png,
+    svg,
+)
 from tiswarm.report.run_data import RunData
 
 if TYPE_CHECKING:
@@ -36,7 +43,7 @@ FIGURES = (
 def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> list[Path]:
     """Draw every figure of a run into `figures/`, as PNG, as SVG and, if wanted, as PDF too.
 
-    A second SVG of a wide figure has the panels one below the other, for narrow screens.
+    A second SVG of a wide figure is drawn as wide as a column, for narrow screens.
     Cases that failed are left out, and a note on each figure states their number. A figure of an
     earlier call that the run no longer has is removed; an existing PDF is redrawn.
 
@@ -46,7 +53,7 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     from matplotlib import style
 
     written = []
-    painters = _painters(run) if run.series else {}
+    painters = painters_of(run) if run.series else {}
     if not painters:
         progress.info("no figures: no case is done")
     with style.context(["default", figure_style.STYLE]):
@@ -58,10 +65,9 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
                     write_bytes(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
-            if figure.get_size_inches()[0] > COLUMN_WIDTH:
-                stack(figure)
-                path = run.subfolder("figures") / f"{name}{STACKED}.svg"
-                write_bytes(path, svg(figure))
+            if not is_narrow(figure):
+                path = run.subfolder("figures") / f"{name}{NARROW}.svg"
+                write_bytes(path, svg(draw(run, COLUMN_WIDTH)))
                 written.append(path)
     folder = run.folder / "figures"
     for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
@@ -78,7 +84,7 @@ def draw_figure(run: RunData, name: str) -> "Figure":
     """
     from matplotlib import style
 
-    painters = _painters(run) if run.series else {}
+    painters = painters_of(run) if run.series else {}
     if name not in painters:
         some = f"; choose one of {', '.join(painters)}" if painters else ""
         problem = f"there is no figure {name!r}{some}{did_you_mean(name, [*painters])}"
@@ -87,9 +93,9 @@ def draw_figure(run: RunData, name: str) -> "Figure":
         return painters[name](run)
 
 
-def _painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def painters_of(run: RunData) -> dict[str, Painter]:
     """List the figures that a run has, by file name."""
-    painters: dict[str, Callable[[RunData], Figure]] = {}
+    painters: dict[str, Painter] = {}
     for place in FIGURES:
         painters |= load(place, "a figure")(run)
     return painters

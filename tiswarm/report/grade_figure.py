@@ -1,7 +1,6 @@
 """Draws the figure of graded conditions: what each grade of a sensor or setting buys."""
 
 import re
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +11,14 @@ from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
     PALETTE,
+    Painter,
+    add_legend,
+    entries_of,
     fit_axis,
     marker_style,
     new_panels,
+    set_log,
+    set_title,
     shortened,
 )
 from tiswarm.report.run_data import RunData, stated_conditions, swept_words
@@ -31,7 +35,7 @@ _UNITS = {"_deg": "deg", "_noise": "R"}
 _ERROR, _HALF = "rmse_R_mean", "rmse_R_ci95"
 
 
-def grade_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def grade_painters(run: RunData) -> dict[str, Painter]:
     """List the figure of graded conditions by file name, if a run has some.
 
     Rounds of back-propagation have a figure of their own.
@@ -43,7 +47,7 @@ def grade_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     return {} if has_rounds or not _families(table) else {"grades": draw_grades}
 
 
-def draw_grades(run: RunData) -> "Figure":
+def draw_grades(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against the number at the end of the names of conditions that else agree.
 
     Conditions whose names begin alike share a panel, in which each point of the sweep has a line.
@@ -62,7 +66,7 @@ def draw_grades(run: RunData) -> "Figure":
     stated = stated_conditions(run.folder)
     columns = min(2 if len(families) in {2, 4} else 3, len(families))
     height = 0.6 + 2.1 * -(-len(families) // columns)
-    figure, panels = new_panels(PAGE_WIDTH, height, len(families), columns, share="y")
+    figure, panels = new_panels(PAGE_WIDTH, height, len(families), columns, share="y", most=most)
     for axes, (family, grades) in zip(panels, families.items(), strict=True):
         for place, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition")
@@ -70,7 +74,7 @@ def draw_grades(run: RunData) -> "Figure":
             _draw_line(axes, rows, grades, look)
             if plain in rows.index:
                 axes.axhline(float(rows.loc[plain, _ERROR]), **_dashed(look))
-        axes.set_title(family, fontsize=8.0)
+        set_title(axes, family)
         axes.set_xlabel(_meaning([stated.get(name, {}) for name in grades.values()]))
         axes.set_xticks([*grades], [f"{grade:g}" for grade in grades])
         axes.minorticks_off()
@@ -79,10 +83,7 @@ def draw_grades(run: RunData) -> "Figure":
     figure.supylabel("RMSE [R]", fontsize=8.0)
     level = f"; dashed: {plain}" if plain else ""
     number = counted(int(table["cases"].max()), "structure")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4,
-        title=f"mean and 95 % CI, {number}{level}", title_fontsize=7.0,
-    )  # fmt: skip
+    add_legend(figure, entries_of(panels[:1]), f"mean and 95 % CI, {number}{level}")
     more = figure_style.left_out(len(points) - len(shown), "table.csv")
     figure_style.add_note(figure, more, run.note)
     return figure
@@ -122,7 +123,7 @@ def _draw_line(
     at = np.array([*grades])
     axes.errorbar(at, part[_ERROR], yerr=half, markersize=3.0, elinewidth=0.6, **look)
     if at.min() > 0.0:
-        axes.set_xscale("log")
+        set_log(axes, "x")
 
 
 def _dashed(look: dict[str, Any]) -> dict[str, Any]:

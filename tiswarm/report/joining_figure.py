@@ -1,13 +1,21 @@
 """Draws the figure of the robots that joined last: their errors as they join, and later."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, line_style, new_panels
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    Painter,
+    add_legend,
+    entries_of,
+    fit_axis,
+    label_left,
+    line_style,
+    new_panels,
+)
 from tiswarm.report.run_data import RunData, StoredCase
 
 if TYPE_CHECKING:
@@ -18,13 +26,13 @@ _SHARE = 4
 """The robots that joined last are one in so many of the smallest structure."""
 
 
-def joining_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def joining_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if a run has structures of several sizes, and such errors."""
     sizes = {case.robots for cases in run.series.values() for case in cases}
     return {"joining": draw_joining} if len(sizes) > 1 and _at_join(run) else {}
 
 
-def draw_joining(run: RunData) -> "Figure":
+def draw_joining(run: RunData, most: float = np.inf) -> "Figure":
     """Draw the RMSE of the last robots against the number of robots by then.
 
     Each kind of structure has a panel, with a line for each condition. Of a method that places
@@ -35,7 +43,7 @@ def draw_joining(run: RunData) -> "Figure":
     names = list(dict.fromkeys(case.condition for case in done))
     sizes = sorted({case.robots for case in done})
     online, last = _at_join(run), max(sizes[0] // _SHARE, 1)
-    figure, panels = new_panels(PAGE_WIDTH, 3.2, len(kinds), len(kinds), share="y")
+    figure, panels = new_panels(PAGE_WIDTH, 3.2, len(kinds), len(kinds), share="y", most=most)
     drawn = []
     for axes, kind in zip(panels, kinds, strict=True):
         for place, name in enumerate(names):
@@ -52,9 +60,9 @@ def draw_joining(run: RunData) -> "Figure":
                 axes.plot(sizes, later, marker="o", markersize=3.0, label=f"{name}, later", **look)
                 drawn += later
         axes.set(xlabel="Robots by then", title=kind, xticks=sizes)
-    panels[0].set_ylabel(f"RMSE of the last {last} robots [R]")
+    label_left(panels, f"RMSE of the last {last} robots [R]")
     fit_axis(panels[0], "y", np.array(drawn))
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    add_legend(figure, entries_of(panels[:1]))
     figure_style.add_note(figure, run.note)
     return figure
 

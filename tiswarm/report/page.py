@@ -60,7 +60,7 @@ class Page:
     def accuracy(self) -> Shown | None:
         """The figure of accuracy, if it has few rows: it is on the first screen."""
         few = self.headline is not None and len(self.headline.frame) <= _MOST_BESIDE
-        figures = (figure for figure in self.figures if figure.stacked and few)
+        figures = (figure for figure in self.figures if figure.narrow and few)
         return next((figure for figure in figures if figure.file == _ACCURACY), None)
 
     def html(self) -> str:

@@ -16,7 +16,7 @@ from PIL import Image
 from tiswarm.base.errors import InputError
 from tiswarm.records.io import run_file
 from tiswarm.report.captions import caption_of
-from tiswarm.report.figure_style import STACKED, TRUE_BLUE
+from tiswarm.report.figure_style import NARROW, TRUE_BLUE
 
 LARGEST = 7_900_000
 """Largest page [bytes]; pictures beyond it remain in files of their own."""
@@ -68,7 +68,7 @@ class Shown(NamedTuple):
     height: int
     wide: int  # width on the page
     drawing: str = ""  # instead of the source, an element <svg>
-    stacked: str = ""  # the same for narrow screens: panels one below the other
+    narrow: str = ""  # the same figure, drawn for narrow screens
 
     @property
     def is_film(self) -> bool:
@@ -78,7 +78,7 @@ class Shown(NamedTuple):
     @property
     def size(self) -> int:
         """What it adds to the page [bytes]."""
-        return len(self.source) + len(self.drawing) + len(self.stacked)
+        return len(self.source) + len(self.drawing) + len(self.narrow)
 
 
 def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[Shown]:
@@ -97,21 +97,21 @@ def show_pictures(folder: Path, room: int = LARGEST, *, case: str = "") -> list[
         if room <= 0:
             caption = f"{caption} Separate file {file}: page size limit."
             pictures.append(
-                picture._replace(source=file, drawing="", stacked="", file=file, caption=caption)
+                picture._replace(source=file, drawing="", narrow="", file=file, caption=caption)
             )
         else:
             pictures.append(picture._replace(file=file, caption=caption))
     return pictures
 
 
-def show_drawing(file: str, caption: str, drawing: bytes, stacked: bytes) -> Shown:
+def show_drawing(file: str, caption: str, drawing: bytes, narrow: bytes) -> Shown:
     """Embed a figure that was encoded as SVG, and the same one for narrow screens.
 
     `file` is the name that the page gives it.
     """
     wide, width = _drawn(Path(file), drawing)
-    narrow, _ = _drawn(Path(file), stacked)
-    return Shown("", file, caption, 0, 0, wide=round(width), drawing=wide, stacked=narrow)
+    column, _ = _drawn(Path(file), narrow)
+    return Shown("", file, caption, 0, 0, wide=round(width), drawing=wide, narrow=column)
 
 
 def _place(path: Path) -> tuple[int, str]:
@@ -125,9 +125,9 @@ def _shown(path: Path) -> Shown:
     vector = path.with_suffix(".svg")
     if path.parent.name == "figures" and vector.exists():
         drawing, width = _drawn(vector, _read(vector))
-        stacked = path.with_name(f"{path.stem}{STACKED}.svg")
-        narrow = _drawn(stacked, _read(stacked))[0] if stacked.exists() else ""
-        return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, stacked=narrow)
+        column = path.with_name(f"{path.stem}{NARROW}.svg")
+        narrow = _drawn(column, _read(column))[0] if column.exists() else ""
+        return Shown("", "", "", 0, 0, wide=round(width), drawing=drawing, narrow=narrow)
     kind, data, (width, height) = _encoded(path)
     share = {"renders": _RENDER_SHARE}.get(path.parent.name, _FIGURE_SHARE)
     source = f"data:{kind};base64,{base64.b64encode(data).decode()}"

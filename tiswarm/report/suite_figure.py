@@ -1,6 +1,5 @@
 """Draws the figure of sensor suites: price against error."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +7,17 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, marker_style, new_panels, shortened
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    Painter,
+    fit_axis,
+    label_left,
+    label_plainly,
+    marker_style,
+    new_panels,
+    set_title,
+    shortened,
+)
 from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import RunData, swept_words
 
@@ -23,12 +32,12 @@ _LINE, _LETTER = 0.025, 0.0145  # height and width of a letter of a label [share
 _MARKER = 0.014  # half the width of a marker [share of the panel]
 
 
-def suite_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def suite_painters(run: RunData) -> dict[str, Painter]:
     """List the figure of suites by file name, if a run has some."""
     return {"price-and-error": draw_suites} if (run.folder / "suites.csv").is_file() else {}
 
 
-def draw_suites(run: RunData) -> "Figure":
+def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE of all robots against the price of 100 robots, a marker for each suite and way.
 
     Each point of a sweep has a panel.
@@ -45,18 +54,20 @@ def draw_suites(run: RunData) -> "Figure":
     ways = list(dict.fromkeys(table["way"]))
     columns = min(2, len(shown))
     figure, panels = new_panels(
-        PAGE_WIDTH, 0.6 + 4.4 * -(-len(shown) // columns), len(shown), columns, share="xy"
-    )
+        PAGE_WIDTH, 0.6 + 4.4 * -(-len(shown) // columns), len(shown), columns, share="xy",
+        most=most,
+    )  # fmt: skip
     fit_axis(panels[0], "y", table[_ERROR].to_numpy(float))
     panels[0].set_xscale("symlog", linthresh=_CHEAPEST, linscale=0.4)
+    label_plainly(panels[0].xaxis)
     panels[0].set_xlim(-0.3 * _CHEAPEST, 4.0 * table[_PRICE].max())
     panels[0].set_ylim(0.5 * table[_ERROR].min(), 1.6 * (table[_ERROR] + table[_HALF]).max())
     for axes, (point, rows) in zip(panels, shown, strict=True):
         _draw_panel(axes, rows, ways)
         title = ", ".join(f"{key}={value}" for key, value in zip(swept, point, strict=True))
-        axes.set_title(shortened(title), fontsize=8.0)
+        set_title(axes, shortened(title))
         axes.set_xlabel("Price of 100 robots [USD]")
-    panels[0].set_ylabel("RMSE of all robots [R]")
+    label_left(panels, "RMSE of all robots [R]")
     words = "mean and 95 % CI" if table[_HALF].any() else "mean"
     figure_style.add_key(figure, panels[0], words, int(table["cases"].max()))
     more = figure_style.left_out(len(points) - len(shown), "suites.csv")

@@ -1,6 +1,6 @@
 """Draws the figures with a row for each of a table: accuracy, shapes and the comparison of runs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,17 @@ from tiswarm.records.frames import read_frame
 from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
-from tiswarm.report.figure_style import PAGE_WIDTH, fit_axis, marker_style, new_panels, shortened
+from tiswarm.report.figure_style import (
+    PAGE_WIDTH,
+    Painter,
+    add_legend,
+    entries_of,
+    fit_axis,
+    label_rows,
+    marker_style,
+    new_panels,
+    shortened,
+)
 from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import RunData, swept_words
 
@@ -29,6 +39,8 @@ _MEASURES = {
 _LABELS = [label for label, _ in _MEASURES.values()]
 _DRAWN = [f"{measure}_{statistic}" for measure in _MEASURES for statistic in ("mean", "ci95")]
 
+_PUBLISHED = "published (robot radii)"
+
 _MOST_ROWS = 60
 
 _SHAPE_PANELS = {
@@ -39,7 +51,7 @@ _SHAPE_PANELS = {
 }
 
 
-def table_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def table_painters(run: RunData) -> dict[str, Painter]:
     """List the figures of `table.csv` that a run has, by file name."""
     if not (run.folder / "table.csv").is_file():
         return {}
@@ -47,7 +59,7 @@ def table_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
     return {"accuracy": draw_accuracy, **shape}
 
 
-def draw_accuracy(run: RunData) -> "Figure":
+def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     """Draw means over structures, a row a condition, with 95 % confidence intervals.
 
     Of few structures, each is drawn instead of the interval. Points of the sweep share a row and
@@ -64,7 +76,9 @@ def draw_accuracy(run: RunData) -> "Figure":
     shown = points[: max(1, _MOST_ROWS // len(names))]
     few = table["cases"].max() < FEWEST_FOR_CI
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
-    figure, panels = new_panels(PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y")
+    figure, panels = new_panels(
+        PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y", most=most
+    )
     for axes, (measure, (_, counterpart)) in zip(panels, _MEASURES.items(), strict=True):
         for index, point in enumerate(shown):
             rows = table[table["point"] == point].set_index("condition").reindex(names)
@@ -82,17 +96,14 @@ def draw_accuracy(run: RunData) -> "Figure":
     if table[published].notna().any(axis=None):
         panels[0].plot(
             [], [], "o", color="0.35", markerfacecolor="white", markersize=3.5,
-            label="published (robot radii)",
+            label=_PUBLISHED,
         )  # fmt: skip
-    handles, labels = panels[0].get_legend_handles_labels()
-    if labels[0].startswith("published"):  # matplotlib lists lines before error bars
-        handles, labels = [*handles[1:], handles[0]], [*labels[1:], labels[0]]
+    entries = entries_of(panels[:1])
+    if _PUBLISHED in entries:  # matplotlib lists lines before error bars
+        entries[_PUBLISHED] = entries.pop(_PUBLISHED)
     number = counted(int(table["cases"].max()), "structure")
-    figure.legend(
-        handles, labels, loc="outside upper right",
-        ncols=figure_style.legend_columns(labels, PAGE_WIDTH), title_fontsize=7.0,
-        title=f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}",
-    )  # fmt: skip
+    title = f"mean, and each of {number} (small)" if few else f"mean and 95 % CI, {number}"
+    add_legend(figure, entries, title, loc="outside upper right")
     more = figure_style.left_out(len(points) - len(shown), "table.csv")
     figure_style.add_note(figure, more, run.note)
     return figure
@@ -112,11 +123,11 @@ def draw_comparison(folder: Path, progress: Progress) -> None:
 
     table = read_frame(folder / "comparison.csv", ["run", "condition"], gaps=["cases", *_DRAWN])
     with style.context(["default", figure_style.STYLE]):
-        write_bytes(folder / "comparison.png", figure_style.png(_comparison(table)))
+        write_bytes(folder / "comparison.png", figure_style.png(draw_rows(table)))
     progress.info("comparison.png")
 
 
-def _comparison(table: pd.DataFrame) -> "Figure":
+def draw_rows(table: pd.DataFrame) -> "Figure":
     """Draw the mean of each row with its confidence interval, one color a run."""
     shown = table.head(_MOST_ROWS)
     words = swept_words(shown).iloc[:, ::-1].iloc[:, :-1]
@@ -133,16 +144,13 @@ def _comparison(table: pd.DataFrame) -> "Figure":
                 color=marker_style(index)["color"], label=run, linewidth=1.0,
             )  # fmt: skip
     _finish_rows(panels, labels, _LABELS)
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2,
-        title="mean and 95 % CI", title_fontsize=7.0,
-    )  # fmt: skip
+    add_legend(figure, entries_of(panels[:1]), "mean and 95 % CI", loc="outside upper right")
     left = len(table) - len(shown)
     figure_style.add_note(figure, f"{left} more rows are in comparison.csv" if left else "")
     return figure
 
 
-def draw_shape(run: RunData) -> "Figure":
+def draw_shape(run: RunData, most: float = np.inf) -> "Figure":
     """Draw accuracy and structure by the robots' shape: a row for each point of the sweep.
 
     Conditions differ in color and marker; where all are equal, gray stands for all.
@@ -155,7 +163,7 @@ def draw_shape(run: RunData) -> "Figure":
     shown = points[:_MOST_ROWS]
     series = dict(list(table.groupby("condition", sort=False)))
     figure, panels = new_panels(
-        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_SHAPE_PANELS), 4, share="y"
+        PAGE_WIDTH, 0.9 + 0.17 * len(shown), len(_SHAPE_PANELS), 4, share="y", most=most
     )
     for axes, name in zip(panels, _SHAPE_PANELS, strict=True):
         alike = table.groupby("point")[f"{name}_mean"].nunique().max() <= 1
@@ -191,5 +199,5 @@ def _finish_rows(panels: "list[Axes]", names: Sequence[str], labels: Sequence[st
         fit_axis(axes, "x", means, nonpositive="clip")
         axes.grid(axis="y", color="0.92", linewidth=0.5)
         axes.set_axisbelow(True)
-    panels[0].set_yticks(np.arange(len(names)), names)
+    label_rows(panels[0], names)
     panels[0].set_ylim(len(names) - 0.5, -0.5)

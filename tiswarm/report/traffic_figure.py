@@ -3,7 +3,6 @@
 Conditions lie close to each other, so each marker has a number, which the legend explains.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +12,14 @@ from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
-    legend_columns,
+    Painter,
+    add_legend,
+    entries_of,
+    label_left,
     line_style,
     marker_style,
     new_panels,
+    set_title,
 )
 from tiswarm.report.run_data import RunData
 
@@ -35,41 +38,33 @@ _LABEL = 6.0
 """Size of a number [pt]."""
 
 
-def traffic_painters(run: RunData) -> dict[str, Callable[[RunData], "Figure"]]:
+def traffic_painters(run: RunData) -> dict[str, Painter]:
     """List the figure by file name, if robots of some case sent each other anything."""
     sent = run.summary.get(_SENT)
     return {"traffic": draw_traffic} if sent is not None and sent.notna().any() else {}
 
 
-def draw_traffic(run: RunData) -> "Figure":
+def draw_traffic(run: RunData, most: float = np.inf) -> "Figure":
     """Draw RMSE against the bytes that a robot sends, a panel for each kind and size."""
     done = run.summary[run.summary["status"] == "done"]
     groups = [*done.groupby(["kind", "robots"], sort=False)]
     names = list(dict.fromkeys(done["condition"]))
     columns = min(len(groups), 2)
     rows = -(-len(groups) // columns)
-    figure, panels = new_panels(PAGE_WIDTH, 1.0 + 3.0 * rows, len(groups), columns, share="xy")
+    figure, panels = new_panels(
+        PAGE_WIDTH, 1.0 + 3.0 * rows, len(groups), columns, share="xy", most=most
+    )
     for axes, ((kind, robots), cases) in zip(panels, groups, strict=True):
         for place, name in enumerate(names):
             _draw_condition(axes, cases[cases["condition"] == name], name, place)
-        axes.set_title(f"{kind}, {robots} robots")
+        set_title(axes, f"{kind}, {robots} robots")
         axes.set_xlabel("Sent by a robot [B]")
-    panels[0].set_ylabel("RMSE [R]")
+    label_left(panels, "RMSE [R]")
     _set_scale(panels[0])
-    handles = {
-        label: handle
-        for axes in panels
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        handles.values(),
-        handles.keys(),
-        loc="outside upper center",
-        ncols=legend_columns([*handles], PAGE_WIDTH),
-    )
+    add_legend(figure, entries_of(panels))
     figure_style.add_note(figure, run.note)
     # Numbers keep apart on paper, so panels need their final size.
-    figure.draw_without_rendering()
+    figure_style.lay_out(figure)
     for axes in panels:
         _number_markers(axes)
     return figure
