@@ -219,7 +219,7 @@ def import_poses(
 
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
-            `time`; a GSD file; a folder of TUM trajectories; or a factor graph (.pyfg).
+            `time`; a GSD file; or a folder of TUM trajectories.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 

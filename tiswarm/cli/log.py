@@ -239,7 +239,7 @@ def import_(
         Path,
         Argument(
             help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum or a folder of "
-            "such files; .pyfg."
+            "such files."
         ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],

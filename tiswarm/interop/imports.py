@@ -3,7 +3,6 @@
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,6 @@ from tiswarm.interop.docking import (
     with_docks,
     with_limits,
 )
-from tiswarm.interop.graph_import import import_graph
 from tiswarm.interop.pose_table import PoseTable, read_table
 from tiswarm.interop.poses import Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
@@ -64,12 +62,6 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
     Raises:
         InputError: a table is malformed or does not contain the anchors.
     """
-    if path.suffix == ".pyfg":
-        log, position, notes = import_graph(path, assumed)
-        log = replace(log, noise=_noise(assumed))
-        with at_line(path, 1):
-            check_header(log)
-        return {"": Imported(log, position, notes, "")}
     table = _read(path, assumed)
     runs = poses_by_run(table, path, shape_error=assumed.largest_gap)
     if assumed.contacts is not None and len(runs) > 1:
