@@ -109,6 +109,52 @@ def test_columns_that_are_not_found_are_listed(tmp_path):
         bring_in(tmp_path / "t.csv", ["name;x [mm];y [mm];z [mm];roll;pitch;yaw", "1;2;3;4;5;6;7"])
 
 
+@pytest.mark.parametrize("other", ["vel", "std", "cmd", "est"])
+def test_only_units_of_length_name_positions(rows, tmp_path, other):
+    """Velocities and deviations come first in many tables, and change nothing in the log."""
+    names = [f"{axis}_{other}" for axis in "xyz"]
+    turned = [f"{name}_{other}" for name in COLUMNS[4:]]
+    header = ",".join([*names, "robot", "x_m", "y_m", "z_m", *turned, *COLUMNS[4:]])
+    lines = [",".join(["9", "8", "7", *row[:4], "1", "0", "0", "0", *row[4:]]) for row in rows]
+
+    found = bring_in(tmp_path / "t.csv", [header, *lines])
+
+    plain = bring_in(tmp_path / "plain.csv", [",".join(COLUMNS), *map(",".join, rows)])
+    assert found.log.length_unit == "m"
+    assert content(found) == content(plain)
+
+
+@pytest.mark.parametrize(
+    ("axes", "problem"),
+    [
+        ("x,y,z,x_m,y_m,z_m", "positions are in x,y,z and in x_m,y_m,z_m; keep one, or rename the"),
+        ("x_m,y_m,z_m,x [mm]", "positions are in x_m and in x [mm]; keep one, or rename the"),
+        ("x,y,z,X", "positions are in x and in X; keep one, or rename the others"),
+        ("x,y,y,z", "positions are in y and in y; keep one, or rename the others"),
+        ("x [m],y [mm],z", "the axes have different units: x in m, y in mm, z in none; convert"),
+        ("x_vel,y_vel,z_vel", "x_vel: 'vel' is no known unit of length; rename it to one of m, cm"),
+        ("x_vel,y_m,z_m", "robot,x_vel,y_m,z_m,qw,qx,qy,qz; rename or add x"),
+        ("x,y,z,robot", "robot: there are 2 columns of this name; rename all but one"),
+    ],
+)
+def test_positions_that_are_in_doubt_are_refused(tmp_path, axes, problem):
+    """The line names the columns between which a reader has to choose, or their units."""
+    header = f"robot,{axes},qw,qx,qy,qz"
+    row = ",".join(["0", *"12345678"[: axes.count(",") + 1], *"1000"])
+
+    with pytest.raises(InputError, match=re.escape(problem)):
+        bring_in(tmp_path / "t.csv", [header, row])
+
+
+def test_a_unit_that_an_option_names_is_a_unit_of_length(rows, tmp_path):
+    """Simulators have units of their own."""
+    header = ",".join(["robot", "x_voxel", "y_voxel", "z_voxel", *COLUMNS[4:]])
+
+    found = bring_in(tmp_path / "t.csv", [header, *map(",".join, rows)], length_unit="voxel")
+
+    assert found.log.length_unit == "voxel"
+
+
 def test_incomplete_rows_are_listed_at_once(rows, tmp_path):
     """They are refused by line and number, or dropped on demand; a note says so."""
     lines = [",".join(COLUMNS), *map(",".join, rows)]

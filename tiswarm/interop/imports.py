@@ -80,7 +80,10 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
     if path.suffix == ".gsd":
         return read_gsd(path, dock_radius=assumed.dock_radius)
     return read_table(
-        path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
+        path,
+        dock_radius=assumed.dock_radius,
+        drop_incomplete=assumed.drop_incomplete,
+        length_unit=assumed.length_unit,
     )
 
 

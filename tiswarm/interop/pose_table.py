@@ -1,7 +1,8 @@
 """Reads the columns of a table of poses by their meaning: names, units, times, incomplete rows."""
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,19 @@ _NAMES = {
     "time": ("time", "t", "stamp", "timestamp", "frame", "step"),
 }
 """Names of a column, the first that a table has is read; others have their meaning as name."""
+
+_LENGTHS = (
+    *("m", "cm", "mm", "dm", "um", "µm", "nm", "km", "in", "ft", "yd", "R"),
+    *("meters", "centimeters", "millimeters", "inches", "feet"),
+)
+"""Units of length that a column may name, in capitals or not. Other words after an axis name other
+quantities, such as velocities and standard deviations."""
+
+_NO_UNIT = "unit"
+"""Unit of tables that name none, as exports write it."""
+
+_TIMES = ("s", "sec", "seconds", "ms", "us", "µs", "ns", "min", "steps", "frames")
+"""Units of time that a column may name."""
 
 _UNIT = re.compile(
     r"(?P<name>\w+?)(?:_(?P<suffix>[A-Za-z]+)|\s*[\[(]\s*(?P<brackets>[^\])]*?)\s*[\])])"
@@ -49,7 +63,9 @@ class PoseTable(NamedTuple):
     """Center to dock in the body frame, shape (D, 3); None where the file has no docks."""
 
 
-def read_table(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTable:
+def read_table(
+    path: Path, *, dock_radius: float, drop_incomplete: bool, length_unit: str = _NO_UNIT
+) -> PoseTable:
     """Read a table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in any order of columns.
 
     Times count only where a robot, or sphere, has several rows: other tables are free to have a
@@ -59,12 +75,13 @@ def read_table(path: Path, *, dock_radius: float, drop_incomplete: bool) -> Pose
         path: The table.
         dock_radius: Radius of a dock sphere.
         drop_incomplete: Whether to leave out rows that lack a number, instead of refusing them.
+        length_unit: A unit of length that columns may name beside the usual ones.
 
     Raises:
         InputError: the table is malformed, or lacks a column.
     """
     text = CsvFile(path)
-    columns, unit = _columns(text.columns, path)
+    columns, unit = _columns(text.columns, path, length_unit)
     notes = _without_incomplete(text, columns.values(), drop=drop_incomplete)
     time = _find(text.columns, "time")
     single = [name for name in ("run",) if name in text.columns] + [
@@ -106,28 +123,66 @@ def refuse_far(
             raise InputError(problem, path=path, line=line, key=key)
 
 
-def _columns(header: Sequence[str], path: Path) -> tuple[dict[str, str], str]:
+def _columns(header: Sequence[str], path: Path, length_unit: str) -> tuple[dict[str, str], str]:
     """Find the column of each quantity, and the unit of lengths."""
-    units = dict.fromkeys(["", *(unit for name, unit in map(_split, header) if name == "x")])
     found = {
         name: column for name in ("robot", "sphere", "join") if (column := _find(header, name))
     }
     for name in QUATERNION if "sphere" not in found else ():
         if column := _find(header, name):
             found[name] = column
-    for unit in units:
-        lengths = {
-            axis: column for axis in _AXES for column in header if _split(column) == (axis, unit)
-        }
-        wanted = ["robot", *(["sphere"] if "sphere" in found else QUATERNION)]
-        if len(lengths) == len(_AXES) and {*wanted} <= {*found}:
-            return {
-                name: found[name] for name in (*wanted, "join") if name in found
-            } | lengths, unit
-    lacking = [name for name in ("robot", *_AXES, *QUATERNION) if not _has(header, name)]
-    problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
-    problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
-    raise InputError(problem, path=path, line=1)
+    wanted = ["sphere"] if "sphere" in found else QUATERNION
+    lengths, unit = _positions(header, path, length_unit)
+    needed = {name: found.get(name) or lengths.get(name) for name in ("robot", *_AXES, *wanted)}
+    if lacking := [name for name, column in needed.items() if not column]:
+        problem = "the columns are neither robot,x,y,z,qw,qx,qy,qz nor robot,sphere,x,y,z but "
+        problem += f"{','.join(header)[:200] or 'none'}; rename or add {','.join(lacking)}"
+        raise InputError(problem, path=path, line=1)
+    columns = {name: found[name] for name in ("robot", *wanted, "join") if name in found} | lengths
+    for column in columns.values():
+        if header.count(column) > 1:
+            problem = f"there are {header.count(column)} columns of this name; rename all but one"
+            raise InputError(problem, path=path, line=1, key=column)
+    return columns, unit
+
+
+def _positions(header: Sequence[str], path: Path, length_unit: str) -> tuple[dict[str, str], str]:
+    """Find the columns of x, y and z, all in one unit, and that unit; axes may lack a column.
+
+    Raises:
+        InputError: there are two sets of such columns, or axes have different units.
+    """
+    known = {unit.lower() for unit in ("", *_LENGTHS, _NO_UNIT, length_unit)}
+    found: dict[str, dict[str, list[str]]] = {axis: {} for axis in _AXES}
+    unknown: dict[str, str] = {}
+    for column in header:
+        axis, unit = _split(column)
+        if axis in found and unit.lower() in known:
+            found[axis].setdefault(unit.lower(), []).append(column)
+        elif axis in found:
+            unknown.setdefault(unit, column)
+    sets = [{*units} for units in found.values()]
+    complete = [unit for unit in found["x"] if unit in set.intersection(*sets)]
+    several = [",".join(units[unit][0] for units in found.values()) for unit in complete]
+    if len(complete) == 1:
+        columns = ([*chain(*units.values())] for units in found.values())
+        several = next((names for names in columns if len(names) > 1), [])
+    if len(several) > 1:
+        problem = f"positions are in {' and in '.join(several)}; keep one, or rename the others"
+        raise InputError(problem, path=path, line=1)
+    if not complete and all(sets):
+        units = ", ".join(f"{axis} in {next(iter(found[axis])) or 'none'}" for axis in found)
+        problem = f"the axes have different units: {units}; convert them to one"
+        raise InputError(problem, path=path, line=1)
+    if unknown and not any(sets):
+        unit, column = next(iter(unknown.items()))
+        problem = f"{unit[:40]!r} is no known unit of length; rename it to one of "
+        problem += f"{', '.join(_LENGTHS)}, or give --length-unit {unit[:40]}"
+        raise InputError(problem, path=path, line=1, key=column)
+    lengths = {axis: next(iter(units.values()))[0] for axis, units in found.items() if units}
+    if complete:
+        lengths = {axis: units[complete[0]][0] for axis, units in found.items()}
+    return lengths, _split(lengths.get("x", ""))[1]
 
 
 def _split(column: str) -> tuple[str, str]:
@@ -139,18 +194,14 @@ def _split(column: str) -> tuple[str, str]:
 
 
 def _find(header: Sequence[str], meaning: str) -> str:
-    """Find the column of a quantity by its names, with a unit or not; empty if there is none."""
+    """Find the column of a quantity by its names, of a time with a unit or not; else return ""."""
     for name in _NAMES.get(meaning, (meaning,)):
         for column in header:
-            if column.lower() == name or (meaning == "time" and _split(column)[0] == name):
+            if column.lower() == name:
+                return column
+            if meaning == "time" and _split(column)[0] == name and _split(column)[1] in _TIMES:
                 return column
     return ""
-
-
-def _has(header: Sequence[str], meaning: str) -> bool:
-    """Whether a table has a column of some meaning, in any unit."""
-    in_units: Iterator[str] = (_split(column)[0] for column in header)
-    return bool(_find(header, meaning)) or (meaning in _AXES and meaning in in_units)
 
 
 def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) -> list[str]:
