@@ -83,7 +83,7 @@ def test_version_is_printed(tiswarm):
         ),
         (
             ("localize", "log.jsonl", "--method", "least-squares", "--set", "starts=x"),
-            '--set starts=x: "x" should be a valid integer',
+            '--set starts=x: "x" should be a whole number',
         ),
         (("report", "scenarios"), "run folder"),
         (("render", "scenarios"), "scenarios"),

@@ -101,7 +101,7 @@ def test_a_setting_is_checked_as_any_other(files):
     """A wrong key, type or value is a line with its place."""
     (files / "own.py").write_text(CHAIN)
     library.check("own.yaml", plugins=["own.py"])
-    wrong = {"gap=-1": "gap should be 0 or more", "gap=x": "valid number", "gab=1": "did you mean"}
+    wrong = {"gap=-1": "0 or more", "gap=x": "should be a number", "gab=1": "did you mean"}
 
     for setting, words in wrong.items():
         with pytest.raises(InputError, match=words):

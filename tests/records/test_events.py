@@ -155,7 +155,7 @@ REFUSED = {
     "contacts[0][0]: 1.5 should be": {**RELEASE, "contacts": [[1.5, 7, 1]]},
     "contacts[0][2]: is missing; add it": {**RELEASE, "contacts": [[0, 7]]},
     "contacts: is missing; add it": {"event": "release", "robot": 5},
-    "contacts: List should have at least 1 item": {**RELEASE, "contacts": []},
+    "contacts: [] should have at least 1 item": {**RELEASE, "contacts": []},
     "contacts: unknown key": {**LEAVE, "contacts": []},
     "robot: is missing; add it": {"event": "leave"},
     "robot: null should be": {"event": "leave", "robot": None},

@@ -64,7 +64,7 @@ REFUSED = [
         "dock_radius",
         "1e+308 should be less than or equal to 1000000000",
     ),
-    (header(dock_radius="1"), 1, "dock_radius", '"1" should be a valid number'),
+    (header(dock_radius="1"), 1, "dock_radius", '"1" should be a number'),
     (header(dock_radius=...), 1, "dock_radius", "is missing; add it"),
     (header(dock_radius=10**400), 1, "dock_radius", "should be a finite number"),
     (header(dock_offsets=[]), 1, "dock_offsets", "should have at least 1 item, not 0"),
@@ -72,7 +72,7 @@ REFUSED = [
         header(dock_offsets=[[1, 2]]),
         1,
         "dock_offsets[0]",
-        "List should have at least 3 items, not 2",
+        "should have at least 3 items, not 2",
     ),
     (header(dock_offsets=[[1, NAN, 0]]), 1, "dock_offsets[0][1]", "NaN should be a finite number"),
     (
@@ -86,8 +86,8 @@ REFUSED = [
     (header(anchor_position=[0, 0, 1e11]), 1, "anchor_position", "should be within 1e+10 R of 0.0"),
     (header(ground_z=-1e308), 1, "ground_z", "-1e+308 should be within 1e+10 R of 1.0"),
     (header(anchor_position=[0, 0, 0, 0]), 1, "anchor_position", "at most 3 items, not 4"),
-    (header(anchor_position={}), 1, "anchor_position", "{} should be a valid array"),
-    (header(ground_z="flat"), 1, "ground_z", '"flat" should be a valid number'),
+    (header(anchor_position={}), 1, "anchor_position", "{} should be a list"),
+    (header(ground_z="flat"), 1, "ground_z", '"flat" should be a number'),
     (header(version=...), 1, "version", "is missing; add it"),
     (
         header(version=..., dock_radius=..., anchor_position=...),
@@ -95,14 +95,14 @@ REFUSED = [
         "version, dock_radius, anchor_position",
         "are missing; add them",
     ),
-    (header(length_unit=""), 1, "length_unit", "String should have at least 1 character"),
+    (header(length_unit=""), 1, "length_unit", "should have at least 1 character"),
     (header(length_unit="m,m"), 1, "length_unit", '"m,m" cannot be part of a column'),
     (header(length_unit='m"'), 1, "length_unit", "cannot be part of a column's name; write a name"),
     (header(length_unit="m\n"), 1, "length_unit", "cannot be part of a column's name"),
     (header(length_unit="\x1b[2J"), 1, "length_unit", "cannot be part of a column's name"),
     (header(length_unit=" m"), 1, "length_unit", "cannot be part of a column's name"),
     (header(length_unit="m" * 41), 1, "length_unit", "at most 40 characters"),
-    (header(length_unit=3), 1, "length_unit", "3 should be a valid string"),
+    (header(length_unit=3), 1, "length_unit", "3 should be text"),
     (header(noise={"tilt_deg": 1.0}), 1, "noise.yaw_deg", "is missing; add it"),
     (
         header(noise={"tilt_deg": -1, "yaw_deg": 0}),
@@ -121,9 +121,9 @@ REFUSED = [
     ),
     (header(ground=0.0), 1, "ground", "unknown key; did you mean ground_z?"),
     # a robot
-    (joiner(robot="11"), 3, "robot", '"11" should be a valid integer'),
-    (joiner(robot=11.0), 3, "robot", "11.0 should be a valid integer"),
-    (joiner(robot=True), 3, "robot", "true should be a valid integer"),
+    (joiner(robot="11"), 3, "robot", '"11" should be a whole number'),
+    (joiner(robot=11.0), 3, "robot", "11.0 should be a whole number"),
+    (joiner(robot=True), 3, "robot", "true should be a whole number"),
     (joiner(robot=2**63), 3, "robot", "9223372036854775808 should be less than or equal"),
     (joiner(robot=10), 3, "robot", "robot 10 has a line already; give every robot its own"),
     (joiner(orientation_wxyz=...), 3, "orientation_wxyz", "is missing; add it"),
@@ -131,7 +131,7 @@ REFUSED = [
         joiner(orientation_wxyz=[1, 0, 0]),
         3,
         "orientation_wxyz",
-        "List should have at least 4 items",
+        "should have at least 4 items",
     ),
     (joiner(orientation_wxyz=[0] * 4), 3, "orientation_wxyz", "has length 0; scale it to 1"),
     (joiner(orientation_wxyz=[1, 0.1, 0, 0]), 3, "orientation_wxyz", "length 1.00499; scale it"),
@@ -141,12 +141,12 @@ REFUSED = [
     (joiner(orientation_wxyz=[-1e308] * 4), 3, "orientation_wxyz", "length inf; scale it to 1"),
     (joiner(flip_height=1e12), 3, "flip_height", "1000000000000.0 should be within 1e+10 R of 1.0"),
     (joiner(spawn_position=[0, 1e15, 0]), 3, "spawn_position", "within 1e+10 R of [0.0, 0.0, 1.0]"),
-    (joiner(flip_height="high"), 3, "flip_height", '"high" should be a valid number'),
+    (joiner(flip_height="high"), 3, "flip_height", '"high" should be a number'),
     (
         joiner(spawn_position=[1, 2]),
         3,
         "spawn_position",
-        "List should have at least 3 items, not 2",
+        "should have at least 3 items, not 2",
     ),
     (
         joiner(color="red"),
@@ -157,8 +157,8 @@ REFUSED = [
     (joiner(contact=[]), 3, "contact", "unknown key; did you mean contacts?"),
     # its contacts
     (joiner(contacts=...), 3, "contacts", "is missing; add it"),
-    (joiner(contacts=[[0, 10]]), 3, "contacts[0]", "List should have at least 3 items, not 2"),
-    (joiner(contacts=[[0, 10, 1.5]]), 3, "contacts[0][2]", "1.5 should be a valid integer"),
+    (joiner(contacts=[[0, 10]]), 3, "contacts[0]", "should have at least 3 items, not 2"),
+    (joiner(contacts=[[0, 10, 1.5]]), 3, "contacts[0][2]", "1.5 should be a whole number"),
     (joiner(contacts=[[0, 10, 3]]), 3, "contacts[0]", "no dock 3; the header has docks 0 to 2"),
     (joiner(contacts=[[-1, 10, 0]]), 3, "contacts[0]", "no dock -1; the header has docks 0 to 2"),
     (
@@ -236,7 +236,7 @@ BROKEN = [
     (FIRST + b"[" * 100_000, 2, "nested too deep, or a number of thousands of digits; write one"),
     (FIRST + b'{"robot": ' + b"9" * 5000 + b"}", 2, "a number of thousands of digits; write one"),
     (FIRST + b'{"robot": "\xff"}', 2, "byte 0xff is not UTF-8; save the file as UTF-8"),
-    (FIRST + b'{"\\ud800": 1}', 2, "should be a valid string"),
+    (FIRST + b'{"\\ud800": 1}', 2, "should be text"),
 ]
 
 

@@ -98,7 +98,7 @@ REFUSED = [
     ("name: tower\nstructure: {}", 2, "structure.kind", "is missing; add it"),
     ("name: a/b\nstructure: {kind: tower}", 1, "name", "'a/b' cannot name a folder; use letters"),
     ("name: ..\nstructure: {kind: tower}", 1, "name", "'..' cannot name a folder; use letters"),
-    ("name: 3\nstructure: {kind: tower}", 1, "name", "3 should be a valid string"),
+    ("name: 3\nstructure: {kind: tower}", 1, "name", "3 should be text"),
     ("name: x\nstructure: {kind: towr}", 2, "structure.kind", '"towr" should be one of'),
     ("name: x\nstructure: tower", 2, "structure", '"tower" should be keys with values'),
     (f"{SMALL}robot: 20", 3, "robot", "20 should be keys with values; did you mean robots?"),
@@ -147,12 +147,14 @@ REFUSED = [
     (f"{SMALL}color: red", 3, "color", "unknown key; the keys here are name, description, rob"),
     (f"{SMALL}robots: 1", 3, "robots", "1 should be greater than or equal to 2"),
     (f"{SMALL}robots: -5", 3, "robots", "-5 should be greater than or equal to 2"),
-    (f"{SMALL}robots: 1e2", 3, "robots", "100.0 should be a valid integer"),
-    (f"{SMALL}robots: 1_000", 3, "robots", '"1_000" should be a valid integer'),
-    (f"{SMALL}robots: true", 3, "robots", "true should be a valid integer"),
-    (f"{SMALL}robots:", 3, "robots", "null should be a valid integer"),
+    (f"{SMALL}robots: 1e20", 3, "robots", "1e+20 should be a whole number"),
+    (f"{SMALL}robots: 100.0", 3, "robots", "100.0 should be a whole number"),
+    (f"{SMALL}robots: 1_000", 3, "robots", '"1_000" should be a whole number'),
+    (f"{SMALL}robots: true", 3, "robots", "true should be a whole number"),
+    (f"{SMALL}robots:", 3, "robots", "null should be a whole number"),
     (f"{SMALL}seeds: 0", 3, "seeds", "0 should be greater than or equal to 1"),
     (f"{SMALL}seeds: []", 3, "seeds", "should have at least 1 item, not 0"),
+    (f"{SMALL}seeds: [-1]", 3, "seeds[0]", "-1 should be greater than or equal to 0"),
     (f"{SMALL}seeds: [1, -2]", 3, "seeds[1]", "-2 should be greater than or equal to 0"),
     (f"{SMALL}seeds: [1, 2, 1]", 3, "seeds", "1 occurs twice; give each value once"),
     (f"{SMALL}precision: f16", 3, "precision", "\"f16\" should be 'auto', 'f64' or 'f32'"),
@@ -184,7 +186,7 @@ REFUSED = [
         f"{SMALL}localization: {{method: virtual-force, z_correction: no}}",
         3,
         "localization.z_correction",
-        "should be a valid bool",
+        "should be true or false",
     ),
     (
         f"{SMALL}localization: {{method: magic}}",
@@ -212,7 +214,7 @@ REFUSED = [
         f"{SMALL}conditions:\n  a: {{}}\n  b:\n    localization.z_correction: 1",
         6,
         "conditions.b.localization.z_correction",
-        "1 should be a valid boolean",
+        "1 should be true or false",
     ),
     (
         f"{SMALL}conditions:\n  a:\n    sensing.tilt_noise_deg.x: 1",
@@ -220,7 +222,7 @@ REFUSED = [
         "conditions.a.sensing.tilt_noise_deg.x",
         "sensing.tilt_noise_deg is a single value, not a section; correct the key",
     ),
-    (f"{SMALL}sweep:\n  robots: 10", 4, "sweep.robots", "10 should be a valid array"),
+    (f"{SMALL}sweep:\n  robots: 10", 4, "sweep.robots", "10 should be a list"),
     (f"{SMALL}sweep:\n  robots: []", 4, "sweep.robots", "should have at least 1 item, not 0"),
     (f"{SMALL}sweep:\n  robots: [3, 3]", 4, "sweep.robots", "3 occurs twice; give each value once"),
     (
@@ -292,6 +294,13 @@ def test_all_mistakes_are_found_at_once(scenario):
     assert (refusal.value.line, refusal.value.key) == (2, "robots")
 
 
+def test_a_bad_item_does_not_make_its_list_too_short(scenario):
+    """Its own line is the only one: a list with that item would be long enough."""
+    mistakes = find_mistakes(scenario(f"{SMALL}seeds: [-1]\n"))
+
+    assert [mistake.key for mistake in mistakes] == ["seeds[0]"]
+
+
 def test_two_mistakes_are_one_more(scenario):
     """The count is in good English."""
     path = scenario(f"{SMALL}robots: 1\nseeds: 0\n")
@@ -312,6 +321,8 @@ def test_a_sound_scenario_has_no_mistakes(scenario):
     ("option", "read", "value"),
     [
         ("robots=7", lambda s: s.robots, 7),
+        ("robots=1e3", lambda s: s.robots, 1000),
+        ("seeds=[2e+1]", lambda s: s.seed_list, (20,)),
         ("structure.goal_height=1e1", lambda s: s.structure.goal_height, 10.0),
         ("structure.climb.patience=9", lambda s: s.structure.climb.patience, 9),
         ("structure.climb.settle=0.3", lambda s: s.structure.climb.settle, 0.3),
@@ -349,13 +360,13 @@ def test_the_last_option_wins(scenario):
         ("robots", "is not KEY=VALUE; write it like robots=20"),
         ("=3", "is not KEY=VALUE; write it like robots=20"),
         ("robots=", "is empty; write a value"),
-        ("robots=many", '"many" should be a valid integer'),
+        ("robots=many", '"many" should be a whole number'),
         ("robots=[", "not YAML: "),
         ("robts=20", "unknown key; did you mean robots?"),
         ("structure.goal_heigth=30", "unknown key; did you mean goal_height?"),
         ("structure.kind=towr", "\"towr\" should be one of 'tower'"),
         ("precision.x=3", "precision is a single value, not a section; correct the key"),
-        ("seeds=[1, x]", '"x" should be a valid integer'),
+        ("seeds=[1, x]", '"x" should be a whole number'),
         ("sweep.robots=[1]", "1 should be greater than or equal to 2"),
         ("conditions.no-z.localization.iterations=0", "0 should be greater than or equal to 1"),
         ("conditions={a: {robots: 3}}", "conditions change localization and sensing only;"),

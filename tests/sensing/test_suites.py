@@ -137,7 +137,7 @@ def test_a_suite_sets_defaults_that_keys_override(tmp_path):
         ("{suite: zoo}", "sensing.suite", "'zooids'"),
         ("{suite: [3]}", "sensing.suite", "'zooids'"),
         ("{suite: zooids, fix_nois: 3}", "sensing.fix_nois", "did you mean fix_noise?"),
-        ("{suite: zooids, beacons: [[0, 0, a]]}", "sensing.beacons[0][2]", "valid number"),
+        ("{suite: zooids, beacons: [[0, 0, a]]}", "sensing.beacons[0][2]", "should be a number"),
         ("{suite: zooids, beacons: [[0, 0]]}", "sensing.beacons[0][2]", "is missing"),
         ("{suite: zooids, fix_bias: 3}", "sensing", "set beacon_kind to sweep"),
         ("{compass: false}", "sensing", "set both to false"),

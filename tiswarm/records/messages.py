@@ -13,6 +13,18 @@ Part = str | int
 UNKNOWN_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
 _SECTION = frozenset({"dataclass_type", "model_type", "dict_type"})  # a value in place of one
 _MISSING_KEY = frozenset({"missing", "missing_keyword_only_argument", "union_tag_not_found"})
+_PLAIN_WORDS = {
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+    "a valid string": "text",
+    "a valid boolean": "true or false",
+    "a valid array": "a list",
+    "a valid list": "a list",
+    "a valid tuple": "a list",
+    "a valid dictionary": "keys with values",
+    "an object": "keys with values",
+}
+"""Words of pydantic and what files call them."""
 
 
 def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
@@ -33,8 +45,10 @@ def explain(error: ErrorDetails, allowed: Collection[str] = ()) -> str:
         near = difflib.get_close_matches(str(error["loc"][-1]), allowed, n=2)[1:]
         meant = f"; did you mean {near[0]}?" if near else ""
         return f"{shown(error['input'])} should be keys with values{meant}"
-    if message.startswith("Input should"):
-        message = shown(error["input"]) + message.removeprefix("Input")
+    if found := re.match(r"(Input|Tuple|List|Dictionary|String) should", message):
+        message = shown(error["input"]) + message.removeprefix(found[1])
+    for word, plain in _PLAIN_WORDS.items():
+        message = message.replace(word, plain)
     if kind == "literal_error":
         choices = re.findall("'(.+?)'", context["expected"])
         message = re.sub(r"\b(True|False)\b", lambda found: found[0].lower(), message)

@@ -97,7 +97,16 @@ def validate(adapter: TypeAdapter[_Checked], data: Plain) -> _Checked | list[Mis
         # Only from JSON does strict validation accept lists for tuples.
         return adapter.validate_json(json.dumps(data))
     except ValidationError as found:
-        return [_mistake(error, adapter) for error in found.errors(include_url=False)]
+        errors = found.errors(include_url=False)
+        return [_mistake(error, adapter) for error in errors if not _follows(error, errors)]
+
+
+def _follows(error: ErrorDetails, errors: Sequence[ErrorDetails]) -> bool:
+    """Whether a list is too short only because mistakes in its items keep them out of it."""
+    at = error["loc"]
+    return error["type"] == "too_short" and any(
+        other["loc"][: len(at)] == at and len(other["loc"]) > len(at) for other in errors
+    )
 
 
 def mistake_at(path: tuple[Part, ...], problem: str) -> ValidationError:

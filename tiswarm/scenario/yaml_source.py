@@ -1,7 +1,8 @@
 """YAML text to plain data, with the place of each value.
 
 Scalars follow the core schema of YAML 1.2: `1e-3` is a number; `no`, `on` and `12:30` are text;
-`010` is ten. Anchors, aliases, tags and very large files are refused.
+`010` is ten. Beyond that schema, `1e3` is the whole number 1000. Anchors, aliases, tags and very
+large files are refused.
 """
 
 import re
@@ -25,10 +26,12 @@ _CONSTRUCTORS: dict[str, Callable[[str], object]] = {
     r"true|True|TRUE|false|False|FALSE": lambda text: text.lower() == "true",
     r"[-+]?[0-9]{1,300}": int,  # longer ones are floats, and infinite
     r"0o[0-7]{1,99}|0x[0-9a-fA-F]{1,99}": lambda text: int(text, 0),
+    r"[-+]?([0-9]{1,2}[eE]\+?[0-9]|[0-9][eE]\+?1[0-5])": lambda text: int(float(text)),
     r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?": float,
     r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)": lambda text: float(text.replace(".", "").lower()),
 }
-"""How plain scalars become values, by their pattern; all others are text."""
+"""How plain scalars become values, by their pattern; all others are text. Whole numbers with an
+exponent are exact, as all below 2^53."""
 
 
 class Place(NamedTuple):
