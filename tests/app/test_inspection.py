@@ -79,6 +79,27 @@ def test_check_names_a_turn_about_the_only_dock_of_the_anchor(log, tmp_path):
     )
 
 
+def test_check_names_a_turn_about_the_center_of_an_anchor_without_contacts(log, tmp_path):
+    """A range ties the other robot, so no dock is what it turns about."""
+    path = tmp_path / "sensing.jsonl"
+    two = replace(
+        log,
+        contacts=log.contacts[:0],
+        **{name: getattr(log, name)[:2] for name in ("robot_id", "orientation_wxyz")},
+        flip_height=np.full(2, np.nan),
+        spawn_position=np.full((2, 3), np.nan),
+        ground_docks=log.ground_docks[:0],
+        ranges=np.array([[1, 0, 4.0, 0.1, -1]]),
+        stances=None,
+    )
+    write_sensing_log(two, path)
+
+    assert inspect(path).summary.endswith(
+        "in 2 of them, all robots tied to the anchor move as one about its center: none of its "
+        "docks is in contact"
+    )
+
+
 def test_advice_names_robots_and_docks(towers, monkeypatch):
     """Robots go by their names; a table of large swarms has no expected errors."""
     log, center = observe(towers[1], SensingParams()), towers[1].position

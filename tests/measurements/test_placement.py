@@ -62,6 +62,21 @@ def test_docks_in_contact_are_two_radii_apart(towers):
         assert np.abs(off).max() <= width + 1e-9
 
 
+@pytest.mark.parametrize("off", [0.0, 0.3])
+def test_a_height_leaves_a_band(towers, off):
+    """Places are as high as measured, but for a tenth of R and what the estimate misses that by."""
+    log = observe(towers[0], SensingParams())
+    count = np.bincount(log.contacts[:, 2], minlength=30)
+    robot = int(np.flatnonzero((count == 1) & np.isfinite(log.flip_height))[0])
+    position = towers[0].position.copy()
+    position[robot, 2] += off
+
+    height = next(step for step in narrow(log, robot, position) if step.name == "height")
+
+    error = np.abs(height.places[:, 2] - log.flip_height[robot])
+    assert 0.9 * (0.1 + off) < error.max() <= 0.1 + off + 1e-9
+
+
 def test_robots_whose_place_does_not_follow_from_earlier_ones_are_refused(towers):
     """The anchor is known, and a robot without contacts may be anywhere."""
     log = observe(towers[0], SensingParams())

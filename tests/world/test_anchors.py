@@ -14,7 +14,7 @@ from tiswarm.records.sensing_file import read_sensing_log, write_sensing_log
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.scenario.model import dump_scenario, scenario_hash
 from tiswarm.sensing import SensingParams, observe
-from tiswarm.world.anchors import anchor_places
+from tiswarm.world.anchors import anchor_fault, anchor_places
 from tiswarm.world.growth import grow
 from tiswarm.world.history import read_history, write_history
 from tiswarm.world.params import (
@@ -123,6 +123,23 @@ def test_tables_count_from_the_nearest_anchor():
     assert table["anchored"].tolist() == table["robots"].tolist()
     assert table["on_anchor"].iloc[-1] == len(on_one)
     assert found["first_on_anchor"] == on_one[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "sides", "problem"),
+    [
+        (BridgeParams, (-1, -1), "both sides need an anchor; add one"),
+        (BridgeParams, (1, 1), "both sides need an anchor; add one"),
+        (BridgeParams, (-1, 1), ""),
+        (TowerParams, (1, 1), ""),
+        (TowerParams, (-1, -1), ""),
+    ],
+)
+def test_only_a_bridge_needs_an_anchor_on_each_side(kind, sides, problem):
+    """A bridge grows from both; other structures do from wherever anchors stand."""
+    params = kind(anchors=tuple((60.0 * side, 20.0 * y) for y, side in enumerate(sides)))
+
+    assert anchor_fault(params, 8, FIREANT) == problem
 
 
 BAD = [

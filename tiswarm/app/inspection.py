@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 
+from tiswarm.base.aliases import Ints
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.measurements.consistency import contradictions
@@ -321,9 +322,17 @@ def _left_open(log: SensingLog, known: Observability) -> str:
         text += f", {counted(known.floppy.sum(), 'floppy robot')}"
     common, docks = common_modes(log, known)
     if common:
-        about = f" about its dock {docks[0]}, the only one in contact" if len(docks) == 1 else ""
-        text += f"; in {common} of them, all robots tied to the anchor move as one{about}"
+        text += f"; in {common} of them, all robots tied to the anchor move as one{_about(docks)}"
     return text
+
+
+def _about(docks: Ints) -> str:
+    """Say about which point of the anchor other robots turn, if there is one."""
+    if len(docks) != 1:
+        return ""
+    if docks[0] < 0:  # CENTER
+        return " about its center: none of its docks is in contact"
+    return f" about its dock {docks[0]}, the only one in contact"
 
 
 def _inspect_log(path: Path) -> Inspection:

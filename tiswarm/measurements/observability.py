@@ -72,7 +72,8 @@ def common_modes(log: SensingLog, known: Observability) -> tuple[int, Ints]:
     Contacts at a single dock of the anchor, for example, resist no turn about it.
 
     Returns:
-        Number of such modes, and the docks of the anchor in contact, shape (n,).
+        Number of such modes, and the docks of the anchor in contact, CENTER where other
+        measurements tie it, shape (n,).
     """
     rows = measure(log, known.cues).associated(_anywhere(log))
     modes = common_motions(rows, _anywhere(log), parts(rows), yaw_unknown=known.yaw_unknown)
