@@ -145,3 +145,20 @@ def test_an_assessed_range_is_an_outlier_from_five_sd_on(miss, outliers):
     found = assess(log, ("fixes", "ranges"), place / log.dock_radius, is_guess=np.zeros(5, bool))
 
     assert found.outlier_contacts.tolist() == outliers
+
+
+@pytest.mark.parametrize(("off", "converged"), [(0.0, True), (3.0, True), (8.0, False)])
+def test_the_sd_of_others_excuses_no_robot_that_is_far_off(off, converged):
+    """Eleven robots are where their fixes say; the last one is off by so many of its own sd.
+
+    All chi-square beyond noise is that of one robot, which nine of ten robots would hide.
+    """
+    _, place = foreign.without_beacons(13, 0)
+    log = foreign.with_places(foreign.silent(place), place, range(1, 13))
+    sd = np.full(13, 4.0 * foreign.BEACON_SD / log.dock_radius)
+    position = place / log.dock_radius
+    position[12] += off * sd[12] / np.sqrt(3.0)
+
+    found = assess(log, ("fixes",), position, is_guess=np.zeros(13, bool), sd=sd)
+
+    assert found.convergence.converged == converged

@@ -16,7 +16,7 @@ from tiswarm.localization.cue_params import CUES, ChiSquareParams
 from tiswarm.localization.joint.problem import Problem, pose_problem
 from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE, MIXTURE
 from tiswarm.localization.params import LARGE
-from tiswarm.localization.refinement import Cost
+from tiswarm.localization.refinement import SETTLED, Cost
 from tiswarm.measurements.model import Measurements
 from tiswarm.records.estimate import MOST_MISFIT_SD, MOST_WITHIN, Convergence
 from tiswarm.records.sensing_log import SensingLog
@@ -184,11 +184,19 @@ def _minimum(
 
 
 def _is_within(away: Reals, sd: Reals | None, is_guess: Bools) -> bool:
-    """Judge whether nine of ten robots are within `MOST_WITHIN` sd of the minimum."""
+    """Judge whether nine of ten robots are within `MOST_WITHIN` sd of the minimum, and all near it.
+
+    The sd of others excuses no robot that is farther off than `CONVERGENCE.outlier_sd` of its own.
+    """
     if sd is None:
         return False
-    is_near = np.linalg.norm(away, axis=1) <= MOST_WITHIN * sd
-    return bool(is_near[1:][~is_guess[1:]].mean() >= _NINE_OF_TEN)
+    counts = ~is_guess[1:]
+    off, allowed = np.linalg.norm(away, axis=1)[1:][counts], sd[1:][counts]
+    is_near = off <= MOST_WITHIN * allowed
+    return bool(
+        is_near.mean() >= _NINE_OF_TEN
+        and (off <= np.maximum(CONVERGENCE.outlier_sd * allowed, SETTLED)).all()
+    )
 
 
 def misfit_by_robot(rows: Measurements, square: Reals) -> Reals:

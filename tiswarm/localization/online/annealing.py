@@ -4,7 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from tiswarm.base.aliases import Reals
+from tiswarm.base.aliases import Bools, Reals
 from tiswarm.localization.cue_params import ChiSquareParams
 from tiswarm.localization.joint.annealing import anneal
 from tiswarm.localization.joint.chains import Annealed, failed
@@ -12,7 +12,7 @@ from tiswarm.localization.joint.ends import ranked
 from tiswarm.localization.joint.initialization import place_disconnected, set_apart
 from tiswarm.localization.joint.method import localize_batch, mixed, without_outlier_robots
 from tiswarm.localization.joint.problem import Problem, pose_problem
-from tiswarm.localization.joint.settings import ANNEALING
+from tiswarm.localization.joint.settings import ANNEALING, CONVERGENCE
 from tiswarm.localization.online.configuration import Configuration
 from tiswarm.localization.online.settings import CANDIDATES, TIMES
 from tiswarm.localization.params import JointParams, OnlineParams
@@ -95,6 +95,23 @@ def annealed_estimate(log: SensingLog, params: OnlineParams, state: Configuratio
     other = _searched(log, params)
     is_better = other.convergence is not None and other.convergence.trusted
     return other if is_better else estimate
+
+
+def elsewhere(log: SensingLog, params: OnlineParams, position: Reals, sd: Reals) -> Bools:
+    """Find robots that a search from no present estimate puts elsewhere, shape (N,).
+
+    Args:
+        log: What was sensed; the anchor is at the origin.
+        params: Settings.
+        position: Where robots are [R], shape (N, 3).
+        sd: Standard deviation of each position [R], shape (N,).
+    """
+    allowed = np.maximum(CONVERGENCE.outlier_sd * sd, CANDIDATES.distinct)
+    share = np.zeros(log.robot_count)
+    for solution in _searched(log, params).solutions:
+        away = np.linalg.norm(solution.position / log.dock_radius - position, axis=1)
+        share += np.where(away > allowed, solution.weight, 0.0)
+    return share > CANDIDATES.rival
 
 
 def _is_torn(problem: Problem, estimate: Estimate) -> bool:

@@ -131,11 +131,6 @@ class LocalLayers:
             # It hangs on robots that are elsewhere in other likely states.
             self.shift[number] += self.shift[partners].mean(axis=0)
 
-    def is_surprising(self, number: int) -> bool:
-        """Judge whether chance explains the rows and overlaps of a robot where it is."""
-        problem = self.neighborhood(self._near(number))
-        return self._is_surprise(problem, problem.linearized(self.state), number)
-
     def surprising(self, robots: Ints) -> list[bool]:
         """Judge of robots, ascending, whether chance does not explain their rows and overlaps."""
         if not self._blocks_about(robots):

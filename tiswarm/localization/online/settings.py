@@ -48,6 +48,10 @@ class CandidateSettings:
     """Cost beyond the best one's up to which the robots nearby are solved for with a candidate, so
     that it enters the mean [1]."""
 
+    rival: float = 0.1
+    """Weight from which on solutions that put a robot elsewhere speak against where it is [1]: nine
+    of ten estimates are to be right."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NeighborhoodSettings:

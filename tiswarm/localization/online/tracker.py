@@ -8,16 +8,17 @@ in R, and relative to the anchor.
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tiswarm.base.aliases import Ints, Reals
+from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.compute import backend, program
-from tiswarm.localization.assessment import assess, rms
+from tiswarm.localization.assessment import Assessment, assess, rms
 from tiswarm.localization.joint.problem import pose_problem
-from tiswarm.localization.online.annealing import annealed_estimate, reannealed
+from tiswarm.localization.online.annealing import annealed_estimate, elsewhere, reannealed
 from tiswarm.localization.online.blocks import Block, block_of
 from tiswarm.localization.online.layers import LocalLayers
 from tiswarm.localization.online.lines import (
@@ -34,6 +35,7 @@ from tiswarm.localization.online.settings import (
 from tiswarm.localization.params import LocalizationParams, OnlineParams
 from tiswarm.localization.registry import centered, uncentered
 from tiswarm.records.estimate import Estimate
+from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_events import parse_line
 from tiswarm.records.sensing_format import Line, RobotLine, line_text, parse_header, parse_robot
@@ -96,6 +98,7 @@ class Tracker:
         self._index: dict[int, int] = {}
         self._layers = LocalLayers(len(self._head.dock_offsets), self._params)
         self._annealed_at = 1
+        self._outliers: set[int] = set()  # robots whose rows even a search did not explain
         self._said: Reals = np.empty(0)  # standard deviations [R]
 
     @property
@@ -235,6 +238,7 @@ class Tracker:
         problem = pose_problem(log, self._params)
         position, sd = self._layers.mean, self._layers.sd
         verdicts = assess(log, self._params.cues, position, is_guess=problem.untied, sd=sd)
+        verdicts = self._challenged(log, verdicts, ~problem.untied)
         gap = problem.residual(position, np.zeros(len(position)))
         return Estimate(
             robot_id=log.robot_id,
@@ -246,6 +250,23 @@ class Tracker:
             trace=position[None] * self._unit,
             residual=rms(gap[None]) * self._unit,
         )
+
+    def _challenged(self, log: SensingLog, found: Assessment, is_tied: Bools) -> Assessment:
+        """Search a small structure from nowhere before a good verdict on where it is.
+
+        Robots whose rows fit at several places may all fit in the wrong ones, and no chi-square
+        says so.
+        """
+        is_ambiguous = any(len(places) > 1 for places in self._layers.places)
+        is_small = len(self._index) <= TIMES.searched
+        if not (is_ambiguous and is_small and found.convergence.converged):
+            return found
+        away = elsewhere(log, self._params, self._layers.mean, self._layers.sd) & is_tied
+        if not away.any():
+            return found
+        reason = f"a search puts {counted(int(away.sum()), 'robot')} elsewhere"
+        verdict = replace(found.convergence, converged=False, reason=reason)
+        return found._replace(convergence=verdict, outlier_contacts=None, outlier_places=None)
 
     def _joined(self, line: RobotLine) -> Change:
         """Add a robot, and solve for what is near."""
@@ -295,10 +316,17 @@ class Tracker:
         found = reannealed(log, self._params, self._layers.state)
         self._layers.state, self._layers.shift, self._layers.sd = found
         is_small = len(self._index) <= TIMES.searched
-        if is_small and any(surprised) and any(map(self._layers.is_surprising, numbers)):
+        if is_small and self._surprising() - self._outliers:
             found = reannealed(log, self._params, self._layers.state, anew=True)
             self._layers.state, self._layers.shift, self._layers.sd = found
+        # What a search has left is wrong in itself: no later join asks for another search.
+        self._outliers = self._surprising() if is_small else set()
         return True
+
+    def _surprising(self) -> set[int]:
+        """Find the robots whose rows chance does not explain."""
+        every = np.arange(len(self._index))
+        return {*np.flatnonzero(self._layers.surprising(every)).tolist()}
 
     def _measured(self, line: RobotLine) -> Block:
         """Measure the rows of a robot, in a log where all others only stand."""
