@@ -7,6 +7,7 @@ from pathlib import Path
 os.environ["TISWARM_DEBUG"] = "1"  # read when the backend starts
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from tests import runs
 from tiswarm.base.robot import RobotGeometry
@@ -43,6 +44,13 @@ def _choice(item: pytest.Item) -> list[tuple[str, object]]:
     """Return the arguments with which a test starts the backend, in an order."""
     marker = item.get_closest_marker("program")
     return sorted(marker.kwargs.items()) if marker else []
+
+
+# How long an example takes is the machine's business: it may be slow, busy, or compiling a kernel.
+settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("any machine")
 
 
 @pytest.fixture(autouse=True, scope="module")

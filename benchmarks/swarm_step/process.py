@@ -42,5 +42,6 @@ class EngineProcess:
         line = self.process.stdout.readline()
         if line:
             return dict(json.loads(line))
-        msg = f"{self.process.args} ended with status {self.process.wait()}"
+        self.stop()
+        msg = f"{self.process.args} ended with status {self.process.returncode}"
         raise RuntimeError(msg)

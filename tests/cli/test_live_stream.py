@@ -156,15 +156,16 @@ def test_a_browser_shows_the_newest_line(followed):
             cwd=REPOSITORY, env=environment(), text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
-    try:
-        url = process.stdout.readline().split()[-1]
-        with urlopen(f"{url}cases/", timeout=60) as answer:  # noqa: S310 - our own server
-            assert "9 robots after 12 lines" in answer.read().decode()
-        done = dump(url, "--virtual-time-budget=5000")
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=30)
-    finally:
-        process.kill()
+    with process:
+        try:
+            url = process.stdout.readline().split()[-1]
+            with urlopen(f"{url}cases/", timeout=60) as answer:  # noqa: S310 - our own server
+                assert "9 robots after 12 lines" in answer.read().decode()
+            done = dump(url, "--virtual-time-budget=5000")
+            process.send_signal(signal.SIGINT)
+            _, error = process.communicate(timeout=30)
+        finally:
+            process.kill()
 
     assert re.search('<a href="case/12" aria-current', done.stdout)
     assert re.search('<iframe [^>]*src="[^"]*case/12"', done.stdout)

@@ -1,7 +1,7 @@
 """A chained cell list finds what a search through everything finds."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tiswarm.compute.cell_kernels import CellList, cube_of, first_item, link, relink
@@ -33,7 +33,6 @@ def _count_near(
                 item = following[0, item]
 
 
-@settings(deadline=None)
 @given(
     seed=st.integers(0, 1000),
     size=st.integers(1, 300),

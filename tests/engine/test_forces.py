@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -42,7 +42,6 @@ def test_force_matches_equation_1(distance, ramp):
     np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-15)
 
 
-@settings(deadline=None)
 @given(offset=vectors, ramp=st.floats(0, 1))
 def test_pair_forces_cancel(offset, ramp):
     """Two docks push each other equally hard, even where they coincide."""
@@ -52,7 +51,6 @@ def test_pair_forces_cancel(offset, ramp):
     np.testing.assert_array_equal(there, -back)
 
 
-@settings(deadline=None)
 @given(offset=vectors, turn=rotations, ramp=st.floats(0, 1))
 def test_force_turns_with_the_world(offset, turn, ramp):
     """Rotating the offset rotates the force."""
@@ -63,7 +61,6 @@ def test_force_turns_with_the_world(offset, turn, ramp):
     np.testing.assert_allclose(turned, rotation.apply(_force(offset, ramp)), atol=1e-11)
 
 
-@settings(deadline=None)
 @given(offset=vectors, ramp=st.floats(0, 0.99))
 def test_overlapping_docks_part_and_distant_ones_meet(offset, ramp):
     """The force points away from a dock closer than D and toward one farther than D."""

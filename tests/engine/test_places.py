@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.strategies import vectors
@@ -12,7 +12,6 @@ LARGEST = 2.0**29
 """Half of the box around a swarm at first, in units."""
 
 
-@settings(deadline=None)
 @given(
     centers=st.lists(vectors, min_size=1, max_size=5),
     power=st.floats(0.0, 4.0),

@@ -151,7 +151,7 @@ def test_rows_are_made_anew_once_a_robot_strayed_half_their_skin():
         assert result.list_builds == 12 / 3
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), robots=st.integers(2, 40))
 def test_other_names_and_another_place_change_nothing(seed, robots):
     """Equivariance under renumbering and translation; forces of a pair add up to nothing."""
@@ -210,7 +210,7 @@ def test_single_precision_is_as_good_far_from_the_origin(monkeypatch, small):
         assert error < result.force_error < 100 * np.finfo(np.float32).eps
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), shift=st.tuples(*[st.integers(-(10**6), 10**6)] * 3))
 def test_a_shift_by_whole_units_changes_no_bit(seed, shift):
     """In f32, where centers are whole numbers of a unit, of which 2^-10 R is a multiple."""
@@ -257,7 +257,7 @@ def test_robots_that_come_back_from_beyond_the_numbers_are_right(small, monkeypa
 
 
 @both_small
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     robots=st.integers(2, 8),

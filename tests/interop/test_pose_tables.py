@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.runs import REPOSITORY
@@ -45,7 +45,6 @@ def content(imported, *, but=("length_unit",)):
     return [{key: value for key, value in header.items() if key not in but}, *robots]
 
 
-@settings(deadline=None)  # a busy machine takes longer
 @given(
     order=st.permutations(range(12)),
     places=st.permutations(range(8)),
@@ -86,7 +85,6 @@ def by_name(imported):
     return header, names, contacts
 
 
-@settings(deadline=None)
 @given(order=st.permutations(range(12)))
 def test_the_order_of_rows_changes_no_log_with_a_join_order(rows, folder, order):
     """With a column `join`, logs are equal line by line."""

@@ -70,7 +70,7 @@ def test_contacts_that_cannot_hold_do_not_heat_a_chain():
     assert np.mean(heat, axis=0).max() < CONVERGENCE.runaway
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(kind=st.sampled_from(KINDS), docks=st.integers(2, 5), seed=st.integers(0, 99))
 def test_no_robot_is_farther_from_the_anchor_than_contacts_reach(kind, docks, seed):
     """In truth; and the bound is that of the shortest chain of contacts."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.localization.test_online import LOCAL, lines_of
@@ -177,7 +177,6 @@ def test_who_never_annealed_does_not_converge(log):
     assert not estimate.convergence.converged
 
 
-@settings(deadline=None)
 @given(
     values=st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=9),
     bits=st.sampled_from([8, 12, 16, 32]),

@@ -56,7 +56,7 @@ def _check(log, estimate, truth):
     assert (distance <= bound + 1e-9).all()
 
 
-@settings(deadline=None, max_examples=6)
+@settings(max_examples=6)
 @given(
     rule=st.builds(
         Rule,

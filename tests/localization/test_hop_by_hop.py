@@ -160,7 +160,7 @@ def test_intervals_of_directions_hold_about_as_many_robots_as_they_should(towers
     assert (ratio < 1.6).mean() > 0.8
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000))
 def test_exact_ranges_give_exact_positions(seed):
     """Robots that count as located are where they are."""
@@ -172,7 +172,7 @@ def test_exact_ranges_give_exact_positions(seed):
     assert error[found.located].max() < 1e-9
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), turn=st.floats(-3.0, 3.0))
 def test_a_turned_and_shifted_swarm_gives_turned_and_shifted_positions(seed, turn):
     """No axis is special but the vertical, and no place."""
@@ -196,7 +196,7 @@ def test_a_turned_and_shifted_swarm_gives_turned_and_shifted_positions(seed, tur
     np.testing.assert_allclose(same.position[located], expected, atol=1e-7)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @example(seed=4361)  # the far crossing converges in two steps more than there are
 @given(seed=st.integers(0, 10_000))
 def test_names_and_join_order_do_not_matter_by_hops(seed):
@@ -312,7 +312,7 @@ def test_of_two_mirror_images_the_upper_is_taken_but_not_called_located():
     assert found.convergence.trusted  # what is said is of the others
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), times=st.integers(2, 50))
 def test_readings_that_say_the_same_together_place_robots_alike(seed, times):
     """A range read n times with sqrt(n) times the noise is the range read once.

@@ -459,7 +459,7 @@ def test_structures_that_are_not_refined_are_as_their_chains_leave_them(towers):
     np.testing.assert_allclose(mixture.sd, factor * only.sd, rtol=1e-9)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 99), angle=st.floats(-3.0, 3.0), hand=st.booleans())
 def test_chains_that_differ_by_a_free_motion_are_one_solution(seed, angle, hand):
     """Ranges alone do not say how robots are turned; shapes are averaged after alignment."""

@@ -188,8 +188,8 @@ def are_silent(estimate, best):
 def test_six_robots_are_in_the_best_of_all_mirror_images_or_say_otherwise(seed):
     """Each has ranges to three robots before it, which two points meet; the last, to all of them.
 
-    The oracle multiplies out all 64 configurations. In the first, two of them fit alike; in the last
-    two, robots that joined in a wrong image learn so from a later one's ranges.
+    The oracle multiplies out all 64 configurations. In the first, two of them fit alike; in the
+    last two, robots that joined in a wrong image learn so from a later one's ranges.
     """
     lines, place, best = ranged_robots(seed)
     assert np.linalg.norm(best - place, axis=1).max() < 0.5
@@ -202,7 +202,7 @@ def test_six_robots_are_in_the_best_of_all_mirror_images_or_say_otherwise(seed):
     assert final.convergence.converged
 
 
-@pytest.mark.slow
+@pytest.mark.trial
 def test_a_hundred_small_swarms_hide_no_wrong_image():
     """Nearly all are right, and those that are not say so."""
     found = []

@@ -44,7 +44,7 @@ def test_every_equation_holds_where_robots_truly_are(towers, bias):
         np.testing.assert_allclose(_gaps(known, history.position, yaw), 0.0, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(angle=st.floats(-10.0, 10.0))
 def test_turning_everything_about_the_vertical_stretches_nothing(towers, angle):
     """Contacts cannot tell a swarm from the same one turned, robots and all."""

@@ -461,7 +461,7 @@ def test_the_slope_of_the_robust_cost_is_its_derivative(towers, kind):
 CONTACTS_ONLY = JointParams(height=False, ground=False, walk_contacts=False, odometry=False)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(["tree", "loops", "chain"]),
     docks=st.integers(1, 5),
@@ -511,7 +511,7 @@ def test_freedom_counts_priors_as_rows(towers, kind):
     assert 0 < freedom < len(every)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 999), far=st.sampled_from([0.1, 1.0, 10.0]), robust=st.booleans())
 def test_rounds_never_raise_the_cost(seed, far, robust):
     """However far off the start is: a step that does is shortened, or not taken."""

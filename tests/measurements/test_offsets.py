@@ -59,7 +59,7 @@ def test_derivatives_are_those_of_the_residuals(rows, yaw_sd):
     np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(wxyz=rotations, shift=vectors)
 def test_a_swarm_seen_from_elsewhere_has_the_same_residuals(log, wxyz, shift):
     """Directions are in the body frame: a rigid motion of the world changes no residual."""
@@ -79,7 +79,7 @@ def test_a_swarm_seen_from_elsewhere_has_the_same_residuals(log, wxyz, shift):
     np.testing.assert_allclose(there, motion.apply(here), atol=1e-9)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(wxyz=rotations)
 def test_a_turn_of_all_robots_about_the_vertical_changes_no_residual(rows, wxyz):
     """Axes along which offsets are measured turn with their robot."""

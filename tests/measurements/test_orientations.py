@@ -94,7 +94,7 @@ def test_noise_of_the_anchor_turns_all_robots(towers):
     np.testing.assert_allclose(sd, sd[:1] * np.ones((29, 1)), rtol=1e-3)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(wxyz=rotations)
 def test_a_turned_anchor_turns_all_robots(towers, wxyz):
     """Orientations are relative to the anchor's."""

@@ -64,7 +64,7 @@ def test_radio_without_line_of_sight_passes(room):
     assert slips(_scaled(room, "ranges", 2.0, rows=7)) == []
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(row=st.integers(0, 38), factor=st.sampled_from(FACTORS))
 def test_one_range_in_another_unit_is_named(room, row, factor):
     """Triangles with other robots say which of three ranges is wrong, and by how much at least."""

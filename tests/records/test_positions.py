@@ -23,7 +23,7 @@ from tiswarm.records.positions import (
 COLUMNS = "robot,x_R,y_R,z_R[,sd_R][,known][,gone][,yaw_deg][,undetermined]"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     position=hnp.arrays(
         np.float64,

@@ -543,7 +543,7 @@ new_bytes = st.binary(min_size=1, max_size=3) | st.sampled_from(
 )
 
 
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 @given(
     edits=st.lists(
         st.tuples(st.sampled_from("dif"), st.integers(0, 500), new_bytes), min_size=1, max_size=4

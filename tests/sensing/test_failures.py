@@ -56,7 +56,7 @@ def _since(rows, begin):
     return rows - begin * np.eye(1, rows.shape[1], dtype=rows.dtype)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(share=shares, seed=st.integers(0, 1000))
 def test_robots_that_work_sense_as_before(towers, share, seed):
     """Draws of one robot are its own, so that effects of failures are those of the failed robots.
@@ -71,7 +71,7 @@ def test_robots_that_work_sense_as_before(towers, share, seed):
     assert [repr(after[j]) for j in works] == [repr(before[j]) for j in works]
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(share=shares, robots=st.integers(1, 29))
 def test_the_first_robots_sense_the_same_before_others_join(towers, share, robots):
     """Methods that localize robots as they join read the log as far as it goes."""
@@ -88,7 +88,7 @@ def test_the_first_robots_sense_the_same_before_others_join(towers, share, robot
     assert repr(lines(prefix)) == repr(lines(whole)[:robots])
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(share=shares)
 def test_logs_of_failing_robots_come_back_from_a_file(towers, scratch, share):
     """The log stays one that every reader takes, with all checks of its format."""

@@ -66,7 +66,7 @@ def views(seed, history, count, extent):
     )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     robots=st.integers(1, 30),
@@ -140,7 +140,7 @@ def moved(history, shift, robots=slice(None)):
     return dataclasses.replace(history, walks=tuple(walks))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), robot=st.integers(0, 11))
 def test_to_move_a_robot_away_hides_nothing(seed, robot):
     """What is in sight remains so, and what only that robot hid comes into sight."""
@@ -163,7 +163,7 @@ def test_a_robot_alone_sees_everything():
     assert in_sight(history, Views(start, end, ones, 0 * ones, -ones)).all()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(shift=vectors, seed=st.integers(0, 10_000))
 def test_sight_moves_along_with_a_structure(shift, seed):
     """To shift robots, ground and beacons by the same vector changes nothing."""

@@ -43,7 +43,7 @@ def _solve_one(
         has_room_out[0] = ti.cast(solve(work, 0, own.shape[0]), ti.i32)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32), nodes=st.integers(1, 25), degree=st.floats(0.0, 8.0))
 def test_motion_is_that_of_a_dense_solver(seed, nodes, degree):
     """Graphs from no edges to all, some in pieces, some edges given twice."""

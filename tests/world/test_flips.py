@@ -34,7 +34,7 @@ def _meeting(arm, axis, obstacle, spacing=2.0):
     return angles[0]
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(arm=vectors, axis=unit_vectors, obstacle=vectors)
 def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle):
     """The closed form agrees with turning the dock step by step, both ways."""
@@ -55,7 +55,6 @@ def test_contact_angle_is_where_a_fine_sweep_first_overlaps(arm, axis, obstacle)
             assert np.linalg.norm(end - obstacle) == pytest.approx(2.0, abs=1e-9)
 
 
-@settings(deadline=None)
 @given(axis=unit_vectors, towards=st.booleans())
 def test_a_dock_that_rests_on_another_cannot_turn_into_it(axis, towards):
     """Touching at the start blocks the turn inward at once, and leaves the other way free."""

@@ -31,7 +31,7 @@ def _stances(history: History) -> tuple[np.ndarray, np.ndarray]:
     return centers, np.concatenate([walk.orientation_wxyz for walk in history.walks])
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(
     kind=st.sampled_from(sorted(KINDS)),
     seed=st.integers(0, 2**32),

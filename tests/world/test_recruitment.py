@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tiswarm.world.growth import recruit, relay
@@ -44,7 +44,6 @@ def test_no_call_is_greater_than_the_limit(limit):
     np.testing.assert_array_equal(calls, [0, min(1, limit), limit, limit])
 
 
-@settings(deadline=None)
 @given(
     sensed=st.floats(0.0, 1e6),
     more=st.floats(0.0, 1e6),
@@ -95,7 +94,6 @@ def _structures(draw):
     return np.array(call, np.int32), np.array(contacts, np.int64).reshape(-1, 2), docks
 
 
-@settings(deadline=None)
 @given(structure=_structures())
 def test_calls_spread_as_the_rule_says(structure):
     """Every zone's call, over any graph of contacts, is that of a slow loop from zero."""
@@ -106,7 +104,6 @@ def test_calls_spread_as_the_rule_says(structure):
     np.testing.assert_array_equal(out, _slow_relay(call, contacts, docks))
 
 
-@settings(deadline=None)
 @given(structure=_structures(), seed=st.integers(0, 99))
 def test_neither_the_order_nor_the_direction_of_contacts_matters(structure, seed):
     """Contacts shuffled and turned round carry the same calls."""
@@ -119,7 +116,6 @@ def test_neither_the_order_nor_the_direction_of_contacts_matters(structure, seed
     np.testing.assert_array_equal(out, relay(call, contacts, docks=docks))
 
 
-@settings(deadline=None)
 @given(structure=_structures(), seed=st.integers(0, 99))
 def test_robots_have_no_rank(structure, seed):
     """Numbered otherwise, the same robots pass on the same."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests import oracle, oracle_terrain
@@ -51,7 +51,6 @@ def _meetings(terrain, pivot, arm, axis):
 
 
 @pytest.mark.parametrize("terrain", [PLANE, SLAB, GAP])
-@settings(deadline=None)
 @given(place=places)
 def test_depth_is_how_far_a_dock_reaches_into_the_ground(terrain, place):
     """Above the top, below the underside and around the edge of either slab."""
@@ -61,7 +60,6 @@ def test_depth_is_how_far_a_dock_reaches_into_the_ground(terrain, place):
 
 
 @pytest.mark.parametrize("terrain", [PLANE, SLAB, GAP])
-@settings(deadline=None)
 @given(place=places)
 def test_a_foot_is_the_nearest_place_on_the_ground(terrain, place):
     """It lies on the surface, and no other place of the surface is nearer."""
@@ -175,7 +173,6 @@ def test_a_dock_that_leaves_an_edge_meets_it_where_a_sweep_does():
             assert angle[0] == pytest.approx(swept, abs=2.0 * FULL_TURN / oracle.FINE)
 
 
-@settings(deadline=None)
 @given(axis=unit_vectors, x=st.floats(-30.0, -5.0), tilt=st.floats(0.3, 1.2))
 def test_far_from_edges_a_slab_is_a_plane(axis, x, tilt):
     """A turn that cannot reach the edge ends where it does on flat ground without one."""
