@@ -1,5 +1,6 @@
 """Lengths in another unit than the rest of a log are named; logs in one unit pass."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -179,3 +180,40 @@ def test_many_ranges_take_bounded_time():
 
     assert len(ranged.ranges) > 40_000
     assert slip.robot == int(ranged.ranges[row, 0])
+
+
+def _repeated(room, times):
+    """Let each pair range so many times, with noise of 0.1 R."""
+    ranges = np.repeat(room.ranges, times, axis=0)
+    ranges[:, 2] += np.random.default_rng(1).normal(0.0, 0.1, len(ranges))
+    return replace(room, ranges=ranges)
+
+
+def test_repeated_ranges_take_bounded_time(room):
+    """A hundred readings of each pair are a minute of radio; triangles of all take minutes."""
+    repeated = _repeated(room, 100)
+    begun = time.process_time()
+
+    found = slips(repeated)
+
+    assert found == []
+    assert time.process_time() - begun < 10.0
+
+
+@pytest.mark.parametrize("factor", [0.01, 100.0])
+def test_one_of_repeated_ranges_in_another_unit_is_named(room, factor):
+    """Other readings of the pair contradict it, and do not hide it."""
+    wrong = 5 * 40 + 17
+
+    (slip,) = slips(_scaled(_repeated(room, 40), "ranges", factor, rows=wrong))
+
+    assert (slip.robot, slip.key) == (int(room.ranges[5, 0]), "ranges")
+    assert slip.what.endswith(f"to robot {int(room.ranges[5, 1])}")
+    assert (slip.factor > 1.0) == (factor > 1.0)
+
+
+def test_repeated_ranges_in_another_unit_than_fixes_are_counted(room):
+    """The finding states the readings of the log, not those that were compared."""
+    (slip,) = slips(_scaled(_repeated(room, 40), "ranges", 1000.0))
+
+    assert slip.what == "1560 ranges"

@@ -48,6 +48,9 @@ _MOST_STARTS = 500
 _MOST_PLACED = 40
 """Robots of known places whose distances are compared; of more, a sample."""
 
+_MOST_READINGS = 5
+"""Ranges of a pair of robots that are compared; of more, a sample."""
+
 _MOST_TRIANGLES = 60_000
 """Triangles that are compared, about; of more, a sample of each robot's."""
 
@@ -86,6 +89,9 @@ class _Length(NamedTuple):
 
     size: float
     """The length itself, or the distance of a coordinate from the anchor's [R]."""
+
+    readings: int = 1
+    """Readings that it stands for [1]."""
 
 
 class _Bond(NamedTuple):
@@ -147,9 +153,12 @@ def _measured(log: SensingLog, walks: Odometry) -> tuple[list[_Length], list[_Bo
     rows = measure(log, ["ranges"], odometry=walks)
     slack = _SD * np.sqrt(rows.variance()) + np.linalg.norm(rows.arm, axis=1)
     columns = (rows.robot, rows.other, rows.distances.length, slack)
-    for robot, other, size, s in zip(*(column.tolist() for column in columns), strict=True):
+    readings = _readings(*columns[:3])
+    for row in np.flatnonzero(readings).tolist():
+        robot, other, size, s = (column[row].item() for column in columns)
         what = f"the range of {size * scale:.4g} {unit} to robot {name[other]}"
-        add(_Length("ranges", robot, what, size), other, size - s, size + s)
+        length = _Length("ranges", robot, what, size, int(readings[row]))
+        add(length, other, size - s, size + s)
     for key, cue in (("flip_height", "height"), ("spawn_position", "odometry"), ("fixes", "fixes")):
         rows = measure(log, [cue], odometry=walks)
         away = np.abs(rows.residual(np.tile(log.anchor_position / scale, (len(name), 1))))
@@ -159,6 +168,22 @@ def _measured(log: SensingLog, walks: Odometry) -> tuple[list[_Length], list[_Bo
             add(_Length(key, int(rows.robot[row]), what, size), 0, size - s, inf)
     number = {each.robot: n for n, each in enumerate(lengths) if each.key == "fixes"}
     return lengths, [*bonds, *_between_placed(rows, number, log.anchor_position / scale)]
+
+
+def _readings(robot: Ints, other: Ints, size: Reals) -> Ints:
+    """Count the readings that each stands for, 0 if another one stands for it, shape (n,).
+
+    Of many readings of a pair, the least, the greatest and some between them stand for all.
+    """
+    pair = np.sort(np.column_stack([robot, other]), axis=1)
+    order = np.lexsort((size, *pair.T))
+    ends = np.flatnonzero(np.diff(pair[order], axis=0).any(axis=1)) + 1
+    count = np.zeros(len(robot), np.int64)
+    for of_pair in np.split(order, ends) if len(order) else ():
+        parts = np.array_split(of_pair, min(len(of_pair), _MOST_READINGS))
+        for n, part in enumerate(parts):
+            count[part[n * (len(part) - 1) // max(len(parts) - 1, 1)]] = len(part)
+    return count
 
 
 def _farthest(robot: Ints, away: Reals) -> list[int]:
@@ -277,8 +302,9 @@ def _by_contacts(
         broken = {number: ratio for number, ratio in of_key.items() if ratio > limit}
         if len(of_key) >= _FEWEST and 2 * len(broken) > len(of_key):
             first = min(lengths[number].robot for number in broken)
-            what, factor = f"{len(broken)} of {len(of_key)} lengths", np.median([*broken.values()])
-            yield Slip(first, key, what, float(factor), "contacts")
+            wrong, every = (sum(lengths[n].readings for n in each) for each in (broken, of_key))
+            factor = float(np.median([*broken.values()]))
+            yield Slip(first, key, f"{wrong} of {every} lengths", factor, "contacts")
 
 
 def _ranges_by_fixes(
@@ -302,7 +328,7 @@ def _ranges_by_fixes(
             short.append((one.high + two.high) / known[0].low)
     for broken in (long, short):
         if triangles >= _FEWEST and 2 * len(broken) > triangles:
-            count = sum(each.key == "ranges" for each in lengths)
+            count = sum(each.readings for each in lengths if each.key == "ranges")
             first = min(each.robot for each in lengths if each.key == "ranges")
             yield Slip(first, "ranges", f"{count} ranges", float(np.median(broken)), "fixes")
 
@@ -315,7 +341,8 @@ def _triangles(bonds: Sequence[_Bond]) -> Iterator[tuple[_Bond, _Bond, _Bond]]:
         if bond.pair not in between:
             earlier[bond.pair[1]].append(bond.pair[0])
         between[bond.pair].append(bond)
-    most = max(4, isqrt(2 * _MOST_TRIANGLES // max(len(earlier), 1)))
+    of_three = max(1.0, len(bonds) / max(len(between), 1)) ** 3  # triangles of three pairs
+    most = max(4, isqrt(int(2 * _MOST_TRIANGLES / of_three) // max(len(earlier), 1)))
     for robot, others in earlier.items():
         by_length = sorted(others, key=lambda other: between[other, robot][0].low)
         sampled = np.linspace(0, len(others) - 1, min(most, len(others))).round().astype(int)
