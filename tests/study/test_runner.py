@@ -42,6 +42,26 @@ def test_kernels_are_compiled_before_costs_are_measured(tmp_path, monkeypatch):
     ]  # fmt: skip
 
 
+def test_settings_that_are_localized_apart_have_costs_of_their_own(tmp_path):
+    """A study of schemes that differ in cost by a factor of ten states what each of them takes."""
+    of_hops = "{localization: {method: hop-by-hop, order: hops}}"
+    of_joins = "{localization: {method: hop-by-hop, order: join}}"
+    sets = ["robots=6", "seeds=2", f"conditions={{hops: {of_hops}, joins: {of_joins}}}"]
+    small = load_scenario(REPOSITORY / "tests" / "tower.yaml", sets)
+
+    folder = study.run(small, tmp_path, progress=Progress()).folder
+
+    costs = {
+        name: [
+            json.loads((folder / "cases" / f"{seed}-{name}" / "cost.json").read_text())["localize"]
+            for seed in (0, 1)
+        ]
+        for name in ("hops", "joins")
+    }
+    assert costs["hops"][0] == costs["hops"][1]
+    assert costs["hops"][0]["cpu_s"] != costs["joins"][0]["cpu_s"]
+
+
 def test_what_took_long_to_grow_is_grown_once(tmp_path, monkeypatch):
     """A run that is stopped in its second method keeps its structures and finished cases."""
     sets = ["robots=8", "seeds=2", "conditions={a: {}, b: {localization.method: joint}}"]

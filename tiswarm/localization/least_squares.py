@@ -28,8 +28,8 @@ _AXES = np.arange(3)
 
 
 def batch_key(log: SensingLog, params: LeastSquaresParams) -> Hashable:  # noqa: ARG001
-    """Name what logs must share to be localized in one batch: nothing."""
-    return None
+    """Name what logs share that are localized in one batch, one after the other: the settings."""
+    return repr(params)
 
 
 def localize_batch(

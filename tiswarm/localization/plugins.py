@@ -132,8 +132,8 @@ def all_params() -> Any:  # noqa: ANN401 - a type
 
 
 def batch_key(log: SensingLog, params: OwnParams) -> Hashable:  # noqa: ARG001
-    """Name what logs must share to be localized in one batch: nothing."""
-    return None
+    """Name what logs share that are localized in one batch, one after the other: the settings."""
+    return repr(params)
 
 
 def localize_batch(

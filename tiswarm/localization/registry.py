@@ -33,7 +33,8 @@ has those of the methods of plug-ins. Methods that place robots as they join hav
 
 `localize_batch` takes one log a structure, settings for each, and a function that it calls with the
 share of its work that is done [1]; it returns an estimate for each.
-All logs of a batch have, with their settings, the same `batch_key`.
+All logs of a batch have, with their settings, the same `batch_key`. Methods that localize one log
+after the other choose batches by the settings, so that each batch has a cost of its own.
 """
 
 PARALLEL = frozenset({"joint", "virtual-force together"})
@@ -114,6 +115,11 @@ def where(titles: Collection[str], running: Backend) -> str:
     return f"{' and '.join(parallel)} {compute} on {running}, all other stages on cpu in f64"
 
 
+def batch_key(log: SensingLog, params: LocalizationParams) -> Hashable:
+    """Name what logs and their settings share if `localize_many` computes them side by side."""
+    return params.method, module_of(params.method).batch_key(log, params)
+
+
 def localize(
     log: SensingLog, params: LocalizationParams, *, on_progress: Advance = ignore
 ) -> Estimate:
@@ -148,7 +154,7 @@ def localize_many(
     logs = [with_orientations(log) for log in logs]
     batches: dict[Hashable, list[int]] = {}
     for n, (log, p) in enumerate(zip(logs, params, strict=True)):
-        batches.setdefault((p.method, module_of(p.method).batch_key(log, p)), []).append(n)
+        batches.setdefault(batch_key(log, p), []).append(n)
     estimates: dict[int, Estimate] = {}
     for members in batches.values():
         method = module_of(params[members[0]].method)

@@ -1,6 +1,6 @@
 """Runs a batch of cases: grow, sense, localize, evaluate, store."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby
@@ -17,7 +17,7 @@ from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.evaluate import evaluate
 from tiswarm.localization.params import JointParams, LocalizationParams
-from tiswarm.localization.registry import localize_many, start_for, title
+from tiswarm.localization.registry import batch_key, localize_many, start_for, title
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
@@ -90,8 +90,7 @@ class _CaseRunner:
         histories = self._grow()
         valid, records = self._store_invalid(histories)
         logs = self._sense(valid, histories)
-        for _, alike in groupby(sorted(valid, key=_method), key=_method):
-            cases = list(alike)
+        for cases in _batches(valid, logs):
             sensed = [logs[case.name] for case in cases]
             estimates = self._localize(cases, sensed)
             with self._stage("evaluate and store", cases) as advance:
@@ -196,7 +195,7 @@ class _CaseRunner:
         return logs
 
     def _localize(self, cases: Sequence[Case], logs: Sequence[SensingLog]) -> list[Estimate]:
-        """Localize side by side cases of one method and precision."""
+        """Localize a batch of cases, which share method and precision."""
         self._warm_up_methods(cases)
         with self._stage("localize", cases) as advance:
             methods = [case.settings.localization for case in cases]
@@ -238,11 +237,17 @@ def _precision(case: Case) -> AnyPrecision:
     return case.settings.precision
 
 
-def _method(case: Case) -> tuple[str, AnyPrecision]:
-    """Return method, schedule and precision: cases that share them are localized side by side.
+def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[list[Case]]:
+    """Gather cases that are localized side by side, and so share the cost of it."""
+    batches: dict[tuple[Hashable, ...], list[Case]] = {}
+    for case in sorted(cases, key=_method):
+        key = batch_key(logs[case.name], case.settings.localization)
+        batches.setdefault((*_method(case), key), []).append(case)
+    return batches.values()
 
-    They also share the cost of it, which schedules differ in.
-    """
+
+def _method(case: Case) -> tuple[str, AnyPrecision]:
+    """Return method, schedule and precision, which cases of a batch share."""
     return title(case.settings.localization), case.settings.precision
 
 

@@ -27,8 +27,8 @@ from tiswarm.records.sensing_log import SensingLog
 
 
 def batch_key(log: SensingLog, params: DistributedParams) -> Hashable:  # noqa: ARG001
-    """Name what logs must share to be localized in one batch: nothing."""
-    return None
+    """Name what logs share that are localized in one batch, one after the other: the settings."""
+    return repr(params)
 
 
 def localize_batch(

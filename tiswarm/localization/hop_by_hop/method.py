@@ -87,8 +87,8 @@ class Placed(NamedTuple):
 
 
 def batch_key(log: SensingLog, params: HopByHopParams) -> Hashable:  # noqa: ARG001
-    """Name what logs must share to be localized in one batch: nothing."""
-    return None
+    """Name what logs share that are localized in one batch, one after the other: the settings."""
+    return repr(params)
 
 
 def localize_batch(

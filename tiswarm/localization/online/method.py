@@ -31,8 +31,8 @@ def joining(params: OnlineParams) -> type[Tracker]:  # noqa: ARG001
 
 
 def batch_key(log: SensingLog, params: OnlineParams) -> Hashable:  # noqa: ARG001
-    """Name what logs must share to be localized in one batch: nothing."""
-    return None
+    """Name what logs share that are localized in one batch, one after the other: the settings."""
+    return repr(params)
 
 
 def localize_batch(
