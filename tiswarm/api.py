@@ -148,9 +148,8 @@ def run(
     from tiswarm.app.drawing import draw_all  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
-    for name in execution:
-        choose(name, [field.name for field in fields(study.Execution)], "execution")
-    where, progress = study.Execution(workers=workers, **execution), ConsoleProgress(quiet=quiet)
+    where = study.Execution(workers=workers, **_fields(execution))
+    progress = ConsoleProgress(quiet=quiet)
     result = study.run(
         _load(scenario, overrides), as_path(out, "out"),
         progress=progress, arch=arch, threads=threads, execution=where,
@@ -166,13 +165,27 @@ def forecast(
     scenario: File | Mapping[str, object],
     overrides: Overrides | None = None,
     *,
+    workers: int | None = None,
     plugins: Sequence[File] = (),
+    **execution: Any,  # noqa: ANN401 - types of their own
 ) -> "Forecast":
-    """Estimate time and memory of the run of a scenario, and compute nothing."""
+    """Estimate time and memory of the run of a scenario, and compute nothing.
+
+    Args:
+        scenario: As for `run`.
+        overrides: As for `run`.
+        workers: Number of worker processes; none if None.
+        plugins: As for `run`.
+        execution: As for `run`.
+
+    Raises:
+        InputError: the scenario has a mistake, or there is no such field.
+    """
     from tiswarm import study  # noqa: PLC0415 - slow to import
 
     load_plugins(plugins)
-    return study.forecast(_load(scenario, overrides))
+    where = study.Execution(workers=workers, **_fields(execution))
+    return study.forecast(_load(scenario, overrides), where)
 
 
 def report(
@@ -360,6 +373,15 @@ def explain(
     if out is not None:
         found.draw(as_path(out, "out"))
     return found
+
+
+def _fields(execution: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Check names of fields of `study.Execution`."""
+    from tiswarm import study  # noqa: PLC0415 - slow to import
+
+    for name in execution:
+        choose(name, [field.name for field in fields(study.Execution)], "execution")
+    return execution
 
 
 def _load(scenario: File | Mapping[str, object], overrides: Overrides | None) -> "Scenario":

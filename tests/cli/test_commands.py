@@ -61,6 +61,11 @@ def test_version_is_printed(tiswarm):
             "--workers: a scheduler has workers of its own; leave one out",
         ),
         (("run", "scenarios/tower.yaml", "--shard", "0/0"), "invalid shard 0/0: use"),
+        (("run", "scenarios/tower.yaml", "--shard", "0/0", "--plan"), "invalid shard 0/0: use"),
+        (
+            ("run", "scenarios/tower.yaml", "--case-limit", "1e400", "--plan"),
+            "--case-limit: inf should be a number of seconds above 0; leave it out for no limit",
+        ),
         (("run", "scenarios/tower.yaml", "--movie", "avi"), "--movie"),
         (("localize", "nowhere.jsonl"), "nowhere.jsonl"),
         (("localize", "log.jsonl", "--method", "guess"), "--method"),

@@ -66,7 +66,7 @@ class InputError(TiswarmError):
             return self
         differs = {
             "overrides": f"--set {self.key}", "estimate": "ESTIMATE", "movie": "--animate",
-            "form": "--format",
+            "form": "--format", "case_limit_s": "--case-limit",
         }  # fmt: skip
         option = differs.get(self.argument, f"--{self.argument}")
         return InputError(

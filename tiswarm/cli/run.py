@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -67,15 +67,18 @@ def run(
     """
     from tiswarm import api
 
-    animated, part = chosen_movie(movie, animate=animate), _shard(shard)
+    animated = chosen_movie(movie, animate=animate)
+    execution: dict[str, Any] = {
+        "workers": workers, "scheduler": scheduler, "shard": _shard(shard),
+        "case_limit_s": case_limit, "fail_fast": fail_fast,
+    }  # fmt: skip
     if only_plan:
-        typer.echo(api.forecast(scenario, overrides, plugins=plugins))
+        typer.echo(api.forecast(scenario, overrides, plugins=plugins, **execution))
         return
     found = api.run(
         scenario, overrides,
-        out=out, arch=arch, threads=threads, workers=workers, scheduler=scheduler, shard=part,
-        case_limit_s=case_limit, fail_fast=fail_fast, pictures=pictures, pdf=pdf, movie=animated,
-        plugins=plugins, quiet=quiet,
+        out=out, arch=arch, threads=threads, pictures=pictures, pdf=pdf, movie=animated,
+        plugins=plugins, quiet=quiet, **execution,
     )  # fmt: skip
     if not quiet:
         typer.echo(found)

@@ -57,6 +57,17 @@ class Execution:
             raise InputError(
                 "a scheduler has workers of its own; leave one out", argument="workers"
             )
+        limit = self.case_limit_s
+        if limit is not None and not 0.0 < limit < math.inf:
+            problem = f"{limit:g} should be a number of seconds above 0; leave it out for no limit"
+            raise InputError(problem, argument="case_limit_s")
+
+    @property
+    def processes(self) -> int:
+        """Processes of this machine that compute jobs beside the one that starts them."""
+        if self.scheduler is not None:
+            return 0
+        return self.workers or int((self.workers, self.case_limit_s) != (None, None))
 
 
 class _JobError(Exception):
@@ -96,8 +107,8 @@ def open_executor(
             yield Executor(
                 lambda job: remote.submit(_run_in_process, job, limit), width, threads or 1
             )
-    elif execution.workers is not None or limit is not None:
-        width = execution.workers or 1
+    elif execution.processes:
+        width = execution.processes
         with ThreadPoolExecutor(width) as waiting:
             try:
                 each = max(1, (threads or available_threads()) // width)

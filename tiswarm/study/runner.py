@@ -16,8 +16,9 @@ from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.evaluate import evaluate
+from tiswarm.localization import registry
 from tiswarm.localization.params import JointParams, LocalizationParams
-from tiswarm.localization.registry import batch_key, localize_many, start_for, title
+from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
@@ -127,7 +128,7 @@ class _CaseRunner:
         self._choose_device(_precision(cases[0]))
         for settings in [case.settings for case in cases]:
             method = repr(settings.localization)
-            running = start_for(settings.localization)
+            running = registry.start_for(settings.localization)
             if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
                     log = observe(self._sample, settings.sensing)
@@ -200,13 +201,13 @@ class _CaseRunner:
         with self._stage("localize", cases) as advance:
             methods = [case.settings.localization for case in cases]
             estimates = localize_many(logs, methods, with_observability=True, on_progress=advance)
-        running = start_for(methods[0])
+        running = registry.start_for(methods[0])
         farthest = [
             np.abs(estimate.position - log.anchor_position).max() / log.dock_radius
             for estimate, log in zip(estimates, logs, strict=True)
         ]
         error = running.force_error(max(farthest))
-        self.used.add(Used(f"localize by {title(methods[0])}", running, error))
+        self.used.add(Used(f"localize by {registry.title(methods[0])}", running, error))
         return estimates
 
     def _store(
@@ -241,14 +242,14 @@ def _batches(cases: Sequence[Case], logs: Mapping[str, SensingLog]) -> Iterable[
     """Gather cases that are localized side by side, and so share the cost of it."""
     batches: dict[tuple[Hashable, ...], list[Case]] = {}
     for case in sorted(cases, key=_method):
-        key = batch_key(logs[case.name], case.settings.localization)
+        key = registry.batch_key(logs[case.name], case.settings.localization)
         batches.setdefault((*_method(case), key), []).append(case)
     return batches.values()
 
 
 def _method(case: Case) -> tuple[str, AnyPrecision]:
     """Return method, schedule and precision, which cases of a batch share."""
-    return title(case.settings.localization), case.settings.precision
+    return registry.title(case.settings.localization), case.settings.precision
 
 
 def _record(
