@@ -206,6 +206,19 @@ def test_cases_that_did_not_converge_are_named():
     assert warnings_of(summary) == []
 
 
+def test_reasons_that_differ_in_numbers_are_one():
+    """A warning for readers repeated the sentence of its author for each case."""
+    summary = pd.DataFrame({"case": ["0-a", "1-a", "2-a"], "series": ["a", "a", "a"]})
+    reasons = [f"their chi-square is {number} less, and noise explains 153" for number in (722, 9)]
+    lost = summary.assign(
+        status="done", reason=None, converged=False, distrust=[*reasons, "2 of 3 {are} outliers"]
+    )
+
+    (warning,) = warnings_of(lost)
+
+    assert "is 9 to 722 less, and noise explains 153; 2 of 3 {are} outliers. All" in warning
+
+
 def test_cases_that_are_not_consistent_are_named_with_the_reason():
     """A series of which each case is at odds stands for its cases."""
     summary = pd.DataFrame({"case": ["0-a", "1-a", "0-b", "1-b"], "series": [*"aabb"]})

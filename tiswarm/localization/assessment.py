@@ -116,8 +116,9 @@ def assess(
         f"{torn} of {links} contacts and ranges are outliers": (
             torn > CONVERGENCE.most_outliers * links
         ),
-        f"chi-square exceeds the least one nearby by {found.excess:.3g}, and noise explains "
-        f"{chance:.3g}": not is_near and not _is_within(found.position - position, sd, is_guess),
+        "positions nearby fit the measurements better: "
+        f"their chi-square is {found.excess:.3g} less, and noise explains {chance:.3g}": not is_near
+        and not _is_within(found.position - position, sd, is_guess),
         f"of more than {LARGE} robots only the estimate itself is judged, and noise does not "
         "explain its chi-square": is_large and not is_consistent,
     }

@@ -1,5 +1,6 @@
 """What a page says beside its tables: what is wrong with results, and what a reader should know."""
 
+import re
 from collections.abc import Iterable, Iterator
 
 import pandas as pd
@@ -9,6 +10,7 @@ from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest
 
 _MOST_REASONS = 5
+_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _VERDICTS = ("converged", "consistent", "misfit_sd", "sd_factor", "distrust")
 
 
@@ -58,6 +60,24 @@ def _some(items: Iterable[object], separator: str) -> str:
     return separator.join(first[:_MOST_REASONS] + more)
 
 
+def _merged(texts: Iterable[str]) -> list[str]:
+    """Merge texts that differ in numbers only, into one with the range of each number."""
+    alike: dict[str, list[list[str]]] = {}
+    for text in texts:
+        alike.setdefault(_NUMBER.sub("0", text), []).append(_NUMBER.findall(text))
+    merged = []
+    for form, found in alike.items():
+        ranges = map(_range, zip(*found, strict=True))
+        merged.append(_NUMBER.sub(lambda _, some=ranges: next(some), form))  # type: ignore[misc]
+    return merged
+
+
+def _range(numbers: Iterable[str]) -> str:
+    """Write the least and the greatest of some numbers, as they are written."""
+    least, *_, most = sorted({*numbers}, key=float) * 2
+    return least if least == most else f"{least} to {most}"
+
+
 def _untrusted(done: pd.DataFrame) -> Iterator[str]:
     """Name the cases whose estimate did not converge, or is not consistent, and why."""
     found = done.reindex(columns=[*done, *{*_VERDICTS} - {*done}])
@@ -81,5 +101,5 @@ def _share(every: pd.DataFrame, some: pd.Series, what: str) -> str:
     whole = some.groupby(series).transform("all") & (series.groupby(series).transform("size") > 1)
     names = [f"all of {name}" for name in series[whole].unique()]
     names += every["case"][some & ~whole].to_list()
-    why = f": {_some(reasons, '; ')}" if len(reasons) else ""
+    why = f": {_some(_merged(reasons), '; ')}" if len(reasons) else ""
     return f"{some.sum()} of {counted(len(every), 'case')} {what} ({_some(names, ', ')}){why}"
