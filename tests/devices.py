@@ -5,13 +5,11 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from importlib.util import find_spec
 
 import pytest
 
-from tests.runs import REPOSITORY, environment
+from tests.runs import python
 from tiswarm.app.doctor import find_software_vulkan
 
 ARCH = os.environ.get("TISWARM_TEST_ARCH", "vulkan")
@@ -37,9 +35,6 @@ def device_environment(library: str) -> dict[str, str]:
 
 def run_child(code: str, *arguments: str, **variables: str) -> str:
     """Run code in a process without bounds checks; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], cwd=REPOSITORY, env=environment(**variables),
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+    done = python("-c", code, *arguments, **variables)
     assert done.returncode == 0, done.stderr
     return done.stdout

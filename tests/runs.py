@@ -7,16 +7,23 @@ import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
+from tiswarm import study
+from tiswarm.base.progress import Progress
 from tiswarm.cli import main
+from tiswarm.scenario.expansion import load_scenario
+from tiswarm.study.run import RunResult
 
 REPOSITORY = Path(__file__).parents[1]
 MEASURED = {"manifest.json", "cost.json", "report.html"}
 """Files of a run that depend on the machine and the clock."""
+
+QUIET = Progress()
+"""Shows nothing."""
 
 _SILENT = DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning
 """Warnings that Python itself does not show to users; pytest does."""
@@ -42,10 +49,10 @@ def interruptible() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
-    """Call `tiswarm` with some arguments, as a user does: in a process of its own."""
+def python(*arguments: object, cwd: Path = REPOSITORY, **env: str):
+    """Run Python with some arguments in a process of its own; return status and what it prints."""
     return subprocess.run(
-        [sys.executable, "-m", "tiswarm", *map(str, arguments)],
+        [sys.executable, *map(str, arguments)],
         cwd=cwd,
         env=environment(**env),
         capture_output=True,
@@ -53,6 +60,11 @@ def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
         check=False,
         timeout=300,
     )
+
+
+def call(*arguments: object, cwd: Path = REPOSITORY, **env: str):
+    """Call `tiswarm` with some arguments, as a user does: in a process of its own."""
+    return python("-m", "tiswarm", *arguments, cwd=cwd, **env)
 
 
 def call_here(*arguments: object, cwd: Path = REPOSITORY):
@@ -83,6 +95,21 @@ def call_here(*arguments: object, cwd: Path = REPOSITORY):
             os.chdir(before[0])
             signal.signal(signal.SIGTERM, before[1])
     return subprocess.CompletedProcess(command, status, out.getvalue(), err.getvalue())
+
+
+def run_tower(
+    out: Path, settings: Iterable[str], *, progress: Progress = QUIET, **execution: object
+) -> RunResult:
+    """Run the scenario of the tests under some settings, in this process unless `execution` says.
+
+    Args:
+        out: Parent of the run's folder.
+        settings: Overrides `KEY=VALUE`.
+        progress: Receives progress reports.
+        execution: Fields of `tiswarm.study.Execution`.
+    """
+    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", [*settings])
+    return study.run(scenario, out, progress=progress, execution=study.Execution(**execution))
 
 
 def assert_same_results(a: Path, b: Path) -> None:

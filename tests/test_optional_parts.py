@@ -4,13 +4,11 @@
 """
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.runs import REPOSITORY, call, environment
+from tests.runs import REPOSITORY, call, python
 from tests.test_architecture import CONTRACT
 from tests.test_tour import stops
 
@@ -77,15 +75,7 @@ sys.meta_path = [find for find in sys.meta_path if "Editable" not in getattr(fin
 
 def _call(folder, code, *arguments):
     """Run Python code with the copy of the package in a folder, and no other one."""
-    return subprocess.run(
-        [sys.executable, "-c", ALONE + code, *arguments],
-        cwd=folder,
-        env=environment(PYTHONPATH=str(folder)),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    return python("-c", ALONE + code, *arguments, cwd=folder, PYTHONPATH=str(folder))
 
 
 @pytest.fixture(scope="module")

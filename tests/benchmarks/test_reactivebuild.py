@@ -31,8 +31,9 @@ from benchmarks.reactivebuild.laws import (
     within,
 )
 from benchmarks.reactivebuild.structures import SETTINGS, TOTALS, Structures
-from tests.benchmarks.commands import REPOSITORY, call
+from tests.benchmarks.commands import call
 from tests.report.conftest import is_blank
+from tests.runs import REPOSITORY
 
 SEEDS = (0, 1, 2)
 THRESHOLDS = (1.0, 2.5, 5.0, 10.0, 25.0)

@@ -13,8 +13,7 @@ import psutil
 import pytest
 
 from tests.browser import dump
-from tests.runs import REPOSITORY, environment, interruptible
-from tiswarm.cli import main
+from tests.runs import REPOSITORY, call_here, environment, interruptible
 
 NO_RUN = "this is no run folder: it has no scenario.yaml; give a folder that a run made"
 
@@ -152,29 +151,25 @@ def test_ctrl_c_ends_the_command(served):
         (["log.jsonl", "--port", "8000"], 2, "--port: only --live serves a page; leave it out"),
     ],
 )
-def test_mistakes_are_one_line(arguments, status, problem, tmp_path, monkeypatch, capsys):
+def test_mistakes_are_one_line(arguments, status, problem, tmp_path):
     """The message says what is wrong; nothing is served or written."""
-    monkeypatch.chdir(tmp_path)
-
-    assert _said(monkeypatch, capsys, *arguments) == (status, problem)
+    assert _said(*arguments, cwd=tmp_path) == (status, problem)
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_port_in_use_is_refused(small_run, monkeypatch, capsys):
+def test_a_port_in_use_is_refused(small_run):
     """The message names the port."""
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = str(other.getsockname()[1])
 
-        status, said = _said(monkeypatch, capsys, "--live", str(small_run), "--port", port)
+        status, said = _said("--live", str(small_run), "--port", port)
 
     assert status == 1
     assert said.startswith(f"--port: {port} cannot be used: ")
 
 
-def _said(monkeypatch, capsys, *arguments):
+def _said(*arguments, cwd=REPOSITORY):
     """Call `tiswarm view` in this process; returns its status and its one line of error."""
-    monkeypatch.setattr(sys, "argv", ["tiswarm", "view", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    (line,) = capsys.readouterr().err.splitlines()
-    return end.value.code, line.removeprefix("tiswarm: error: ")
+    done = call_here("view", *arguments, cwd=cwd)
+    (line,) = done.stderr.splitlines()
+    return done.returncode, line.removeprefix("tiswarm: error: ")

@@ -10,10 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runs import REPOSITORY, assert_same_results, call, environment
-from tiswarm.base.progress import Progress
-from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import Execution, run
+from tests.runs import REPOSITORY, assert_same_results, call, environment, run_tower
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -23,15 +20,10 @@ CASES = 6
 WAIT_S = 300.0
 
 
-def _run(out, **execution):
-    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", SMALL)
-    return run(scenario, out, progress=Progress(), execution=Execution(**execution))
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     """Folder of an undisturbed run in this process."""
-    return _run(tmp_path_factory.mktemp("whole")).folder
+    return run_tower(tmp_path_factory.mktemp("whole"), SMALL).folder
 
 
 @contextmanager
@@ -104,7 +96,7 @@ def _command(out: Path, address: str):
 def test_a_worker_that_is_killed_costs_no_byte(cluster, whole, tmp_path):
     """Its jobs are computed by the other worker."""
     with _killed_amid(tmp_path / "out", cluster.workers[0]):
-        result = _run(tmp_path / "out", scheduler=cluster.address)
+        result = run_tower(tmp_path / "out", SMALL, scheduler=cluster.address)
 
     assert (result.computed, result.failed) == (CASES, ())
     assert_same_results(whole, result.folder)
@@ -114,7 +106,7 @@ def test_a_run_without_its_scheduler_ends_and_resumes(cluster, whole, tmp_path):
     """The command ends with one line and status 1; a run without a cluster finds what is done."""
     with _killed_amid(tmp_path / "out", cluster.scheduler):
         done = _command(tmp_path / "out", cluster.address)
-    resumed = _run(tmp_path / "out")
+    resumed = run_tower(tmp_path / "out", SMALL)
 
     lost = f"the Dask scheduler at {cluster.address} was lost; start it, then run again"
     assert (done.returncode, done.stderr) == (1, f"tiswarm: error: {lost} to continue\n")

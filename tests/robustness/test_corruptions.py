@@ -7,10 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.robustness.mutations import damaged
-from tests.runs import REPOSITORY, assert_same_bytes
-from tiswarm.base.progress import Progress
-from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import run
+from tests.runs import assert_same_bytes, run_tower
 from tiswarm.study.store import RunFolder
 
 pytestmark = pytest.mark.slow
@@ -20,15 +17,10 @@ RESTORED_EVERY = 40
 """To compute a case again takes a hundred times as long as to read it."""
 
 
-def _run(out):
-    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", SMALL)
-    return run(scenario, out, progress=Progress())
-
-
 @pytest.fixture
 def finished(tmp_path) -> Path:
     """Folder of a finished run, to damage."""
-    return _run(tmp_path / "damaged").folder
+    return run_tower(tmp_path / "damaged", SMALL).folder
 
 
 @pytest.fixture
@@ -82,7 +74,7 @@ def test_each_damage_to_a_finished_case_is_seen_and_mended(trial, finished, whol
                 record = folder.read_case(name)
                 assert record is None or not record.is_current
                 if number % RESTORED_EVERY == 0:
-                    assert _run(finished.parent).computed == 1
+                    assert run_tower(finished.parent, SMALL).computed == 1
                     assert_same_bytes(finished, whole)
                 trial.outcomes["seen and mended" if number % RESTORED_EVERY == 0 else "seen"] += 1
         shutil.rmtree(case)
@@ -101,7 +93,7 @@ def test_damage_to_all_else_in_a_finished_run_is_mended(trial, finished, whole):
         sound = path.read_bytes()
         what = _damage(random, path, other)
         with trial.attempt(number, path, what=what):
-            assert _run(finished.parent).computed == 0
+            assert run_tower(finished.parent, SMALL).computed == 0
             assert_same_bytes(finished, whole)
             if path.name == "manifest.json":
                 assert json.loads(path.read_bytes()).keys() == json.loads(sound).keys()

@@ -6,8 +6,6 @@ import json
 import os
 import resource
 import shutil
-import signal
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +14,7 @@ import pytest
 from PIL import Image
 
 from tests.robustness.mutations import as_json_lines, damaged, mutated
-from tests.runs import REPOSITORY
-from tiswarm.cli import main
+from tests.runs import call_here
 from tiswarm.report import figure_style
 from tiswarm.report.render import pictures
 
@@ -65,20 +62,8 @@ def _outside(path: Path) -> Path:
     return next(folder for folder in path.parents if folder.name == "run").with_name("outside")
 
 
-def _call(monkeypatch, capsys, *arguments: object) -> tuple[int, str]:
-    """Call the command in this process; return its status and standard error."""
-    monkeypatch.setattr(sys, "argv", ["tiswarm", *map(str, arguments)])
-    on_sigterm = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as end:
-            main()
-    finally:
-        signal.signal(signal.SIGTERM, on_sigterm)  # pytest is to end with it
-    return end.value.code, capsys.readouterr().err
-
-
 @pytest.fixture
-def prepared(tmp_path, monkeypatch, capsys) -> Path:
+def prepared(tmp_path, monkeypatch) -> Path:
     """Folder of a run with pictures; figures are coarse and pictures empty, so that it is quick."""
     new_figure = figure_style.new_figure
 
@@ -93,12 +78,12 @@ def prepared(tmp_path, monkeypatch, capsys) -> Path:
 
     monkeypatch.setattr(figure_style, "new_figure", coarse)
     monkeypatch.setattr(pictures, "draw_scenes", blank)
-    status, said = _call(
-        monkeypatch, capsys, "run", REPOSITORY / "tests" / "tower.yaml", "--set", "robots=6",
+    done = call_here(
+        "run", "tests/tower.yaml", "--set", "robots=6",
         "--set", "seeds=2", "--set", "conditions={a: {}, b: {localization.iterations: 20}}",
         "--out", tmp_path / "made",
     )  # fmt: skip
-    assert status == 0, said
+    assert done.returncode == 0, done.stderr
     return next((tmp_path / "made").iterdir())
 
 
@@ -144,15 +129,12 @@ def _prepare(random, run: Path) -> tuple[Path, str]:
 
 
 @pytest.mark.usefixtures("_little_memory")
-def test_a_folder_of_somebody_else_is_read_or_refused(
-    trial, prepared, tmp_path, monkeypatch, capsys
-):
+def test_a_folder_of_somebody_else_is_read_or_refused(trial, prepared, tmp_path):
     """No file of it crashes or stops a command, reaches another folder or brings one in."""
     run, outside = tmp_path / "run", tmp_path / "outside"
     outside.mkdir()
     (outside / "secret.csv").write_bytes(SECRET)
     os.mkfifo(outside / "fifo")
-    monkeypatch.chdir(tmp_path)
     for number in trial.numbers(500):
         random = trial.random(number)
         shutil.rmtree(run, ignore_errors=True)
@@ -161,7 +143,8 @@ def test_a_folder_of_somebody_else_is_read_or_refused(
         name, *options = random.choice(COMMANDS)
         runs = [run, prepared] if name == "compare" else [run]
         with trial.attempt(number, path, what=f"{name}: {path.relative_to(run)} is {state}"):
-            status, said = _call(monkeypatch, capsys, name, *runs, *options)
+            done = call_here(name, *runs, *options, cwd=tmp_path)
+            status, said = done.returncode, done.stderr
             assert status in {0, 1, 2}, said
             assert all(line.isprintable() for line in said.splitlines()), said
             errors = [line for line in said.splitlines() if line.startswith("tiswarm: error: ")]

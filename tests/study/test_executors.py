@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.recorder import Recorder
-from tests.runs import REPOSITORY, assert_same_results
+from tests.runs import REPOSITORY, assert_same_results, run_tower
 from tiswarm.base.errors import CasesFailedError, EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress, ignore
 from tiswarm.compute import backend
-from tiswarm.scenario.expansion import load_scenario
-from tiswarm.study import Execution, run, runner
+from tiswarm.study import Execution, runner
 
 SMALL = ("robots=8", "seeds=4", "conditions={a: {}, b: {localization.iterations: 20}}")
 QUIET = Progress()
@@ -38,15 +37,10 @@ class _Watcher(Recorder):
         yield lambda steps: steps and self.steps.append((steps, note()))
 
 
-def _run(out, *overrides, progress=QUIET, **execution):
-    scenario = load_scenario(REPOSITORY / "tests" / "tower.yaml", [*SMALL, *overrides])
-    return run(scenario, out, progress=progress, execution=Execution(**execution))
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     """Folder of an uninterrupted run."""
-    return _run(tmp_path_factory.mktemp("whole")).folder
+    return run_tower(tmp_path_factory.mktemp("whole"), SMALL).folder
 
 
 @pytest.fixture
@@ -84,7 +78,7 @@ def test_cases_are_reported_wherever_they_are_computed(
     monkeypatch.chdir(tmp_path)
     watcher = _Watcher()
 
-    result = _run(tmp_path / "out of sight", progress=watcher, **execution)
+    result = run_tower(tmp_path / "out of sight", SMALL, progress=watcher, **execution)
 
     assert (result.computed, result.failed) == (cases, ())
     if cases == 8:
@@ -106,7 +100,7 @@ def test_failed_cases_are_counted_while_others_are_computed(tmp_path, monkeypatc
     observe, watcher = runner.observe, _Watcher()
     monkeypatch.setattr(runner, "observe", fail)
 
-    result = _run(tmp_path, progress=watcher)
+    result = run_tower(tmp_path, SMALL, progress=watcher)
 
     assert len(result.failed) == 2
     assert sum(steps for steps, _ in watcher.steps) == 8
@@ -131,7 +125,7 @@ def test_processes_keep_the_kernels_that_they_compile(tmp_path, monkeypatch):
     """They end by themselves once there is no more to do, as kernels are stored at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
-    _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+    run_tower(tmp_path, [*SMALL, "seeds=1", "conditions={a: {}}"], workers=1)
 
     kernels = [*(tmp_path / "cache").rglob("*.tic")]
     assert len(kernels) > 1  # one is of the start
@@ -139,7 +133,7 @@ def test_processes_keep_the_kernels_that_they_compile(tmp_path, monkeypatch):
 
 def test_shards_make_the_same_run_together(whole, tmp_path):
     """Each case is computed by one shard, and the last shard writes the tables."""
-    parts = [_run(tmp_path, shard=(number, 3)) for number in (3, 1, 2)]
+    parts = [run_tower(tmp_path, SMALL, shard=(number, 3)) for number in (3, 1, 2)]
 
     assert [part.missing for part in parts] == [6, 2, 0]
     assert sum(part.computed for part in parts) == 8
@@ -154,7 +148,7 @@ def test_a_dask_cluster_changes_no_byte(whole, tmp_path):
         n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
     ) as cluster:
         watcher = _Watcher()
-        result = _run(tmp_path, scheduler=cluster.scheduler_address, progress=watcher)
+        result = run_tower(tmp_path, SMALL, scheduler=cluster.scheduler_address, progress=watcher)
 
     assert result.computed == 8 == sum(steps for steps, _ in watcher.steps)
     assert watcher.lines == [f"to watch: tiswarm view --live {result.folder}"]
@@ -167,7 +161,7 @@ def test_a_missing_scheduler_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr("tiswarm.study.executors.CONNECT_S", 0.1)
 
     with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers"):
-        _run(tmp_path, scheduler="tcp://127.0.0.1:1")
+        run_tower(tmp_path, SMALL, scheduler="tcp://127.0.0.1:1")
 
 
 @pytest.mark.slow
@@ -189,8 +183,8 @@ def test_a_case_that_breaks_is_marked_and_the_rest_goes_on(tmp_path, inject):
     """)
     three = ("seeds=3", "conditions={a: {}}")
 
-    broken = _run(tmp_path, *three, workers=1, case_limit_s=600.0)
-    mended = _run(tmp_path, *three)
+    broken = run_tower(tmp_path, [*SMALL, *three], workers=1, case_limit_s=600.0)
+    mended = run_tower(tmp_path, [*SMALL, *three])
 
     reasons = {record.seed: record.reason for record in broken.failed}
     assert reasons == {
@@ -225,7 +219,7 @@ def test_a_crash_of_machine_code_is_tried_again_with_new_kernels(
     for threads in (1, 2):  # the second start stores the kernels of the first
         backend.start(threads=threads)
 
-    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+    result = run_tower(tmp_path, [*SMALL, "seeds=1", "conditions={a: {}}"], workers=1)
 
     assert result.failed == ()
     assert "killed by SIGSEGV; kernel cache cleared, trying once more" in capsys.readouterr().err
@@ -234,7 +228,7 @@ def test_a_crash_of_machine_code_is_tried_again_with_new_kernels(
 @pytest.mark.slow
 def test_a_case_that_takes_too_long_is_given_up(tmp_path):
     """The case fails with the limit as its reason."""
-    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", case_limit_s=0.001)
+    result = run_tower(tmp_path, [*SMALL, "seeds=1", "conditions={a: {}}"], case_limit_s=0.001)
 
     assert [record.reason for record in result.failed] == [
         "took longer than 0.001 s; raise --case-limit"
@@ -246,7 +240,7 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
     inject("import time; time.sleep(60)")
     monkeypatch.setattr("tiswarm.study.executors.START_S", 0.5)
 
-    result = _run(tmp_path, "seeds=1", "conditions={a: {}}", workers=1)
+    result = run_tower(tmp_path, [*SMALL, "seeds=1", "conditions={a: {}}"], workers=1)
 
     assert [record.reason for record in result.failed] == [
         "its process did not start within 0.5 s; run it again"
@@ -262,10 +256,10 @@ def test_workers_of_other_code_are_refused(tmp_path, inject):
     one = ("seeds=1", "conditions={a: {}}")
 
     with pytest.raises(EnvironmentTroubleError, match="install the same tiswarm"):
-        _run(tmp_path, *one, workers=1)
+        run_tower(tmp_path, [*SMALL, *one], workers=1)
 
     assert not [*tmp_path.glob("*/summary.csv")]
-    assert _run(tmp_path, *one).computed == 1
+    assert run_tower(tmp_path, [*SMALL, *one]).computed == 1
 
 
 def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
@@ -286,13 +280,13 @@ def test_a_culprit_is_found_within_a_batch(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "observe", mark)
     monkeypatch.setattr(runner, "localize_many", fail)
 
-    result = _run(tmp_path)
+    result = run_tower(tmp_path, SMALL)
 
     [record] = result.failed
     assert record.case == "2-b"
     assert record.reason.startswith("memory ran out: MemoryError; compute fewer robots")
     monkeypatch.undo()
-    assert _run(tmp_path).computed == 1
+    assert run_tower(tmp_path, SMALL).computed == 1
     assert_same_results(whole, result.folder)
 
 
@@ -305,7 +299,7 @@ def test_fail_fast_stops_at_the_first(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "observe", fail)
 
     with pytest.raises(CasesFailedError, match=r"0-a: ZeroDivisionError"):
-        _run(tmp_path, fail_fast=True)
+        run_tower(tmp_path, SMALL, fail_fast=True)
     assert len([*tmp_path.glob("*/cases/[!.]*")]) == 1
 
 
@@ -329,7 +323,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(process, whole, tmp_path, inject
     settings = [part for text in SMALL for part in ("--set", text)]
 
     killed = process("run", "tests/tower.yaml", *settings, "--no-pictures", "--out", tmp_path)
-    resumed = _run(tmp_path)
+    resumed = run_tower(tmp_path, SMALL)
 
     assert killed.returncode == -signal.SIGKILL
     assert (resumed.found, resumed.computed) == (3, 5)
@@ -341,16 +335,17 @@ def test_a_folder_takes_one_run_at_a_time(whole):
     with (whole / ".lock").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_SH)
         with pytest.raises(EnvironmentTroubleError, match="another run is at work here"):
-            _run(whole.parent)
-        assert _run(whole.parent, shard=(1, 2)).missing == 0
+            run_tower(whole.parent, SMALL)
+        assert run_tower(whole.parent, SMALL, shard=(1, 2)).missing == 0
 
 
 @pytest.mark.slow
 def test_each_point_of_a_sweep_has_its_own_precision(tmp_path):
     """Cases of one batch are localized in their own precision."""
     joint = "conditions={a: {localization: {method: joint, steps: 50, hold_steps: 10}}}"
-    swept = _run(tmp_path, "seeds=1", joint, "sweep.precision=[f64, f32]").folder / "cases"
-    alone = _run(tmp_path, "seeds=1", joint, "precision=f32").folder / "cases"
+    many = [*SMALL, "seeds=1", joint]
+    swept = run_tower(tmp_path, [*many, "sweep.precision=[f64, f32]"]).folder / "cases"
+    alone = run_tower(tmp_path, [*many, "precision=f32"]).folder / "cases"
 
     single = (alone / "0-a" / "estimate.csv").read_bytes()
     assert (swept / "0-precision=f32,a" / "estimate.csv").read_bytes() == single
@@ -364,7 +359,7 @@ def test_a_wrong_address_is_found_before_a_client_is_made(tmp_path, monkeypatch,
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
 
     with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers at"):
-        _run(tmp_path, scheduler=address)
+        run_tower(tmp_path, SMALL, scheduler=address)
 
     assert capfd.readouterr().err == ""
 
@@ -378,4 +373,4 @@ def test_a_server_that_is_no_scheduler_is_an_error(tmp_path, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(EnvironmentTroubleError, match="no Dask scheduler answers at"):
-            _run(tmp_path, scheduler=address)
+            run_tower(tmp_path, SMALL, scheduler=address)
