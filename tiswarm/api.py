@@ -237,8 +237,8 @@ def import_poses(
         assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 
     Returns:
-        Log, positions and notes of each structure by its name in the column `run`, or by "". A
-        warning says why contacts are probably wrong.
+        Log, positions and notes of each structure by its name in the column `run`, or by "".
+        Warnings say why contacts or final poses are probably wrong.
 
     Raises:
         InputError: the table is malformed, or there is no such field.
@@ -252,8 +252,8 @@ def import_poses(
     for run, imported in found.items():
         if out is not None:
             imports.write_import(imported, as_path(out, "out") / run)
-        if imported.warning:
-            warn(f"run {run}: {imported.warning}" if run else imported.warning)
+        for warning in imported.warnings:
+            warn(f"run {run}: {warning}" if run else warning)
     return found
 
 

@@ -278,6 +278,10 @@ def import_(
         ),
     ] = "",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
+    glitch_frames: Annotated[
+        int,
+        Option(min=0, help="Most poses in a row to leave out as one error of tracking."),
+    ] = 10,
     tilt_deg: Annotated[float | None, Option(help="Noise of orientations: tilt, 1 sd.")] = None,
     yaw_deg: Annotated[float | None, Option(help="Noise of orientations: yaw, 1 sd.")] = None,
     length_unit: Annotated[
@@ -324,6 +328,7 @@ def import_(
         heights=heights,
         drop_disconnected=drop_disconnected,
         drop_incomplete=drop_incomplete,
+        glitch_frames=glitch_frames,
         tilt_deg=tilt_deg,
         yaw_deg=yaw_deg,
         length_unit=length_unit,

@@ -44,6 +44,9 @@ class Assumptions:
     drop_incomplete: bool = False
     """Whether to drop rows that lack a number, instead of refusing them."""
 
+    glitch_frames: int = 10
+    """Most poses in a row that are left out as one error of tracking; 0 keeps all."""
+
     tilt_deg: float | None = None
     """Standard deviation of orientations about horizontal axes [deg]; stated if not None."""
 

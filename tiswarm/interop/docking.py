@@ -95,7 +95,7 @@ def _touching(poses: Poses, assumed: Assumptions) -> int:
     return int((gap >= -limits[1]).sum())
 
 
-def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], str]:
+def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], list[str]]:
     """Find contacts, describe gaps, and warn where they are implausible.
 
     Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
@@ -134,12 +134,10 @@ def refuse_crowds(log: SensingLog, path: Path) -> None:
         raise InputError(problem + remedy, path=path)
 
 
-def _implausible(robots: int, contacts: int, overlaps: int) -> str:
+def _implausible(robots: int, contacts: int, overlaps: int) -> list[str]:
     """Warn of too few contacts, or more overlaps than contacts."""
     if robots == 1 or (contacts >= _ENOUGH * robots and contacts >= overlaps):
-        return ""
+        return []
     found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
-    return (
-        f"{counted(robots, 'robot')} have {found} of docks; correct --dock-radius and "
-        "--dock-offset, or give larger --gap and --overlap"
-    )
+    problem = f"{counted(robots, 'robot')} have {found} of docks; correct --dock-radius and "
+    return [f"{problem}--dock-offset, or give larger --gap and --overlap"]

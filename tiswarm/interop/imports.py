@@ -19,6 +19,7 @@ from tiswarm.interop.docking import (
     with_docks,
     with_limits,
 )
+from tiswarm.interop.glitches import without_glitches
 from tiswarm.interop.pose_table import PoseTable, read_table
 from tiswarm.interop.poses import Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
@@ -36,10 +37,6 @@ GAINS = (
 )
 """What heights and stances gain."""
 
-
-_ROUNDING = 1e-6
-"""Least motion of a pivot that counts [dock radii]."""
-
 _MOST_NAMED = 5
 """Robots that a note names."""
 
@@ -50,7 +47,7 @@ class Imported(NamedTuple):
     log: SensingLog  # what the robots would have sensed at rest
     position: Reals  # true centers in join order, shape (N, 3)
     notes: list[str]  # contacts, gaps and what was assumed, in lines
-    warning: str  # why the contacts are probably wrong; empty if they are plausible
+    warnings: list[str]  # why contacts or final poses are probably wrong, in lines
 
 
 def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
@@ -103,13 +100,10 @@ def write_import(imported: Imported, out: Path) -> None:
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     poses, order_of_numbers = in_likely_order(poses, assumed)
     poses, guessed = with_docks(poses, assumed, path)
+    poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
     assumed, widened = with_limits(poses, assumed)
-    contacts, gaps, warning = find_contacts(poses, assumed)
-    rests = None
-    if poses.samples is not None:
-        limits = assumed.largest_gap, assumed.largest_overlap
-        put = max(sum(limits), _ROUNDING * assumed.dock_radius)
-        rests = find_rests(poses, still=0.5 * max(*limits, 0.5 * put), put=put)
+    contacts, gaps, warnings = find_contacts(poses, assumed)
+    rests = find_rests(poses, assumed)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
@@ -121,9 +115,9 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     size = f"{counted(log.robot_count, 'robot')}, {counted(len(log.contacts), 'contact')}"
     if log.stances is not None:
         size = log.size
-    notes = [*order_of_numbers, *guessed, *widened, *gaps, *joined]
+    notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
     notes += [*_describe_rests(poses, rests), *_describe(log), size]
-    return Imported(log, poses.position[order], notes, warning)
+    return Imported(log, poses.position[order], notes, [*warnings, *_unrested(poses, rests)])
 
 
 def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Path) -> list[int]:
@@ -255,11 +249,22 @@ def _describe_rests(poses: Poses, rests: Rests | None) -> Iterator[str]:
     many = counted(len(poses.samples.time), "pose")
     yield f"{counted(number, 'stance')} before the final poses, from {many} over time"
     if len(rests.cut):
-        names = ", ".join(map(str, poses.robot_id[rests.cut[:_MOST_NAMED]].tolist()))
-        more = ", ..." * (len(rests.cut) > _MOST_NAMED)
-        robots = f"{counted(len(rests.cut), 'robot')} ({names}{more})"
         why = "no flip about a dock leads from them to later ones"
-        yield f"earlier poses of {robots} left out: {why}"
+        yield f"earlier poses of {_named(poses, rests.cut)} left out: {why}"
+
+
+def _unrested(poses: Poses, rests: Rests | None) -> Iterator[str]:
+    """Warn of robots that move to the end of their tracks."""
+    if rests is not None and len(rests.in_motion):
+        robots = _named(poses, rests.in_motion)
+        yield f"the tracks of {robots} end in motion, not at final poses; record until they rest"
+
+
+def _named(poses: Poses, robots: Ints) -> str:
+    """Count robots and name the first ones."""
+    names = ", ".join(map(str, poses.robot_id[robots[:_MOST_NAMED]].tolist()))
+    more = ", ..." * (len(robots) > _MOST_NAMED)
+    return f"{counted(len(robots), 'robot')} ({names}{more})"
 
 
 def _describe(log: SensingLog) -> Iterator[str]:

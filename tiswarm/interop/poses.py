@@ -29,6 +29,10 @@ class Samples(NamedTuple):
     position: Reals  # (S, 3)
     orientation_wxyz: Reals  # (S, 4)
 
+    def docks(self, dock_offset_body: Reals) -> Reals:
+        """Locate docks at offsets (D, 3) from the center, shape (S, D, 3)."""
+        return self.position[:, None] + dock_offsets(self.orientation_wxyz, dock_offset_body)
+
 
 class Poses(NamedTuple):
     """N robots in the order of their file, in its unit of length."""

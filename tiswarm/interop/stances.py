@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.interop.poses import Poses
+from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.poses import Poses, Samples
 from tiswarm.records.sensing_log import Stances
 
 _SAME_AXIS = 0.9
@@ -32,6 +33,9 @@ _BACK_AND_FORTH = 0.75
 
 _OFTEN = 0.25
 """Share of samples in which noise alone moves docks, where robots mostly rest."""
+
+_ROUNDING = 1e-6
+"""Least motion of a pivot that counts [dock radii]."""
 
 _NOISE_MARGIN = 3.0
 """Largest motion of a robot at rest, per median of a step that noise alone makes."""
@@ -65,6 +69,17 @@ class Rests(NamedTuple):
     """Robots whose earlier poses are left out, since no flip leads from them to later ones."""
 
     @property
+    def in_motion(self) -> Ints:
+        """Robots that move to the end of their samples, where most rests have several samples."""
+        lasting, last = self.end > self.begin, self.last
+        before: Ints = np.setdiff1d(np.arange(len(lasting)), last)
+        if not len(before) or 2 * lasting[before].sum() < len(before):
+            return np.empty(0, np.int64)
+        came = np.diff(self.start) > 1
+        came[self.cut] = True
+        return np.flatnonzero(~lasting[last] & came)
+
+    @property
     def last(self) -> Ints:
         """The final rest of each robot, shape (N,)."""
         return self.start[1:] - 1
@@ -75,21 +90,42 @@ class Rests(NamedTuple):
         return np.stack([self.appeared, self.begin[self.last]])
 
 
-def find_rests(poses: Poses, *, still: float, put: float) -> Rests:
-    """Find where robots rested, in poses over time.
+class Limits(NamedTuple):
+    """How far docks move that do not move but for noise."""
+
+    still: float
+    """Largest motion of a dock of a robot at rest."""
+
+    put: float
+    """Largest motion of a pivot from one rest to the next."""
+
+
+def motion_limits(samples: Samples, docks: Reals, assumed: Assumptions) -> Limits:
+    """Derive limits of motion from those of contacts, wider where samples at rest are noisier.
 
     Args:
-        poses: Robots with samples.
-        still: Largest motion of a dock of a robot at rest, unless samples at rest are noisier.
-        put: Largest motion of a pivot from one rest to the next, in the same way.
+        samples: Poses over time.
+        docks: Centers of their docks, shape (S, D, 3).
+        assumed: Limits of contacts.
+    """
+    limits = assumed.largest_gap, assumed.largest_overlap
+    put = max(sum(limits), _ROUNDING * assumed.dock_radius)
+    noise = _NOISE_MARGIN * _step_of_noise(docks, samples.robot, most=put)
+    return Limits(max(0.5 * max(*limits, 0.5 * put), noise), max(put, noise))
+
+
+def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
+    """Find where robots rested, in poses over time; None if each robot has one pose.
+
+    Args:
+        poses: Robots, whose docks are known.
+        assumed: Limits of contacts.
     """
     samples = poses.samples
     if samples is None:
-        raise ValueError("the robots have one pose each")
-    turned = dock_offsets(samples.orientation_wxyz, poses.dock_offset_body)
-    docks = samples.position[:, None] + turned
-    noise = _NOISE_MARGIN * _step_of_noise(docks, samples.robot, most=put)
-    still, put = max(still, noise), max(put, noise)
+        return None
+    docks = samples.docks(poses.dock_offset_body)
+    still, put = motion_limits(samples, docks, assumed)
     turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
     start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
     chosen, begin, end, pivot, cut = [], [], [], [], []
