@@ -3,7 +3,11 @@
 import json
 import pickle
 import re
+import runpy
+import sys
+import textwrap
 from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,7 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.localization.plugins import all_params
 from tiswarm.scenario.model import scenario_schema
 from tiswarm.scenario.validation import localization_params
+from tiswarm.study import runner
 
 PAGE = (REPOSITORY / "docs" / "own-method.md").read_text()
 CHAIN, RADAR, XYZ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -37,6 +42,16 @@ localization: {method: origin}
 conditions:
   own: {}
   hops: {localization: {method: hop-by-hop}}
+"""
+RADARS = """
+name: own
+robots: 5
+seeds: 2
+structure: {kind: tower}
+localization: {method: hop-by-hop}
+conditions:
+  usual: {}
+  radar: {sensing: {suite: radar}}
 """
 
 
@@ -267,6 +282,10 @@ def test_a_name_of_another_plugin_is_taken(files):
     [
         ("np.zeros((2, 3))", r"returned ndarray of shape \(2, 3\); return positions"),
         ("np.full((log.robot_count, 3), np.nan)", "returned positions that are not finite"),
+        ("np.full((log.robot_count, 3), 1e300)", r"that are not within 1e\+10 R of the origin"),
+        ("np.ones((log.robot_count, 3)) * 1j", "that are no real numbers, but complex128"),
+        ("[['a'] * 3] * log.robot_count", "that are no real numbers, but <U1; give guesses"),
+        ("[[1.0], [2.0, 3.0]]", "own.py: origin failed: ValueError"),
     ],
 )
 def test_a_wrong_result_is_a_line(files, log, returned, problem):
@@ -275,6 +294,55 @@ def test_a_wrong_result_is_a_line(files, log, returned, problem):
 
     with pytest.raises(plugins.PluginError, match=problem):
         library.localize(log, "origin", plugins=["own.py"])
+
+
+@pytest.mark.parametrize("where", ["\nimport sys; sys.exit(3)\n", "\n1 / 0\n"])
+def test_a_plugin_neither_ends_the_program_nor_moves_it(files, log, where):
+    """An exit ended a run without a word; a change of the folder sent its files elsewhere."""
+    moves = f"    import os; os.chdir('/')\n{textwrap.indent(where.strip(), '    ')}"
+    (files / "own.py").write_text(ORIGIN.replace("    return", f"{moves}\n    return"))
+    (files / "bad.py").write_text(
+        f"{ORIGIN.replace('origin', 'bad')}import os; os.chdir('/'){where}"
+    )
+
+    with pytest.raises(plugins.PluginError, match=r"own.py:8: origin failed: (SystemExit: 3|Zero)"):
+        library.localize(log, "origin", plugins=["own.py"])
+    with pytest.raises(InputError, match=r"bad.py:9: (SystemExit: 3|Zero.*); correct the plug-in"):
+        library.check("own.yaml", plugins=["bad.py"])
+
+    assert Path.cwd() == files
+
+
+@pytest.mark.parametrize(
+    ("code", "scenario", "line"),
+    [
+        (ORIGIN, SCENARIO, "    return"),
+        (RADAR, RADARS.replace("  usual: {}\n", ""), "    columns"),
+    ],
+)
+def test_a_plugin_is_called_once_for_each_case(files, monkeypatch, code, scenario, line):
+    """A warm-up called it once more for each job, unseen, without limit of time or errors."""
+    monkeypatch.setattr(runner, "_compiled", {})
+    count = "    with open('calls', 'a') as file: file.write('call ')\n"
+    (files / "own.py").write_text(code.replace(line, f"{count}{line}", 1))
+    (files / "own.yaml").write_text(scenario)
+
+    _run(files)
+
+    assert (files / "calls").read_text() == "call " * 2
+
+
+@pytest.mark.trial
+def test_a_plugin_that_never_returns_is_stopped(files):
+    """The limit of a case did not count while kernels were warmed up by the plug-in."""
+    (files / "own.py").write_text(ORIGIN.replace("    return", "    while True: pass\n    return"))
+    (files / "own.yaml").write_text(SCENARIO.replace("seeds: 2", "seeds: 1"))
+
+    with pytest.warns(library.base.errors.ResultWarning, match="1 case failed"):
+        run = _run(files, case_limit_s=2.0)
+
+    assert "took longer than 2 s; raise --case-limit" in _record(run, "0-own")["reason"]
+    assert _record(run, "0-hops")["status"] == "done"
 
 
 def test_no_file_loads_code_by_itself(tiswarm, files, log):
@@ -346,6 +414,18 @@ def test_an_installed_plugin_needs_no_option(process, files):
     assert broken.stderr.endswith("; repair or uninstall it\n")
 
 
+def test_the_working_folder_installs_no_plugin(files, monkeypatch):
+    """`python -m tiswarm` ran what metadata in the working folder named, `tiswarm` did not."""
+    found = []
+    monkeypatch.setattr("tiswarm.cli.main", lambda: found.append([*sys.path]))
+
+    for path in ([str(files), *sys.path], [str(files), str(files), *sys.path]):
+        monkeypatch.setattr(sys, "path", path)
+        runpy.run_module("tiswarm", run_name="__main__")
+
+    assert [path.count(str(files)) for path in found] == [0, 1]  # PYTHONPATH may name it
+
+
 def test_a_format_of_a_plugin_is_written(tiswarm, files, log):
     """The example of the page lists the robots as atoms; an unknown format is a line."""
     (files / "xyz.py").write_text(XYZ)
@@ -358,18 +438,6 @@ def test_a_format_of_a_plugin_is_written(tiswarm, files, log):
     assert (files / "export" / "case.xyz").read_text().startswith("5\n")
     assert unknown.returncode == 2
     assert "--format: there is no format xyz" in unknown.stderr
-
-
-RADARS = """
-name: own
-robots: 5
-seeds: 2
-structure: {kind: tower}
-localization: {method: hop-by-hop}
-conditions:
-  usual: {}
-  radar: {sensing: {suite: radar}}
-"""
 
 
 def test_a_sensor_of_a_plugin_fills_its_list(files):
@@ -404,7 +472,16 @@ def test_an_edit_of_a_sensor_computes_its_cases_again(files):
     assert _record(after, "0-radar")["code"].count("+") == 1
 
 
-@pytest.mark.parametrize("returned", ["columns[:2]", "np.full(6, 9.0)", "np.full(6, np.nan)"])
+@pytest.mark.parametrize(
+    "returned",
+    [
+        "columns[:2]",
+        "np.full(6, 9.0)",
+        "np.full(6, np.nan)",
+        "np.column_stack(columns) * 1e300",
+        "np.column_stack(columns) * 1j",
+    ],
+)
 def test_wrong_rows_of_a_sensor_fail_the_case(files, returned):
     """The reason names the file, and cases of other suites are done."""
     (files / "own.py").write_text(RADAR.replace("np.column_stack(columns)", returned))

@@ -7,6 +7,7 @@ registers is known by its kind and name, with the digest of its source.
 
 import inspect
 import linecache
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +25,8 @@ from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmErro
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+    from numpy.typing import NDArray
 
 GROUP = "tiswarm.plugins"
 """Entry points of installed plug-ins."""
@@ -142,17 +145,48 @@ def forget() -> None:
 def guarded(plugin: Plugin, name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - theirs
     """Call code of a plug-in; an exception in it becomes a line that says where it was raised.
 
+    The working folder is the same afterwards.
+
     Raises:
-        PluginError: the code raised an exception.
+        PluginError: the code raised an exception, or wanted to end the program.
     """
     try:
-        return call()
-    except Exception as error:
+        with _same_folder():
+            return call()
+    except (Exception, SystemExit) as error:
         line = _line_in(plugin.file, error)
         place = f"{plugin.file}:{line}" if line else str(plugin.file)
         text = " ".join(f"{type(error).__name__}: {error}".split())
         details = "".join(traceback.format_exception(error))
         raise PluginError(f"{place}: {name} failed: {text}", details) from error
+
+
+def fault_of_numbers(values: "NDArray[Any]", farthest: float, where: str) -> str:
+    """Say what numbers of a plug-in wrongly are; empty if nothing is wrong with them.
+
+    Args:
+        values: What the plug-in returned.
+        farthest: Largest absolute value.
+        where: What that means, as `within 1e10 R of the anchor`.
+    """
+    import numpy as np  # noqa: PLC0415 - slow, and --help need not wait
+
+    if values.dtype.kind not in "fiu":
+        return f"no real numbers, but {values.dtype}"
+    if not np.isfinite(values).all():
+        return "not finite"
+    return "" if (np.abs(values) <= farthest).all() else f"not {where}"
+
+
+@contextmanager
+def _same_folder() -> Iterator[None]:
+    """Return to the working folder at the end: relative paths of a run start there."""
+    before = os.open(".", os.O_RDONLY)
+    try:
+        yield
+    finally:
+        os.fchdir(before)
+        os.close(before)
 
 
 def _load_file(given: Path) -> None:
@@ -208,12 +242,14 @@ def _placed(plugin: Plugin, shown: Path) -> Iterator[None]:
         del _known[key]
     _loading.append(plugin)
     try:
-        yield
+        with _same_folder():
+            yield
         _require_some(plugin)
     except BaseException as error:
         _known.clear()
         _known.update(before)
-        if not isinstance(error, Exception) or (isinstance(error, InputError) and error.path):
+        is_theirs = isinstance(error, Exception | SystemExit)
+        if not is_theirs or (isinstance(error, InputError) and error.path):
             raise
         raise _mistake(error, plugin, shown) from error
     finally:
@@ -226,7 +262,7 @@ def _require_some(plugin: Plugin) -> None:
         raise InputError('registers nothing; decorate a function with @tiswarm.method("name")')
 
 
-def _mistake(error: Exception, plugin: Plugin, shown: Path) -> InputError:
+def _mistake(error: BaseException, plugin: Plugin, shown: Path) -> InputError:
     """Say in a line what is wrong in a plug-in, and where."""
     if isinstance(error, InputError):
         return InputError(error.problem, path=shown, line=_line_in(plugin.file, error))

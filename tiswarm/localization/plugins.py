@@ -18,18 +18,26 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_type_hints
 
 import numpy as np
 import pydantic
+from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.base.params import STRICT
-from tiswarm.base.plugins import Plugin, PluginError, guarded, register, registered
+from tiswarm.base.plugins import (
+    Plugin,
+    PluginError,
+    fault_of_numbers,
+    guarded,
+    register,
+    registered,
+)
 from tiswarm.base.progress import ignore
 from tiswarm.localization.cue_params import all_cues
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.sensing_log import SensingLog
+from tiswarm.records.sensing_log import FARTHEST, SensingLog
 
 KIND = "method"
 """What plug-ins register here."""
@@ -160,20 +168,29 @@ def localize_batch(
 def _localize(log: SensingLog, params: OwnParams) -> Estimate:
     own, plugin = _own(params.method), registered(KIND)[params.method].plugin
     settings = () if own.settings is None else (params.settings,)
-    found = guarded(plugin, own.name, lambda: own.locate(log, *settings))
-    shape = np.shape(found.position if isinstance(found, Estimate) else found)
-    if shape != (log.robot_count, 3):
-        wanted = f"positions of shape ({log.robot_count}, 3), or an Estimate"
-        what = f"{type(found).__name__} of shape {shape}"
-        problem = f"{plugin.file}: {own.name} returned {what}; return {wanted}"
+
+    def locate() -> tuple[Any, NDArray[Any]]:
+        found = own.locate(log, *settings)
+        return found, np.asarray(found.position if isinstance(found, Estimate) else found)
+
+    found, position = guarded(plugin, own.name, locate)
+    if wrong := _fault(log, found, position):
+        problem = f"{plugin.file}: {own.name} returned {wrong}"
         raise PluginError(problem, f"{problem}\n")
     if isinstance(found, Estimate):
         return found
-    position = np.array(found, np.float64)
-    if not np.isfinite(position).all():
-        problem = f"{plugin.file}: {own.name} returned positions that are not finite; give guesses"
-        raise PluginError(problem, f"{problem}\n")
-    return _judged(log, own.cues, position)
+    return _judged(log, own.cues, position.astype(np.float64))
+
+
+def _fault(log: SensingLog, found: object, position: NDArray[Any]) -> str:
+    """Say what is wrong with a method's result, and what is wanted; empty if nothing is."""
+    if position.shape != (log.robot_count, 3):
+        what = f"{type(found).__name__} of shape {position.shape}"
+        return f"{what}; return positions of shape ({log.robot_count}, 3), or an Estimate"
+    farthest = FARTHEST * log.dock_radius
+    where = f"within {farthest:g} {log.length_unit} of the origin"
+    wrong = fault_of_numbers(position, farthest, where)
+    return wrong and f"positions that are {wrong}; give guesses"
 
 
 def _judged(log: SensingLog, cues: Sequence[str], position: Reals) -> Estimate:

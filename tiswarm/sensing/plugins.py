@@ -11,10 +11,19 @@ from types import MappingProxyType
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.base.plugins import PluginError, Registered, guarded, register, registered
+from tiswarm.base.plugins import (
+    PluginError,
+    Registered,
+    fault_of_numbers,
+    guarded,
+    register,
+    registered,
+)
+from tiswarm.records.sensing_log import FARTHEST
 from tiswarm.world.history import History
 
 KIND = "sensor"
@@ -97,21 +106,19 @@ def own_rows(history: History, params: Any) -> Iterator[tuple[str, Reals]]:  # n
     if found is None:
         return
     suite: OwnSuite = found.value
-    rows = guarded(
-        found.plugin, suite.name, lambda: np.array(suite.sense(history, params), np.float64)
-    )
+    rows = guarded(found.plugin, suite.name, lambda: np.asarray(suite.sense(history, params)))
     if wrong := _fault(rows, COLUMNS[suite.fills], history):
         problem = f"{found.plugin.file}: {suite.name} returned {wrong}"
         raise PluginError(problem, f"{problem}\n")
-    yield suite.fills, rows
+    yield suite.fills, rows.astype(np.float64)
 
 
-def _fault(rows: Reals, columns: int, history: History) -> str:
+def _fault(rows: NDArray[Any], columns: int, history: History) -> str:
     """Say what is wrong with the rows of a sensor, and what is wanted; empty if nothing is."""
     if rows.ndim != 2 or rows.shape[1] != columns:  # noqa: PLR2004 - rows and columns
         return f"shape {rows.shape}; return rows of {columns} numbers"
-    if not np.isfinite(rows).all():
-        return "numbers that are not finite; leave out what was not measured"
+    if wrong := fault_of_numbers(rows, FARTHEST, f"within {FARTHEST:g}"):
+        return f"numbers that are {wrong}; leave out what was not measured"
     stances = np.array([walk.stance_count for walk in history.walks])
     robot = rows[:, 0].astype(np.int64)
     is_robot = (robot >= 0) & (robot < len(stances))

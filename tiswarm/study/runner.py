@@ -12,6 +12,7 @@ import numpy as np
 from tiswarm.base.memory import naming_shortage
 from tiswarm.base.params import AnyPrecision
 from tiswarm.base.parts import load
+from tiswarm.base.plugins import registered
 from tiswarm.base.progress import Advance, Progress
 from tiswarm.compute import backend
 from tiswarm.compute.backend import Backend
@@ -22,6 +23,7 @@ from tiswarm.localization.registry import localize_many
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.sensing import observe
+from tiswarm.sensing.params import SensingParams
 from tiswarm.study.cases import Case
 from tiswarm.study.jobs import Job
 from tiswarm.study.provenance import Costs, Used, case_code
@@ -80,7 +82,7 @@ class _CaseRunner:
 
         A structure of a few robots is grown and localized by each method. Nothing of it is stored.
         """
-        with self.progress.task("compile kernels", int(not _compiled)) as advance:
+        with self.progress.task("prepare kernels", int(not _compiled)) as advance:
             self._warm_up_growth()
             for _, alike in groupby(sorted(self.job.cases, key=_precision), key=_precision):
                 self._warm_up_methods(list(alike))
@@ -127,11 +129,16 @@ class _CaseRunner:
         """Choose the precision of these cases, and compile their methods."""
         self._choose_device(_precision(cases[0]))
         for settings in [case.settings for case in cases]:
+            # The code of plug-ins runs for cases alone, within their limits of time.
+            if settings.localization.method in registered("method"):
+                continue
+            is_own = settings.sensing.suite in registered("sensor")
+            sensing = SensingParams() if is_own else settings.sensing
             method = repr(settings.localization)
             running = registry.start_for(settings.localization)
             if self._sample is not None and _compiled.get(method) != running:
                 with suppress(Exception):
-                    log = observe(self._sample, settings.sensing)
+                    log = observe(self._sample, sensing)
                     localize_many([log], [_shortened(settings.localization)])
                 _compiled[method] = running
 
