@@ -151,7 +151,7 @@ def _connected(history, count):
 
 
 @pytest.mark.parametrize("kind", ["cantilever", "bridge"])
-def test_tables_state_which_robots_touch_the_anchor(kind):
+def test_tables_state_which_robots_touch_the_anchor_or_are_beyond_the_edge(kind):
     """By slow recount; before a bridge meets, the far side is not connected to the anchor."""
     params = {
         "cantilever": CantileverParams(anchor=3.5, founders=2, spawn_behind="placed"),
@@ -167,6 +167,8 @@ def test_tables_state_which_robots_touch_the_anchor(kind):
         found = totals(history)
         indices = [found[f"{place}_on_anchor"] for place in ("first", "second", "third")]
         np.testing.assert_equal(indices, [*on_anchor, np.nan, np.nan, np.nan][:3])
+        x = history.position[:, 0]
+        assert found["beyond_edge"] == np.mean((x > 0.0) & (x < history.terrain.right_edge))
         gaps += (table["anchored"] < table["robots"]).sum()
         if kind == "bridge":
             near = history.position[:, 0] < 0.5 * params.gap

@@ -69,8 +69,8 @@ def test_robots_that_believe_the_truth_build_what_robots_build_that_know_it(para
 
     for one, other in zip(known, believed, strict=True):
         assert all(same(a, b) for a, b in zip(one.walks, other.walks, strict=True))
-        assert totals(other)["flips_as_planned"] == 1.0
-        assert np.isnan(totals(one)["flips_as_planned"])
+        assert (totals(other)["flips_as_planned"], totals(other)["failed_flips"]) == (1.0, 0.0)
+        assert np.isnan([totals(one)["flips_as_planned"], totals(one)["failed_flips"]]).all()
 
 
 @settings(max_examples=25)
@@ -95,15 +95,22 @@ def test_structures_are_sound_whatever_robots_believe(sd, params, seed):
 
 
 def test_flips_fail_more_often_the_more_neighbors_are_misplaced():
-    """Errors of 0, .3, 1 and 3 R spoil none, some, more and most of the flips."""
-    shares = [
-        np.mean([totals(history)["flips_as_planned"] for history in histories])
-        for histories in (_built(TowerParams(), believe=misplaced(sd)) for sd in (0, 0.3, 1, 3))
-    ]
+    """Errors of 0, .3, 1 and 3 R spoil none, some, more and most of the flips.
 
-    assert shares[0] == 1.0
+    Flips that meet nothing are undone, and count apart from those that end elsewhere.
+    """
+    built = [_built(TowerParams(), believe=misplaced(sd)) for sd in (0, 0.3, 1, 3)]
+
+    shares, failed = (
+        [np.mean([totals(history)[name] for history in histories]) for histories in built]
+        for name in ("flips_as_planned", "failed_flips")
+    )
+
+    assert (shares[0], failed[0]) == (1.0, 0.0)
     assert shares == sorted(shares, reverse=True)
+    assert failed == sorted(failed)
     assert shares[-1] < 0.75
+    assert failed[-1] > 0.2
 
 
 def test_a_common_shift_spoils_no_flip_of_a_robot_that_has_touched_another():

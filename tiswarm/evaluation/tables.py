@@ -192,12 +192,16 @@ def totals(history: History) -> dict[str, float | int]:
     """Return the size and load of a finished structure."""
     grown = by_join(history)
     names = ("height_R", "reach_R", "depth_R", "peak_stress", "sensed_max", "recruited")
+    x, terrain = history.position[:, 0], history.terrain
+    is_beyond = (x > terrain.left_edge) & (x < terrain.right_edge)
     first, second, third, *_ = [*map(int, _on_anchor(history)), np.nan, np.nan, np.nan]
     return {
         **{name: grown[name].tolist()[-1] for name in names},
         "spawns": history.spawns,
         "crossed": int(history.crossed),
+        "beyond_edge": np.nan if terrain.is_plane else float(is_beyond.mean()),
         "flips_as_planned": _flips_as_planned(history),
+        "failed_flips": _failed_flips(history),
         "first_on_anchor": first,
         "second_on_anchor": second,
         "third_on_anchor": third,
@@ -215,6 +219,16 @@ def _flips_as_planned(history: History) -> float:
         found = set(zip(stance.tolist(), touched.tolist(), strict=True))
         as_planned += sum(tuple(row) in found for row in meant.tolist())
     return as_planned / planned if planned else np.nan
+
+
+def _failed_flips(history: History) -> float:
+    """Return the number of flips that failed for each one taken; NaN where robots know the truth.
+
+    The way back counts in neither.
+    """
+    taken = sum(len(walk.planned_robot) for walk in history.walks)
+    failed = sum(int(walk.failed_flips.sum()) for walk in history.walks)
+    return failed / taken if taken else np.nan
 
 
 def _on_anchor(history: History) -> NDArray[np.int32]:

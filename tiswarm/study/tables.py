@@ -41,7 +41,8 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "joined", "disconnected",
-    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "crossed", "flips_as_planned",
+    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "beyond_edge", "crossed",
+    "flips_as_planned", "failed_flips",
     "peak_stress", "floppy_modes", "coverage_50",
     "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
     "sd_factor", "mirrored", "suspects", "steps_per_robot", "located", "rmse_located_R",

@@ -149,7 +149,7 @@ def _settle(limits: Ref, structures: Ref, climbers: Ref, walks: Ref, m):
 
 @ti.kernel
 def climb(
-    limits: ClimbLimits, movers: Ints1, state_out: Ints1, planned_out: Ints2,
+    limits: ClimbLimits, movers: Ints1, state_out: Ints1, planned_out: Ints2, failed_out: Ints2,
     # StructureArrays
     head: Ints2, following: Ints2, dock: Reals3, relay: Ints2, robot_count: Ints1,
     # BelievedDocks
@@ -175,6 +175,7 @@ def climb(
         state_out: How each walk ended, shape (slots,).
         planned_out: Item of the dock that the flip from each stance was planned to end at, or
             GROUND, shape (slots, stances); written only where robots go by belief.
+        failed_out: Flips that failed at each stance, of the same shape; written as rarely.
     """
     structures = ti.static(StructureArrays(CellList(head, following), dock, relay, robot_count))
     believed = ti.static(BelievedDocks(CellList(believed_head, believed_following), believed_dock))
@@ -205,9 +206,9 @@ def climb(
                 q = quaternion_at(orientation_out, m, stance)
                 flip = Flip(
                     distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1,
-                    overflow=0,
+                    overflow=0, failed=0,
                 )  # fmt: skip
-                called = 0
+                called = failed = 0
                 for k in range(dock_offset_body.shape[0]):
                     point = here + rotate(q, vector_at(dock_offset_body, k))
                     called |= _sense_contacts(limits, structures, s, walks, m, stance, k, point)
@@ -220,15 +221,23 @@ def climb(
                     state_out[m] = RECRUITED
                     best_stance = stance
                 elif stance - best_stance < patience[m]:
-                    for k in range(dock_offset_body.shape[0]):
-                        if _is_attached(walks, m, stance, k):
-                            other = nearest_flip(
-                                limits, structures, believed, climbers, walks, m, stance, k
-                            )
-                            if other.overflow:
-                                state_out[m] = SCRATCH_FULL
-                            if other.distance < flip.distance:
-                                flip = other
+                    # Which flips the robot tries before is known once the one that it takes is.
+                    least = -ti.math.inf
+                    for _ in range(1 + limits.by_belief):
+                        for k in range(dock_offset_body.shape[0]):
+                            if _is_attached(walks, m, stance, k):
+                                other = nearest_flip(
+                                    limits, structures, believed, climbers, walks, m, stance, k,
+                                    least,
+                                )  # fmt: skip
+                                if other.overflow:
+                                    state_out[m] = SCRATCH_FULL
+                                if other.distance < flip.distance:
+                                    flip = other
+                                failed += other.failed
+                        least = flip.distance
+                if limits.by_belief:
+                    failed_out[m, stance] = failed
                 if state_out[m] == _WALKING:
                     # One is kept for settling.
                     if flip.pivot < 0 or stance + 2 >= center_out.shape[1]:

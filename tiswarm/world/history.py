@@ -46,6 +46,10 @@ class Walk:
     """Robot that each flip was planned to end at, -1 for none, of flips before the way back; empty
     where robots know their places, shape (flips,)."""
 
+    failed_flips: NDArray[np.int32] = field(default_factory=lambda: np.empty(0, np.int32))
+    """Flips that met nothing, or where the robot had been, at each stance before the way back, and
+    so were undone; empty where robots know their places, shape (flips + 1,)."""
+
     recruited: bool = False
     """Whether the robot stays because it was called for."""
 

@@ -23,7 +23,7 @@ GROUND = -1
 
 @kernel_struct
 class Flip:
-    """A flip that could be taken: where it ends, about which dock, and where it was to end."""
+    """A flip that could be taken, and how many fail that the robot tries before."""
 
     distance: F64
     center: Vec3
@@ -31,6 +31,7 @@ class Flip:
     planned: Vec4
     pivot: I32
     overflow: I32
+    failed: I32
 
 
 @ti.func
@@ -105,19 +106,22 @@ def _first_met(limits: Ref, body: Ref, q, k, axis, pivot, near: Ref, mover, coun
 
 @ti.func
 def nearest_flip(
-    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k
+    limits: Ref, structures: Ref, believed: Ref, climbers: Ref, walks: Ref, mover, stance, k, least
 ):
     """Of all flips about dock `k`, find the one that the robot believes to end nearest to the goal.
 
     A flip ends where it truly meets something. One that meets nothing, or what the robot has
-    been at before, fails, and the robot tries its next best.
+    been at before, fails, and the robot tries its next best. Flips are counted that fail and were
+    to end nearer to the goal than `least` [R].
     """
     s = climbers.structure[mover]
     body, near, obstacle = ti.static(climbers.dock_offset_body, climbers.near, climbers.obstacle)
     here = vector_in(walks.center, mover, stance)
     q = quaternion_at(walks.orientation, mover, stance)
     goal = vector_at(climbers.goal, mover)
-    chosen = Flip(distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1, overflow=0)
+    chosen = Flip(
+        distance=ti.math.inf, center=here, orientation=q, planned=q, pivot=-1, overflow=0, failed=0
+    )
     body_in = vector_at(body, k)
     to_center = -rotate(q, body_in)
     pivot = here - to_center
@@ -159,7 +163,9 @@ def nearest_flip(
                         end = pivot - rotate(turned, body_in)
                         fails = angle < limits.min_flip or angle > limits.max_flip
                         fails = fails or _revisits(limits, walks, mover, stance, end)
-                    if not fails:
+                    if fails:
+                        chosen.failed += ti.cast(distance < least, ti.i32)
+                    else:
                         chosen.distance = distance
                         chosen.center = end
                         chosen.orientation = turned

@@ -114,7 +114,9 @@ class Walks:
             stay=stay,
         )
         self.state, self.disturbed, self.joined = np.zeros((3, slots), np.int32)
-        self.planned = np.empty((slots, stances if limits.by_belief else 0), np.int32)
+        self.planned, self.failed = np.zeros(
+            (2, slots, stances if limits.by_belief else 0), np.int32
+        )
 
     def start(self, slot: int, spawn: Spawn) -> None:
         """Put a new robot in a slot."""
@@ -130,8 +132,8 @@ class Walks:
         cells, *docks = structures
         believed_cells, believed_dock = believed
         flip_kernels.climb(
-            self.limits, movers, self.state, self.planned, *cells, *docks, *believed_cells,
-            believed_dock, *self.climbers, *self.stances,
+            self.limits, movers, self.state, self.planned, self.failed, *cells, *docks,
+            *believed_cells, believed_dock, *self.climbers, *self.stances,
         )  # fmt: skip
         if (self.state[movers] == flip_kernels.SCRATCH_FULL).any():
             raise TiswarmError(
@@ -183,5 +185,6 @@ class Walks:
             ground_docks=np.argwhere(on_ground == FLAT).astype(np.int32),
             edge_docks=np.argwhere(on_ground == EDGE).astype(np.int32),
             planned_robot=planned // self.docks,  # and GROUND, -1, stays what it is
+            failed_flips=self.failed[slot, : last + 1].copy(),
             recruited=bool(self.state[slot] == flip_kernels.RECRUITED),
         )
