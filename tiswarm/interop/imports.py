@@ -32,8 +32,8 @@ from tiswarm.records.sensing_file import check_header, write_sensing_log
 from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise, canonical_contacts
 
 GAINS = (
-    "on towers of 100 robots, joint's mean RMSE is 1.03 R from contacts and ground, 0.70 R with "
-    "heights, 0.21 R with contacts of stances too (docs/accuracy.md)"
+    "on towers of 100 robots, joint's mean RMSE is 1.0 R from contacts and ground, 0.7 R with "
+    "heights, 0.2 R with contacts of stances too (docs/accuracy.md)"
 )
 """What heights and stances gain."""
 

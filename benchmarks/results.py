@@ -1,0 +1,126 @@
+"""Keeps the results that pages state in one file, `docs/results.csv`, taken from runs.
+
+    tiswarm run scenarios/joint.yaml --no-pictures
+    python -m benchmarks.results reports/joint-6470b495
+    python -m benchmarks.results reports/joint-1a2b3c4d --kind "AMD EPYC, libraries without FMA"
+
+A row is the mean of a measure over the structures of a condition and point, with its 95 %
+confidence interval. Rows of the same structures, computed on the same kind of processor, are
+replaced; all others stay. `tests/benchmarks/test_results.py` compares the pages with the file.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+import pandas as pd
+
+from tiswarm.base.errors import InputError
+from tiswarm.evaluation.metrics import mean_std_ci95
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results.csv"
+
+MEASURES = {
+    "rmse_R": "R",
+    "procrustes_disparity": "1",
+    "floppy_modes": "1",
+    "contacts_per_robot": "1",
+    "rms_radius_R": "R",
+    "reach_R": "R",
+    "beyond_edge": "1",
+    "first_on_anchor": "1",
+    "flips_as_planned": "1",
+    "failed_flips": "1",
+    "converged": "1",
+    "consistent": "1",
+}
+"""Measures that are kept where a run has them, with their units."""
+
+KEY = ("scenario", "condition", "point", "measure", "seeds", "kind")
+"""Columns by which a row is found."""
+
+_DIGITS = 4
+"""Digits of stored numbers: pages state three at most."""
+
+
+def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
+    """Take the results from the folder of a finished run.
+
+    Args:
+        run: Folder of the run.
+        kind: Kind of processor; the name of the manifest's if empty.
+
+    Raises:
+        InputError: the folder has no summary or manifest.
+    """
+    try:
+        cases = pd.read_csv(run / "summary.csv", keep_default_na=False, na_values=[""])
+        manifest = json.loads((run / "manifest.json").read_text())
+        written = (run / "manifest.json").stat().st_mtime
+    except OSError as error:
+        raise InputError("this is no finished run; give the folder of one", path=run) from error
+    shared = {
+        "version": manifest["tiswarm"],
+        "kind": kind or manifest["machine"]["processor"],
+        "date": f"{datetime.fromtimestamp(written, timezone.utc):%Y-%m-%d}",
+    }
+    scenario = run.name.rpartition("-")[0]
+    done = cases[cases["status"] == "done"].fillna({"point": ""})
+    rows = []
+    for (condition, point), group in done.groupby(["condition", "point"], sort=False):
+        first, last = group["seed"].min(), group["seed"].max()
+        structures = {"seeds": f"{first}-{last}", "structures": len(group)}
+        of = {"scenario": scenario, "condition": condition, "point": point}
+        for name, unit in MEASURES.items():
+            if name not in group or group[name].isna().all():
+                continue
+            found = mean_std_ci95(group[name].dropna().to_numpy(float))
+            ends = (found["mean"], found["mean"] - found["ci95"], found["mean"] + found["ci95"])
+            value, low, high = (float(f"{end:.{_DIGITS}g}") for end in ends)
+            rows.append(
+                of
+                | {"measure": name, "value": value, "low": low, "high": high, "unit": unit}
+                | structures
+                | shared
+            )
+    return pd.DataFrame(rows)
+
+
+def merged(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:
+    """Replace rows by those with the same key, and sort all."""
+    every = pd.concat([old, new]) if len(old) else new
+    return every.drop_duplicates([*KEY], keep="last").sort_values([*KEY], ignore_index=True)
+
+
+def read_results(path: Path = RESULTS) -> pd.DataFrame:
+    """Read the file of results; without rows if there is none."""
+    return pd.read_csv(path, keep_default_na=False) if path.exists() else pd.DataFrame()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Update the file of results from runs; return the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.results",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folder of a run")
+    parser.add_argument("--kind", default="", help="kind of processor, if not the manifest's")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file of results")
+    options = parser.parse_args(arguments)
+    results = read_results(options.out)
+    try:
+        for run in options.runs:
+            results = merged(results, rows_of(run, options.kind))
+    except InputError as error:
+        parser.error(str(error))
+    results.to_csv(options.out, index=False, lineterminator="\n")
+    print(f"{options.out}: {len(results)} results")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,188 @@
+"""Numbers on pages are those of the file of results, which a command takes from runs."""
+
+import itertools
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks import results
+from tests.runs import REPOSITORY
+from tiswarm.interop.imports import GAINS
+
+KIND = "AMD EPYC"
+"""Kind of processor that docs/accuracy.md names."""
+
+ROWS = {
+    "final contacts, ground, height | none": ("algorithm-1", "height"),
+    "final contacts, ground | none": ("algorithm-1-no-height", "no-height"),
+    "final contacts, ground, height | 1, 2 deg": ("algorithm-1-noisy", "noisy-height"),
+    "walk contacts too (the default) | 1, 2 deg": ("", "noisy-walks"),
+    "walk contacts and spawn positions too | 1, 2 deg": ("", "noisy-odometry"),
+}
+"""Conditions of Algorithm 1 and of `joint`, by the first cells of rows in docs/accuracy.md."""
+
+OTHER = "AMD EPYC, libraries without AVX2 and FMA"
+"""The other kind, whose first row the page states."""
+
+README_ROWS = ("algorithm-1", "algorithm-1-all-at-once", "height", "noisy-walks")
+
+
+def _stored(condition, structure, measure="rmse_R"):
+    """Find the results of the scenario joint, a row for each kind of processor."""
+    table = results.read_results()
+    keys = {
+        "scenario": "joint", "condition": condition, "point": f"structure.kind={structure}",
+        "measure": measure,
+    }  # fmt: skip
+    found = table[(table[list(keys)] == pd.Series(keys)).all(axis=1)]
+    assert len(found) > 0, keys
+    return found.set_index("kind")
+
+
+def _page(*path):
+    return REPOSITORY.joinpath(*path).read_text()
+
+
+def _cells(page, start):
+    """Split the first row of a page that starts with some cells."""
+    row, *_ = [line for line in page.splitlines() if line.startswith(f"| {start} |")]
+    return [cell.strip() for cell in row.strip("| ").split("|")]
+
+
+def _is_rounded(text, value):
+    """Whether a number on a page is a result rounded to the digits that the page has."""
+    digits = len(text.partition(".")[2])
+    return abs(float(text) - value) <= 0.5 * 10.0**-digits + 1e-9
+
+
+def _numbers(text):
+    return re.findall(r"\d*\.\d+|\d+", text)
+
+
+def _on_every_kind(text, condition, structure):
+    """Whether a number with one decimal is what each kind of processor gives."""
+    found = _stored(condition, structure)["value"]
+    return len(text.partition(".")[2]) == 1 and all(_is_rounded(text, value) for value in found)
+
+
+@pytest.mark.parametrize("structure", ["tower", "cantilever"])
+def test_the_readme_states_what_every_kind_of_processor_gives(structure):
+    """Numbers have one decimal, and round to it on each kind that was measured."""
+    text = _page("README.md")
+    table = re.search(r"\| method \| measurements \|.*?\n\n", text, re.DOTALL)
+    column = {"tower": 3, "cantilever": 4}[structure]
+
+    rows = [line.strip("|").split("|") for line in table[0].strip().splitlines()[2:]]
+
+    assert len(rows) == len(README_ROWS)
+    for condition, row in zip(README_ROWS, rows, strict=True):
+        assert len(_stored(condition, structure)) >= 2
+        assert _on_every_kind(row[column].strip(), condition, structure), (condition, row)
+
+
+def test_gains_of_the_changelog_and_of_import_are_in_the_file():
+    """The first row of the changelog's table, and the note of import on what a log lacks."""
+    line = _cells(_page("CHANGELOG.md"), "locate robots from a log")[1]
+    of_import = re.findall(r"([\d.]+) R", GAINS)
+
+    gains = [
+        ("height", "tower"), ("height", "cantilever"), ("algorithm-1", "tower"),
+        ("algorithm-1", "cantilever"), ("noisy-walks", "tower"), ("noisy-walks", "cantilever"),
+    ]  # fmt: skip
+    for text, gain in zip(re.findall(r"\d+\.\d+", line), gains, strict=True):
+        assert _on_every_kind(text, *gain), (text, gain)
+    conditions = ("no-height", "height", "noisy-walks")
+    for text, condition in zip(of_import, conditions, strict=True):
+        assert _on_every_kind(text, condition, "tower"), (text, condition)
+
+
+@pytest.mark.parametrize("start", ROWS)
+@pytest.mark.parametrize(("structure", "first"), [("tower", 2), ("cantilever", 6)])
+def test_the_page_of_accuracy_has_the_file_s_results(start, structure, first):
+    """RMSE and disparity of both methods, and floppy modes, of 25 structures on one kind."""
+    cells = _cells(_page("docs", "accuracy.md"), start)
+    assert KIND in _page("docs", "accuracy.md")
+
+    for condition, cell in zip(ROWS[start], cells[first : first + 2], strict=True):
+        names = ("rmse_R", "procrustes_disparity")
+        for text, name in zip(_numbers(cell) if condition else (), names, strict=False):
+            assert _is_rounded(text, _stored(condition, structure, name)["value"][KIND]), cell
+        assert (cell == "-") == (not condition)
+    floppy = _stored(ROWS[start][1], structure, "floppy_modes")["value"][KIND]
+    assert _is_rounded(cells[first + 3], floppy)
+
+
+def test_sizes_and_verdicts_of_the_page_of_accuracy_are_in_the_file():
+    """Sizes of structures, intervals of the first row, and that all estimates are trusted."""
+    page = _page("docs", "accuracy.md")
+    sizes = {
+        "contacts with earlier robots, per robot": "contacts_per_robot",
+        "rms radius [R]": "rms_radius_R",
+    }
+    kinds = ("tower", "cantilever")
+
+    for start, name in sizes.items():
+        for text, structure in zip(_cells(page, start)[1:], kinds, strict=True):
+            assert _is_rounded(text, _stored("height", structure, name)["value"][KIND])
+    intervals = re.search(r"intervals of ± ([\d.]+) R \(tower\) and ± ([\d.]+) R", page)
+    for text, structure in zip(intervals.groups(), kinds, strict=True):
+        row = _stored("height", structure).loc[KIND]
+        assert _is_rounded(text, (row["high"] - row["low"]) / 2)
+    others = re.search(r"first\nrow is ([\d.]+) and ([\d.]+), ([\d.]+) and ([\d.]+)\.", page)
+    cells = itertools.product(kinds, ("algorithm-1", "height"))
+    for text, (structure, condition) in zip(others.groups(), cells, strict=True):
+        assert _is_rounded(text, _stored(condition, structure)["value"][OTHER])
+    assert "All 250\nestimates of 25 structures" in page
+    for (_, condition), structure in ((c, s) for c in ROWS.values() for s in kinds):
+        for name in ("converged", "consistent"):
+            assert _stored(condition, structure, name)["value"][KIND] == 1.0
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Folder of a run of two conditions with three structures, one of which failed."""
+    folder = tmp_path / "small-1a2b3c4d"
+    folder.mkdir()
+    table = pd.DataFrame(
+        {
+            "condition": ["a"] * 3 + ["b"] * 3,
+            "point": [np.nan] * 6,
+            "seed": [4, 5, 6] * 2,
+            "status": ["done", "done", "failed"] + ["done"] * 3,
+            "rmse_R": [1.0, 3.0, np.nan, 0.5, 0.5, 0.5],
+        }
+    )
+    table.to_csv(folder / "summary.csv", index=False)
+    manifest = {"tiswarm": "0.2.0", "machine": {"processor": "Some CPU"}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def test_the_command_takes_means_of_finished_cases_and_replaces_rows(run, tmp_path, capsys):
+    """The same structures on the same kind of processor have one row; other kinds stay."""
+    out = tmp_path / "results.csv"
+
+    for kind in ((), ("--kind", "Other CPU"), ()):
+        assert results.main([str(run), "--out", str(out), *kind]) == 0
+
+    table = results.read_results(out)
+    assert capsys.readouterr().out.splitlines()[-1] == f"{out}: 4 results"
+    assert table["kind"].tolist() == ["Other CPU", "Some CPU"] * 2
+    assert table["value"].tolist() == [2.0, 2.0, 0.5, 0.5]
+    assert table["structures"].tolist() == [2, 2, 3, 3]
+    assert table["seeds"].tolist() == ["4-5", "4-5", "4-6", "4-6"]
+    # Two values 1 apart from their mean: Student's t of one degree of freedom is 12.7.
+    assert table["high"][0] - 2.0 == pytest.approx(12.71, abs=0.01)
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path, capsys):
+    """Nothing is written."""
+    with pytest.raises(SystemExit) as ended:
+        results.main([str(tmp_path / "nothing"), "--out", str(tmp_path / "results.csv")])
+
+    assert ended.value.code == 2
+    assert "this is no finished run; give the folder of one" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == []
