@@ -277,6 +277,9 @@ def import_(
             help="Anchor robot, and further robots at known positions (default: the first robot).",
         ),
     ] = "",
+    up: Annotated[
+        str, Option(metavar="AXIS", help="Axis that is up: x, y, z, -x, -y, -z; it becomes z.")
+    ] = "z",
     ground_z: Annotated[float | None, Option(help="Height of flat ground.")] = None,
     glitch_frames: Annotated[
         int,
@@ -289,6 +292,9 @@ def import_(
     ] = "unit",
     *,
     heights: Annotated[bool, Option("--heights", help="Log the height of each robot.")] = False,
+    conjugate: Annotated[
+        bool, Option("--conjugate", help="Read quaternions as world to body, not body to world.")
+    ] = False,
     drop_disconnected: Annotated[
         bool,
         Option("--drop-disconnected", help="Drop robots that no contacts connect to an anchor."),
@@ -324,6 +330,8 @@ def import_(
         overlap=overlap,
         contacts=contacts,
         anchors=anchors,
+        up=up,
+        conjugate=conjugate,
         ground_z=ground_z,
         heights=heights,
         drop_disconnected=drop_disconnected,

@@ -32,6 +32,12 @@ class Assumptions:
     """Names of robots at known positions, the anchor first; the first robot to join, or of the
     file, if there are none."""
 
+    up: str = "z"
+    """Axis of the poses that is up: x, y, z, -x, -y or -z; it becomes z."""
+
+    conjugate: bool = False
+    """Whether quaternions turn the world frame to the body's, instead of body to world."""
+
     ground_z: float | None = None
     """Height of flat ground; None where there is none."""
 

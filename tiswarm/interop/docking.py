@@ -22,15 +22,21 @@ from tiswarm.records.messages import counted
 from tiswarm.records.sensing_format import MOST_CONTACTS
 from tiswarm.records.sensing_log import SensingLog
 
-_ENOUGH = 0.5
+ENOUGH = 0.5
 """Fewer contacts per robot point to a wrong robot geometry."""
 
-_FAR_MORE = 2.0
-"""Contacts in the other order of quaternions, per contact as named, that point to that order."""
+FAR_MORE = 2.0
+"""Contacts by another meaning of the poses, per contact as stated, that point to that meaning."""
 
 
-def with_docks(poses: Poses, assumed: Assumptions, path: Path) -> tuple[Poses, list[str]]:
-    """Add the docks in the body frame, and say where they are a guess."""
+def with_docks(
+    poses: Poses, assumed: Assumptions, path: Path | None = None
+) -> tuple[Poses, list[str]]:
+    """Add the docks in the body frame, and say where they are a guess.
+
+    Raises:
+        InputError: the file has docks, and offsets of docks are given.
+    """
     radius, body = assumed.dock_radius, assumed.dock_offset_body
     poses = poses._replace(length_unit=poses.length_unit or assumed.length_unit)
     if len(poses.dock_offset_body):
@@ -68,11 +74,11 @@ def with_limits(poses: Poses, assumed: Assumptions) -> tuple[Assumptions, list[s
 def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str]]:
     """Read quaternions in the other order where far more docks touch so, and say so."""
     robots = len(poses.robot_id)
-    if poses.other_order == 0 or (touching := _touching(poses, assumed)) >= _ENOUGH * robots:
+    if poses.other_order == 0 or (touching := count_touching(poses, assumed)) >= ENOUGH * robots:
         return poses, []
     other = poses.reordered()
-    more = _touching(other, assumed)
-    if more < max(_ENOUGH * robots, _FAR_MORE * touching):
+    more = count_touching(other, assumed)
+    if more < max(ENOUGH * robots, FAR_MORE * touching):
         return poses, []
     names = "x, y, z, w" if poses.other_order == 1 else "w, x, y, z"
     found = f"{counted(more, 'contact')} instead of {touching}"
@@ -80,8 +86,11 @@ def in_likely_order(poses: Poses, assumed: Assumptions) -> tuple[Poses, list[str
     return other, [f"{note}; rename the columns"]
 
 
-def _touching(poses: Poses, assumed: Assumptions) -> int:
-    """Count docks in contact, where the offset is guessed if need be; 0 if none stands out."""
+def count_touching(poses: Poses, assumed: Assumptions) -> int:
+    """Count docks in contact, at offsets that are given or guessed.
+
+    The count is 0 if no offset stands out, or if more docks overlap: they are rigid.
+    """
     radius, body = assumed.dock_radius, assumed.dock_offset_body
     limits = assumed.largest_gap, assumed.largest_overlap
     if body is None:
@@ -92,11 +101,12 @@ def _touching(poses: Poses, assumed: Assumptions) -> int:
         return 0
     docks = poses._replace(dock_offset_body=body).docks
     gap = surface_gaps(docks, dock_pairs(docks, 2.0 * radius + limits[0]), radius)
-    return int((gap >= -limits[1]).sum())
+    touching = int((gap >= -limits[1]).sum())
+    return touching if 2 * touching >= len(gap) else 0
 
 
-def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], list[str]]:
-    """Find contacts, describe gaps, and warn where they are implausible.
+def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], int]:
+    """Find contacts, describe gaps, and count the docks that overlap by more.
 
     Contacts are rows of (robot, dock, later robot, its dock), shape (n, 4).
     """
@@ -119,7 +129,7 @@ def find_contacts(poses: Poses, assumed: Assumptions) -> tuple[Ints, list[str], 
     elif wide.any():
         listed = counted(wide.sum(), "listed contact")
         notes.append(f"{listed} with a gap of more than {gap_limit:g} {unit}")
-    return pair, notes, _implausible(len(poses.robot_id), len(pair), int(deep.sum()))
+    return pair, notes, int(deep.sum())
 
 
 def refuse_crowds(log: SensingLog, path: Path) -> None:
@@ -132,12 +142,3 @@ def refuse_crowds(log: SensingLog, path: Path) -> None:
         problem = f"dock {dock} of robot {log.robot_id[robot]} has {most} contacts, more than "
         remedy = f"{MOST_CONTACTS}; correct radius and offset of docks, or give smaller limits"
         raise InputError(problem + remedy, path=path)
-
-
-def _implausible(robots: int, contacts: int, overlaps: int) -> list[str]:
-    """Warn of too few contacts, or more overlaps than contacts."""
-    if robots == 1 or (contacts >= _ENOUGH * robots and contacts >= overlaps):
-        return []
-    found = f"{counted(contacts, 'contact')} and {counted(overlaps, 'overlap')}"
-    problem = f"{counted(robots, 'robot')} have {found} of docks; correct --dock-radius and "
-    return [f"{problem}--dock-offset, or give larger --gap and --overlap"]

@@ -20,8 +20,9 @@ from tiswarm.interop.docking import (
     with_limits,
 )
 from tiswarm.interop.glitches import without_glitches
+from tiswarm.interop.hints import few_contacts, off_the_ground
 from tiswarm.interop.pose_table import PoseTable, read_table
-from tiswarm.interop.poses import Poses, poses_by_run
+from tiswarm.interop.poses import UPWARD, Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
 from tiswarm.interop.trajectories import read_gsd, read_tum
 from tiswarm.measurements.orientations import ASSUMED
@@ -98,11 +99,16 @@ def write_import(imported: Imported, out: Path) -> None:
 
 
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
+    if assumed.up not in {"z", *UPWARD}:
+        problem = f"{assumed.up!r} is no axis; use z, {', '.join(UPWARD)}"
+        raise InputError(problem, argument="up")
+    poses = poses if assumed.up == "z" else poses.upright(assumed.up)
+    poses = poses.conjugate() if assumed.conjugate else poses
     poses, order_of_numbers = in_likely_order(poses, assumed)
     poses, guessed = with_docks(poses, assumed, path)
     poses, glitches = without_glitches(poses, with_limits(poses, assumed)[0])
     assumed, widened = with_limits(poses, assumed)
-    contacts, gaps, warnings = find_contacts(poses, assumed)
+    contacts, gaps, overlaps = find_contacts(poses, assumed)
     rests = find_rests(poses, assumed)
     anchors = _anchors(poses, rests, assumed.anchors, path)
     order, joined = _join_order(
@@ -117,7 +123,10 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
         size = log.size
     notes = [*order_of_numbers, *guessed, *glitches, *widened, *gaps, *joined]
     notes += [*_describe_rests(poses, rests), *_describe(log), size]
-    return Imported(log, poses.position[order], notes, [*warnings, *_unrested(poses, rests)])
+    few = few_contacts(poses, assumed, len(contacts), overlaps)
+    # Docks at wrong places stand nowhere, so the ground says nothing more.
+    warnings = [*(few or off_the_ground(poses, assumed)), *_unrested(poses, rests)]
+    return Imported(log, poses.position[order], notes, warnings)
 
 
 def _anchors(poses: Poses, rests: Rests | None, names: tuple[int, ...], path: Path) -> list[int]:

@@ -1,5 +1,6 @@
 """Poses of robots, of any simulator or motion-capture system, and tables of docks and contacts."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,16 @@ _OTHER_ORDER: dict[tuple[str, ...], int] = {
     ("qx", "qy", "qz", "qw"): -1,
 }
 """Places by which wxyz turn around where numbers in such columns have the other order."""
+
+
+UPWARD = {
+    "y": (0.5, "x"),
+    "x": (-0.5, "y"),
+    "-z": (1.0, "x"),
+    "-y": (-0.5, "x"),
+    "-x": (0.5, "y"),
+}
+"""By the axis that is up, the turn that makes it z: half turns, and the axis of the turn."""
 
 
 class Samples(NamedTuple):
@@ -45,6 +56,7 @@ class Poses(NamedTuple):
     length_unit: str  # as the columns name it; empty where they do not
     samples: Samples | None = None  # all poses; None where each robot has one
     other_order: int = 0  # turns wxyz into the other order of the same numbers; 0 if there is none
+    docks_are_spheres: bool = False  # whether the file has the docks, not orientations
 
     @property
     def docks(self) -> Reals:
@@ -53,11 +65,49 @@ class Poses(NamedTuple):
 
     def reordered(self) -> "Poses":
         """Read the numbers of each quaternion in the other order."""
-        turned = np.roll(self.orientation_wxyz, self.other_order, axis=1)
-        samples = self.samples and self.samples._replace(
-            orientation_wxyz=np.roll(self.samples.orientation_wxyz, self.other_order, axis=1)
+        return self._mapped(lambda wxyz: np.roll(wxyz, self.other_order, axis=1))
+
+    def conjugate(self) -> "Poses":
+        """Read quaternions as turns from world to body."""
+        return self._mapped(lambda wxyz: wxyz * [1.0, -1.0, -1.0, -1.0])
+
+    def turned(self, turn: Rotation) -> "Poses":
+        """Turn the frame of each body."""
+        return self._mapped(lambda wxyz: _wxyz(_rotation(wxyz) * turn))
+
+    def upright(self, up: str) -> "Poses":
+        """Turn the world so that an axis, a key of `UPWARD`, becomes z."""
+        half_turns, axis = UPWARD[up]
+        turn = Rotation.from_euler(axis, 180.0 * half_turns, degrees=True)
+        return self._mapped(lambda wxyz: _wxyz(turn * _rotation(wxyz)), turn.apply)
+
+    def nearest(self, most: int) -> "Poses":
+        """Return the robots that are nearest to the first one, without samples."""
+        off = np.linalg.norm(self.position - self.position[0], axis=1)
+        near = np.sort(off.argsort(kind="stable")[:most])
+        return self._replace(
+            robot_id=self.robot_id[near],
+            position=self.position[near],
+            orientation_wxyz=self.orientation_wxyz[near],
+            samples=None,
         )
-        return self._replace(orientation_wxyz=turned, samples=samples)
+
+    def _mapped(
+        self,
+        orientation: Callable[[Reals], Reals],
+        position: Callable[[Reals], Reals] | None = None,
+    ) -> "Poses":
+        """Map all orientations, and positions."""
+        place = position or (lambda there: there)
+        samples = self.samples and self.samples._replace(
+            orientation_wxyz=orientation(self.samples.orientation_wxyz),
+            position=place(self.samples.position),
+        )
+        return self._replace(
+            orientation_wxyz=orientation(self.orientation_wxyz),
+            position=place(self.position),
+            samples=samples,
+        )
 
 
 def poses_by_run(table: PoseTable, path: Path, *, shape_error: float) -> dict[str, Poses]:
@@ -137,6 +187,14 @@ def read_contacts(path: Path, poses: Poses) -> Ints:
     return np.unique(rows, axis=0)
 
 
+def _rotation(wxyz: Reals) -> Rotation:
+    return Rotation.from_quat(wxyz, scalar_first=True)
+
+
+def _wxyz(turn: Rotation) -> Reals:
+    return turn.as_quat(scalar_first=True)
+
+
 def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float) -> Poses:
     by = ["robot", "time"] if "time" in rows else ["robot"]
     rows = _by_robot(rows, by, path)
@@ -165,6 +223,7 @@ def _poses(rows: pd.DataFrame, table: PoseTable, path: Path, shape_error: float)
         if over_time
         else None,
         other_order=_OTHER_ORDER.get(tuple(table.quaternion_order), 0),
+        docks_are_spheres="sphere" in rows,
     )
 
 
