@@ -1,6 +1,7 @@
 """Pictures are drawn by the best renderer that works, and name it."""
 
 import builtins
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 from tests.report.conftest import is_blank, write_case, write_summary
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
+from tiswarm.report.render import open3d_library
 from tiswarm.report.render.pictures import build_pictures, render_run
 from tiswarm.report.render.raycast import draw_scenes
 from tiswarm.report.render.side_by_side import build_sizes, draw_side_by_side
@@ -71,6 +73,33 @@ def test_the_next_renderer_steps_in(run_folder, broken_open3d):
         )
         with Image.open(picture.path) as image:
             assert not is_blank(image)
+
+
+def test_an_open3d_that_crashes_does_not_end_the_run(scene, tmp_path, monkeypatch):
+    """It ended runs with status 134 and without a word; one that works is tried once."""
+    library = tmp_path / "open3d"
+    library.mkdir()
+    (library / "__init__.py").write_text("import os; os.abort()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setitem(sys.modules, "open3d", None)  # undone in the end
+    del sys.modules["open3d"]
+    open3d_library.try_in_child.cache_clear()
+
+    _, renderer, reason = draw_scenes([scene])
+    (library / "__init__.py").write_text("works = True\n")
+    found = open3d_library.import_open3d()
+    del sys.modules["open3d"]
+    open3d_library.try_in_child.cache_clear()
+    monkeypatch.setattr(open3d_library, "child_command", lambda _: ["false"])
+    again = open3d_library.import_open3d()
+
+    assert renderer == "taichi"
+    assert reason.startswith("open3d: its import crashes with SIGABRT; `tiswarm doctor`")
+    assert found.works
+    assert again.works
+    assert len([*(tmp_path / "cache" / "tiswarm" / "kernels" / "open3d").iterdir()]) == 1
 
 
 def test_a_chosen_renderer_is_not_replaced(run_folder, broken_open3d):

@@ -23,7 +23,8 @@ from tiswarm.base.params import ARCHS, Arch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.machine import machine
 from tiswarm.records.terrain import Terrain
-from tiswarm.report.render.raycast import TRACERS, draw_scenes, import_open3d
+from tiswarm.report.render.open3d_library import import_open3d
+from tiswarm.report.render.raycast import TRACERS, draw_scenes
 from tiswarm.report.render.scene import build_scene
 from tiswarm.report.swarm_view import DrawnRobots, Look
 

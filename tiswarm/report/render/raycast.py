@@ -5,10 +5,7 @@ kernel of our own on exact capsules. Rays, ground, color and soft edges are shar
 edge are averaged over several rays.
 """
 
-import contextlib
-import ctypes
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +15,7 @@ from tiswarm.base.aliases import Bools, Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Advance, ignore
 from tiswarm.report.render.mesh import mesh_capsules
+from tiswarm.report.render.open3d_library import import_open3d
 from tiswarm.report.render.scene import Scene, color_of_capsules, relative_light
 from tiswarm.report.render.shade import Array32
 
@@ -303,17 +301,6 @@ def _open3d_tracer(scene: Scene) -> Trace:
         return answer["t_hit"].numpy(), np.where(missed, -1, mesh.triangle_capsule[triangle])
 
     return trace
-
-
-def import_open3d() -> Any:  # noqa: ANN401 - open3d has no types
-    """Import open3d, after the library that `libusb_package` brings, where it is installed."""
-    with contextlib.suppress(ImportError, OSError):
-        import libusb_package  # noqa: PLC0415 - optional
-
-        ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    import open3d
-
-    return open3d
 
 
 # --- taichi ---
