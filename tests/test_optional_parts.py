@@ -3,7 +3,9 @@
 `pyproject.toml` lists the parts and the modules of the spine.
 """
 
+import re
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -104,6 +106,26 @@ def _copy_without(parts, folder, case) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("part", PARTS)
+def test_a_part_that_is_missing_is_named(tiswarm, small_run, tmp_path, monkeypatch, part):
+    """A command that needs it ends in a line, here where its import fails."""
+    case = small_run / "cases" / "0-baseline"
+    for name in ("sensing.jsonl", "estimate.csv"):
+        shutil.copy(case / name, tmp_path)
+    for name in [*sys.modules]:
+        if f"{name}.".startswith(f"{part}."):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, part, None)
+
+    done = tiswarm(*ASKED[part].split(), cwd=tmp_path)
+
+    assert done.returncode == 1, done.stderr
+    [line] = done.stderr.splitlines()
+    lack = rf"needs {part}(\.\w+)?, which this copy of tiswarm lacks; install all of it"
+    assert re.fullmatch(rf"tiswarm: error: .* {lack}", line)
+
+
+@pytest.mark.trial
 def test_the_spine_works_without_any_part(tmp_path, case):
     """It imports, runs a study by `joint` and localizes a log; so it needs none of the parts."""
     done = _call(_copy_without(PARTS, tmp_path, case), SPINE)
@@ -111,6 +133,7 @@ def test_the_spine_works_without_any_part(tmp_path, case):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize("part", PARTS)
 def test_without_a_part_all_others_are_there_and_it_is_named(tmp_path, case, part):
     """Who asks for it gets a line that names the module; no other part needs it to be loaded."""
@@ -123,6 +146,7 @@ def test_without_a_part_all_others_are_there_and_it_is_named(tmp_path, case, par
     assert line.endswith("lacks; install all of it")
 
 
+@pytest.mark.trial
 def test_the_files_of_the_tour_load_no_part():
     """Not even by a module that the contract forgets."""
     names = [stop.removesuffix(".py").replace("/", ".") for stop in stops()]

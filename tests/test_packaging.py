@@ -231,6 +231,7 @@ def _run(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.trial
 def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
     """An empty environment that sees the installed libraries runs a scenario that ships."""
     venv.create(tmp_path / "env")

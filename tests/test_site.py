@@ -30,6 +30,7 @@ def commands_of(page: Path) -> list[list[str]]:
     return [shlex.split(line.partition(" > ")[0], comments=True) for line in lines]
 
 
+@pytest.mark.trial
 def test_the_site_can_be_built(tmp_path):
     """Sphinx has no warning: links lead to pages and headings, and the menu has all pages."""
     pytest.importorskip("sphinx", reason="the extra docs needs Python 3.11")

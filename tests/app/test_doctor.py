@@ -42,6 +42,7 @@ def test_no_packages_are_named_off_linux(bare_machine, monkeypatch):
     assert missing_packages() == []
 
 
+@pytest.mark.trial
 @pytest.mark.skipif(sys.platform != "linux", reason="wheels for other systems contain the library")
 def test_a_machine_without_the_library_of_taichi_gets_the_name_of_its_package(tmp_path, process):
     """A file that is no library stands for it: what to install is said, and nothing else runs."""

@@ -148,6 +148,7 @@ def test_the_kernel_library_says_nothing_beside_its_error(capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.trial
 def test_linear_algebra_does_not_wait_for_memory_for_ever():
     """OpenBLAS tries again and again to reserve its buffer where it got none before."""
     code = """

@@ -1,6 +1,7 @@
 """Digests of the computing code: they change with the code of a case and with nothing else."""
 
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,16 +15,37 @@ PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(registry.METHODS)
 
 
+@pytest.fixture(scope="module")
+def package(tmp_path_factory) -> Path:
+    """Copy of the package; a test that changes it undoes that."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    return Path(
+        shutil.copytree(PACKAGE, tmp_path_factory.mktemp("copy") / "tiswarm", ignore=ignored)
+    )
+
+
+@pytest.fixture(scope="module")
+def before(package) -> dict[str, str]:
+    """Digests of the copy before an edit."""
+    with pytest.MonkeyPatch.context() as patch:
+        _use(package, patch)
+        return digests()
+
+
 @pytest.fixture
-def copy(tmp_path, monkeypatch) -> Path:
+def copy(package, before, monkeypatch) -> Path:
     """Copy of the package, whose digests `case_code` and the like return."""
-    package = Path(shutil.copytree(PACKAGE, tmp_path / "tiswarm"))
+    _use(package, monkeypatch)
+    return package
+
+
+def _use(package, patch):
+    """Let digests be those of a copy of the package."""
 
     def of_copy(modules, apart=None):
         return version.code_digest(modules, apart, package)
 
-    monkeypatch.setattr(provenance, "code_digest", of_copy)
-    return package
+    patch.setattr(provenance, "code_digest", of_copy)
 
 
 def digests():
@@ -33,8 +55,16 @@ def digests():
     return found | {"structures": structure_code.__wrapped__(), "all": all_code.__wrapped__()}
 
 
-def _edit(path):
-    path.write_bytes(path.read_bytes().replace(b"e", b"a", 1))
+@contextmanager
+def _edited(path, old=b"e", new=b"a", *, count=1):
+    """Replace bytes of a file within; afterwards it is as before."""
+    text = path.read_bytes()
+    assert old in text
+    path.write_bytes(text.replace(old, new, count))
+    try:
+        yield
+    finally:
+        path.write_bytes(text)
 
 
 @pytest.mark.parametrize(
@@ -62,36 +92,35 @@ def _edit(path):
         ("cli/run.py", set()),
     ],
 )
-def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, name, changed):
+def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, before, name, changed):
     """Cases of another method stay current: nobody computes them again for nothing."""
-    before = digests()
+    with _edited(copy / name):
+        after = digests()
 
-    _edit(copy / name)
-
-    after = digests()
     assert {key for key in before if before[key] != after[key]} == changed
 
 
-def test_any_byte_of_computing_code_moves_the_digest(copy):
-    """A changed letter, a renamed file and a removed file change the digest."""
-    found = {digests()["joint"]}
+def test_any_byte_of_computing_code_moves_the_digest(copy, before):
+    """A changed letter and a missing file change the digest."""
+    found = {before["joint"]}
     path = copy / "evaluation" / "metrics.py"
-    _edit(path)
+    with _edited(path):
+        found.add(digests()["joint"])
+    renamed = path.rename(path.with_stem("renamed"))
     found.add(digests()["joint"])
-    path.rename(path.with_stem("renamed"))
-    found.add(digests()["joint"])
+    renamed.rename(path)
 
     assert len(found) == 3
 
 
 def test_code_that_computes_nothing_leaves_the_digest(copy):
     """Line ends, caches and the folder leave the digest."""
-    path = copy / "world" / "growth.py"
-    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
     (copy / "world" / "__pycache__").mkdir(exist_ok=True)
     (copy / "world" / "__pycache__" / "growth.pyc").write_text("cache")
+    with _edited(copy / "world" / "growth.py", b"\n", b"\r\n", count=-1):
+        found = digests()
 
-    assert digests() == {name: case_code(name) for name in METHODS} | {
+    assert found == {name: case_code(name) for name in METHODS} | {
         "structures": structure_code(),
         "all": all_code(),
     }

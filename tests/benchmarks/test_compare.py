@@ -39,6 +39,7 @@ def test_other_amounts_are_not_compared():
     assert found == "not comparable: the baseline is of 8 towers"
 
 
+@pytest.mark.trial
 def test_a_slower_work_ends_the_command_with_an_error(tmp_path):
     """The command stores what it measured, and fails against a baseline of a thousandth of it."""
     stored = call("compare", *OPTIONS, "--store", "--baselines", tmp_path)

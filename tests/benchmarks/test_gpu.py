@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from benchmarks import gpu
 from benchmarks.swarm_step import reference
@@ -43,6 +44,7 @@ def test_faults_are_listed():
     assert gpu.faults({}) == []
 
 
+@pytest.mark.trial
 def test_the_command_writes_one_report(tmp_path):
     """On the processor, beside itself, since tests have no card."""
     out = tmp_path / "report.json"

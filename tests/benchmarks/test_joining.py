@@ -8,6 +8,7 @@ from tests.benchmarks.commands import call
 OPTIONS = ["--kinds", "tower", "--robots", 12, "--seeds", 2, "--at", 8, 12]
 
 
+@pytest.mark.trial
 def test_joins_are_compared_with_joint_on_the_same_robots(tmp_path):
     """A second call measures nothing again, and prints the same table."""
     done = call("joining", *OPTIONS, "--out", tmp_path)

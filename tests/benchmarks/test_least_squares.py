@@ -56,6 +56,7 @@ def test_a_robot_without_measurements_stays_at_its_start(towers):
         assert (found.position[1:29] != start[1:29]).any(axis=1).all()
 
 
+@pytest.mark.trial
 def test_the_command_compares_the_solvers(tmp_path):
     """The table has a row a log and solver, with the error where the truth is known."""
     done = call("least_squares", "--robots", 6, "--seeds", 1, "--out", tmp_path)

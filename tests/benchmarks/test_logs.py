@@ -170,6 +170,7 @@ def test_a_summary_has_the_geometric_mean():
     assert row["from"] < 4.0 < row["to"]
 
 
+@pytest.mark.trial
 def test_the_command_grades_methods_plugins_and_estimates(tmp_path):
     """A table has a row a log and method; a stranger's estimates are graded alike."""
     (tmp_path / "heap.py").write_text(PLUGIN)
@@ -212,6 +213,7 @@ def test_peers_minimize_what_least_squares_does(tmp_path):
     assert (table["over_limit"] < 1.5).all()
 
 
+@pytest.mark.trial
 def test_an_unknown_log_is_refused(tmp_path):
     """The name is in the message, and nothing is written."""
     done = call("logs", "joint", "--logs", "moon", "--out", tmp_path / "out")

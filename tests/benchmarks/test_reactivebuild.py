@@ -365,6 +365,7 @@ def finished(tmp_path_factory):
     return next(out.glob("reactivebuild-laws-*")), done.stdout
 
 
+@pytest.mark.trial
 def test_a_small_run_writes_every_row(finished):
     """Numbers that need 25 robots or more are there but not measured."""
     folder, _ = finished
@@ -377,6 +378,7 @@ def test_a_small_run_writes_every_row(finished):
     assert set(table[plain]["verdict"]) == {"in band", "out of band", "reported"}
 
 
+@pytest.mark.trial
 def test_a_structure_counts_once_whatever_the_conditions(finished):
     """Two seeds under two conditions are two structures."""
     folder, _ = finished
@@ -385,6 +387,7 @@ def test_a_structure_counts_once_whatever_the_conditions(finished):
     assert table.loc[("tower shape", "height [R]"), "structures"] == 2
 
 
+@pytest.mark.trial
 def test_the_last_line_counts_the_numbers_in_band(finished):
     """Numbers that are not measured are not judged."""
     folder, printed = finished
@@ -397,6 +400,7 @@ def test_the_last_line_counts_the_numbers_in_band(finished):
     )
 
 
+@pytest.mark.trial
 def test_a_run_folder_gives_the_same_files_again(finished):
     """The scorecard follows from the stored cases alone."""
     folder, printed = finished
@@ -416,6 +420,7 @@ def test_a_run_folder_gives_the_same_files_again(finished):
     assert all(caption in page for caption in CAPTIONS.values())
 
 
+@pytest.mark.trial
 def test_failed_cases_are_counted(finished, tmp_path):
     """Structures of failed cases are left out, and the summary says how many."""
     folder, _ = finished
@@ -427,6 +432,7 @@ def test_failed_cases_are_counted(finished, tmp_path):
     assert compare(copy).endswith("; 1 case failed")
 
 
+@pytest.mark.trial
 def test_a_folder_without_a_run_is_refused(tmp_path):
     """The message names the folder and what to give instead."""
     done = call("reactivebuild", tmp_path)

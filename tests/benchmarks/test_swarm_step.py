@@ -65,6 +65,7 @@ def test_engines_pass_the_check(engine, name):
     assert running.builds > 1
 
 
+@pytest.mark.trial
 def test_the_benchmark_runs_from_the_command_line(tmp_path):
     """A small run measures, checks and draws our engines, and keeps earlier rows."""
     engines = ["--engines", "tiswarm-f64", "tiswarm-f64-call"]

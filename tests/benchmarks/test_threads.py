@@ -6,6 +6,7 @@ import pytest
 from tests.benchmarks.commands import call
 
 
+@pytest.mark.trial
 def test_speed_ups_are_ratios_of_times(tmp_path):
     """One and two threads do the same work, and two threads do twice the work."""
     options = ["--works", "swarm step", "--threads", 1, 2, "--rounds", 1, "--share", 0.002]

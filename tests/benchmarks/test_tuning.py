@@ -17,16 +17,21 @@ from tiswarm.scenario.expansion import load_scenario
 from tiswarm.sensing import SensingParams, observe
 
 PAPER = REPOSITORY / "scenarios" / "paper.yaml"
-SMALL = ("--set", "robots=8", "--training-seeds", "2")
+
+
+def _fit(path, *, trials=3):
+    """Fit gains on two small structures of each point."""
+    tune(
+        load_scenario(PAPER, ["robots=8"]), path, trials=trials, training_seeds=2, conditions=[],
+        progress=Progress(),
+    )  # fmt: skip
+    return path
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory):
     """Path of the record of a fit of three trials."""
-    path = tmp_path_factory.mktemp("fits") / "fit.json"
-    done = call("tuning", PAPER, *SMALL, "--trials", 3, "--out", path)
-    assert done.returncode == 0, done.stderr
-    return path
+    return _fit(tmp_path_factory.mktemp("fits") / "fit.json")
 
 
 def test_the_first_trial_is_what_the_scenario_says(record):
@@ -48,10 +53,20 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tmp_path, record):
     cut = tmp_path / "fit.json"
     cut.write_text(json.dumps(whole | {"trials": whole["trials"][:1]}))
 
-    done = call("tuning", PAPER, *SMALL, "--trials", 3, "--out", cut)
+    _fit(cut)
+
+    assert cut.read_bytes() == record.read_bytes()
+
+
+@pytest.mark.trial
+def test_the_command_writes_the_record(tmp_path, record):
+    """Its options are the arguments of the call."""
+    small = ("--set", "robots=8", "--training-seeds", "2", "--trials", 3)
+
+    done = call("tuning", PAPER, *small, "--out", tmp_path / "fit.json")
 
     assert done.returncode == 0, done.stderr
-    assert cut.read_bytes() == record.read_bytes()
+    assert (tmp_path / "fit.json").read_bytes() == record.read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -78,11 +78,13 @@ def test_what_is_no_path_is_refused(name):
         getattr(library, name)({"name": "tower"})
 
 
-def test_the_command_writes_the_same(run, process, tmp_path):
+@pytest.mark.parametrize("command", ["tiswarm", pytest.param("process", marks=pytest.mark.trial)])
+def test_the_command_writes_the_same(run, request, tmp_path, command):
     """Same scenario, same folder, same bytes."""
     settings = [f"--set={key}={value}" for key, value in SMALL.items()]
 
-    done = process("run", "tests/tower.yaml", *settings, "--out", tmp_path)
+    call = request.getfixturevalue(command)
+    done = call("run", "tests/tower.yaml", *settings, "--out", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert_same_results(run.folder, tmp_path / run.folder.name)
@@ -138,6 +140,7 @@ def test_failed_cases_are_warned_of(tmp_path):
     assert set(run.summary["status"]) == {"failed"}
 
 
+@pytest.mark.trial
 def test_a_log_is_localized_without_the_simulator(run):
     """Neither world nor sensing is imported for the log of another simulator."""
     log = run.folder / "cases" / "0-baseline" / "sensing.jsonl"

@@ -239,6 +239,7 @@ def test_schema_accepts_what_is_shipped_and_refuses_what_is_not(tiswarm):
         jsonschema.validate({**scenario, "robotz": 3}, schema)
 
 
+@pytest.mark.trial
 def test_doctor_knows_what_works(tiswarm, monkeypatch):
     """The CPU works, metal does not on Linux, some renderer does; software cards take long."""
     monkeypatch.setattr(doctor, "ARCHS", ("cpu", "metal"))

@@ -5,7 +5,6 @@ import pytest
 
 import tiswarm as library
 from tests.measurements.test_orientations import connected
-from tests.runs import call
 from tiswarm.app.explanation import explain
 from tiswarm.base.errors import InputError
 from tiswarm.records.positions import write_positions
@@ -21,12 +20,12 @@ def _write(folder, history):
     return folder / "sensing.jsonl"
 
 
-def test_the_command_prints_what_the_call_returns(tmp_path, towers):
+def test_the_command_prints_what_the_call_returns(tiswarm, tmp_path, towers):
     """A line for each measurement, and a picture."""
     log = library.read_log(_write(tmp_path, towers[0]))
     found = library.explain(log, 7, tmp_path / "truth.csv")
 
-    done = call("explain", "sensing.jsonl", 7, "truth.csv", "--out", "places.png", cwd=tmp_path)
+    done = tiswarm("explain", "sensing.jsonl", 7, "truth.csv", "--out", "places.png", cwd=tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{found}\n-> places.png\n"

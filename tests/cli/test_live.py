@@ -130,6 +130,7 @@ def test_the_page_shows_the_newest_case(served):
     assert re.search(f'<iframe [^>]*src="[^"]*case/{served.late}', done.stdout)
 
 
+@pytest.mark.trial
 def test_ctrl_c_ends_the_command(served):
     """It is the usual end: status 0, and not a word on standard error."""
     served.process.send_signal(signal.SIGINT)

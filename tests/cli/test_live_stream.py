@@ -51,6 +51,7 @@ def rows_of(page):
     return [re.findall(r"<td[^>]*>(.*?)</td>", re.sub(r"</?span[^>]*>", "", row)) for row in rows]
 
 
+@pytest.mark.trial
 def test_lines_appear_as_they_are_answered(followed, tmp_path):
     """The newest comes first. A line that is being written waits; files that began anew count."""
     out, _ = followed

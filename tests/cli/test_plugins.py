@@ -87,16 +87,15 @@ def _record(run, case):
     return json.loads((run.folder / "cases" / case / "case.json").read_text())
 
 
-def test_the_example_of_the_page_runs(tiswarm, process, tmp_path):
-    """Its commands check the scenario, run it on two workers, and localize a log."""
+@pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "2"), marks=pytest.mark.trial)])
+def test_the_example_of_the_page_runs(tiswarm, tmp_path, workers):
+    """Its commands check the scenario, run it, on two workers too, and localize a log."""
     (tmp_path / "chain.py").write_text(CHAIN)
     (tmp_path / "study.yaml").write_text(STUDY)
     small = ["--set", "robots=6", "--set", "seeds=1", "--no-pictures"]
 
     checked = tiswarm("check", "study.yaml", "--plugin", "chain.py", cwd=tmp_path)
-    run = process(
-        *("run", "study.yaml", "--plugin", "chain.py", "--workers", "2", *small), cwd=tmp_path
-    )
+    run = tiswarm("run", "study.yaml", "--plugin", "chain.py", *workers, *small, cwd=tmp_path)
     [case] = tmp_path.glob("reports/*/cases/0-chain")
     done = tiswarm(
         *("localize", case / "sensing.jsonl", "--plugin", "chain.py", "--method", "chain"),
@@ -186,7 +185,7 @@ def test_an_edit_computes_the_cases_of_the_plugin_again(files):
     np.testing.assert_allclose(moved, 1.0, rtol=1e-12)  # the anchor's place is rounded
 
 
-@pytest.mark.parametrize("workers", [[], ["--workers", "1"]])
+@pytest.mark.parametrize("workers", [[], pytest.param(["--workers", "1"], marks=pytest.mark.trial)])
 def test_an_exception_leaves_its_traceback_in_the_case(tiswarm, files, workers):
     """The case fails with a line that names the file, all others are done; --debug prints it."""
     (files / "own.py").write_text(FAILS)
@@ -394,6 +393,7 @@ def test_a_method_of_a_session_needs_no_file(log):
         pickle.dumps(localization_params("here"))
 
 
+@pytest.mark.trial
 def test_an_installed_plugin_needs_no_option(process, files):
     """An entry point of its package names the module, also to a worker."""
     (files / "mine.py").write_text(ORIGIN)
@@ -440,12 +440,13 @@ def test_a_format_of_a_plugin_is_written(tiswarm, files, log):
     assert "--format: there is no format xyz" in unknown.stderr
 
 
-def test_a_sensor_of_a_plugin_fills_its_list(files):
+@pytest.mark.parametrize("workers", [None, pytest.param(1, marks=pytest.mark.trial)])
+def test_a_sensor_of_a_plugin_fills_its_list(files, workers):
     """Its ranges are near the distances to the anchor; workers and tables know the suite."""
     (files / "own.py").write_text(RADAR)
     (files / "own.yaml").write_text(RADARS)
 
-    run = _run(files, workers=1)
+    run = _run(files, workers=workers)
 
     log = library.read_log(run.folder / "cases" / "0-radar" / "sensing.jsonl")
     truth = run.frame("truth", case="0-radar")[["x_R", "y_R", "z_R"]].to_numpy()

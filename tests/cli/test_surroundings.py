@@ -49,8 +49,8 @@ def _interrupted(number: signal.Signals, out: Path, *options: str):
 @pytest.mark.parametrize(
     ("number", "options"),
     [
-        (signal.SIGINT, []),
-        (signal.SIGTERM, ["--workers", "1"]),
+        pytest.param(signal.SIGINT, [], marks=pytest.mark.trial),
+        pytest.param(signal.SIGTERM, ["--workers", "1"], marks=pytest.mark.trial),
         pytest.param(signal.SIGINT, ["--workers", "1"], marks=pytest.mark.slow),
         pytest.param(signal.SIGTERM, [], marks=pytest.mark.slow),
     ],

@@ -106,6 +106,7 @@ for precision in ("f64", "f32"):
 """
 
 
+@pytest.mark.trial
 def test_every_kernel_of_a_card_assembles_and_needs_no_more_than_before(stub, towers, tmp_path):
     """Each compiles without a loop of compare-and-swap, and no launch floods the card.
 

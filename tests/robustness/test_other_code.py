@@ -43,6 +43,7 @@ def _attempt(library, situation, call, log, expected, seed=0):
     return said.splitlines()[-1]  # libraries print, too
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize("situation", QUICK)
 def test_a_call_beside_other_code_is_right_or_refused(situation, log, expected):
     """It says in one line what to do, and ends no program of the user's."""

@@ -60,10 +60,10 @@ def inject(tmp_path, monkeypatch):
     ("execution", "cases", "least_jobs"),
     [
         ({}, 8, 1),
-        ({"workers": 2}, 8, 4),
+        pytest.param({"workers": 2}, 8, 4, marks=pytest.mark.trial),
         ({"shard": (1, 2)}, 4, 1),
         # The system counts milliseconds in 32 bits; a limit of 1e7 s failed every case.
-        ({"case_limit_s": 1e300}, 8, 4),
+        pytest.param({"case_limit_s": 1e300}, 8, 4, marks=pytest.mark.trial),
     ],
     ids=["here", "workers", "shard", "limit"],
 )
@@ -121,6 +121,7 @@ def test_an_impossible_execution_is_refused(fields, problem):
         Execution(**fields)
 
 
+@pytest.mark.trial
 def test_processes_keep_the_kernels_that_they_compile(tmp_path, monkeypatch):
     """They end by themselves once there is no more to do, as kernels are stored at the end."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -235,6 +236,7 @@ def test_a_case_that_takes_too_long_is_given_up(tmp_path):
     ]
 
 
+@pytest.mark.trial
 def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
     """The case fails if its process hangs before it computes."""
     inject("import time; time.sleep(60)")
@@ -247,6 +249,7 @@ def test_a_process_that_never_starts_is_given_up(tmp_path, monkeypatch, inject):
     ]
 
 
+@pytest.mark.trial
 def test_workers_of_other_code_are_refused(tmp_path, inject):
     """The run ends before it mixes their cases with others, and computes them again later."""
     inject("""

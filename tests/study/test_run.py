@@ -1,6 +1,7 @@
 """Whole runs: their files, their repetition, and their continuation after a break."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -21,9 +22,30 @@ SMALL = ("--set", "robots=12", "--set", "seeds=2", "--no-pictures")
 ANY_VERDICT = {0, 4}
 """Exit statuses of `localize` for an estimate that can be trusted, and for one that cannot."""
 SCENARIOS = sorted((REPOSITORY / "scenarios").glob("*.yaml"))
+QUICK = {"bridge", "tower", "yaw"}
+"""Scenarios that run in `make test`: they have several methods, kinds of structures and a sweep."""
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.stem)
+def test_every_shipped_scenario_is_checked_and_planned(tiswarm, tmp_path, scenario):
+    """A scenario that ships has no mistake, and says what it costs before it computes anything."""
+    checked = tiswarm("check", scenario)
+    planned = tiswarm("run", scenario, "--plan", "--out", tmp_path / "out")
+
+    assert checked.returncode == 0, checked.stderr
+    assert planned.returncode == 0, planned.stderr
+    assert re.match(r"[\d,]+ cases?, [\d,]+ robots in all; estimate: ", planned.stdout)
+    assert planned.stdout.partition("\n")[0] in checked.stdout
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        pytest.param(path, marks=() if path.stem in QUICK else pytest.mark.trial, id=path.stem)
+        for path in SCENARIOS
+    ],
+)
 def test_every_shipped_scenario_runs(tmp_path, scenario):
     """Each scenario finishes every case at small size."""
     briefly = ["localization.steps=200", "localization.chains=3"]

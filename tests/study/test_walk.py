@@ -9,6 +9,7 @@ is theirs, not the study's.
 import inspect
 import sys
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,13 +42,18 @@ def calls(tmp_path_factory) -> Counter:
     found: Counter = Counter()
 
     def note(frame, event, _):
-        if event == "call" and (to := _file(frame)) and not _is_value(frame):
-            caller = frame.f_back
-            while caller is not None and not _file(caller):
-                caller = caller.f_back
-            if caller is not None and (here := _file(caller)) != to:
-                found[here, to, frame.f_code.co_name] += 1
+        if event != "call" or not (to := _file(frame.f_code.co_filename)):
+            return
+        caller = frame.f_back
+        while caller is not None and not _file(caller.f_code.co_filename):
+            caller = caller.f_back
+        if caller is None or (here := _file(caller.f_code.co_filename)) == to:
+            return
+        if not _is_value(frame):
+            found[here, to, frame.f_code.co_name] += 1
 
+    # The first run traces kernels, which takes ten times as long with a profile.
+    study.run(small, tmp_path_factory.mktemp("first"), progress=Progress())
     provenance.module_code.cache_clear()
     before = sys.getprofile()
     sys.setprofile(note)
@@ -58,9 +64,10 @@ def calls(tmp_path_factory) -> Counter:
     return found
 
 
-def _file(frame) -> str:
-    """Return the module of a frame within the package, as `study/run`; empty outside of it."""
-    path = Path(frame.f_code.co_filename)
+@cache
+def _file(name: str) -> str:
+    """Return the module of a file within the package, as `study/run`; empty outside of it."""
+    path = Path(name)
     return path.relative_to(PACKAGE).with_suffix("").as_posix() if PACKAGE in path.parents else ""
 
 
