@@ -2,6 +2,7 @@
 
 import ast
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -113,4 +114,16 @@ def test_a_library_that_is_asked_for_is_not_replaced(without_taichi, monkeypatch
 
 def test_child_processes_print_as_they_would_alone():
     """How this process prints is in no variable that they inherit."""
-    assert not [name for name in os.environ if name.endswith("_ENABLE_PYBUF")]
+    assert not [name for name in os.environ if name.endswith(("_ENABLE_PYBUF", "_LOG_LEVEL"))]
+
+
+@pytest.mark.trial
+def test_replaced_output_stays_silent():
+    """A program that collects its output in a text finds no line of the library on the terminal."""
+    replaced = (
+        "import io, sys; sys.stdout = sys.stderr = io.StringIO(); import tiswarm.compute.lang"
+    )
+
+    done = subprocess.run([sys.executable, "-c", replaced], capture_output=True, check=True)
+
+    assert (done.stdout, done.stderr) == (b"", b"")

@@ -82,6 +82,8 @@ def load_library() -> tuple[str, Any]:
     for name in filter(find_spec, LIBRARIES if asked is None else (asked,)):
         silent = {f"ENABLE_{name.upper()}_HEADER_PRINT": "0"}
         silent[f"{LIBRARIES[name]}_ENABLE_PYBUF"] = notebook
+        # Below this level it would write to the terminal that it has found a notebook.
+        silent[f"{LIBRARIES[name]}_LOG_LEVEL"] = "critical"
         try:
             with (
                 redirect_stdout(io.StringIO()),  # a failed import prints; a notebook looks alike
