@@ -38,7 +38,6 @@ ASKED = {
     "tiswarm.measurements.advice": "advise sensing.jsonl estimate.csv",
     "tiswarm.measurements.placement": "explain sensing.jsonl 1 estimate.csv",
     "tiswarm.report.placement_figure": "explain sensing.jsonl 1 estimate.csv",
-    "tiswarm.report.stream_page": "view sensing.jsonl --live",
     "tiswarm.report.render": "render sensing.jsonl estimate.csv",
     "tiswarm.study.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",

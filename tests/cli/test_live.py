@@ -1,5 +1,6 @@
 """`tiswarm view --live` serves the cases of a run folder as they are finished, and only reads."""
 
+import os
 import re
 import shutil
 import signal
@@ -120,6 +121,11 @@ def test_a_malformed_address_is_a_bad_request(served, line, host):
     assert answer.split()[1] == b"400"
 
 
+def test_an_address_of_any_length_is_answered(served):
+    """Long numbers once filled the terminal; the end of the command shows that it stays silent."""
+    assert served.get(f"case/{'9' * 5000}")[0] == 404
+
+
 def test_the_page_shows_the_newest_case(served):
     """A browser lists the cases and loads the newest one."""
     served.finish_case()
@@ -147,7 +153,7 @@ def test_ctrl_c_ends_the_command(served):
         (
             ["--live", ".", "--out", "a.html"],
             2,
-            "--out: --live shows a run or a stream; leave it out",
+            "--out: --live shows a run; leave it out",
         ),
         (["log.jsonl", "--port", "8000"], 2, "--port: only --live serves a page; leave it out"),
     ],
@@ -156,6 +162,18 @@ def test_mistakes_are_one_line(arguments, status, problem, tmp_path):
     """The message says what is wrong; nothing is served or written."""
     assert _said(*arguments, cwd=tmp_path) == (status, problem)
     assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("name", ["fifo", "run/scenario.yaml"])
+def test_a_pipe_does_not_block_the_command(tmp_path, name):
+    """It is refused before anything waits for its other end."""
+    (tmp_path / "run").mkdir()
+    os.mkfifo(tmp_path / name)
+
+    status, said = _said("--live", str(tmp_path / name.split("/")[0]))
+
+    assert status == 2
+    assert "this is no run folder" in said or "it is a link or no regular file" in said
 
 
 def test_a_port_in_use_is_refused(small_run):

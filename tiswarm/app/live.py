@@ -1,7 +1,6 @@
 """Serves the cases of a run folder to a browser on this machine, as they are finished.
 
-It follows a stream of `tiswarm track` in the same way. The server only reads files. It answers on
-the loopback address and opens no other connection.
+The server only reads files. It answers on the loopback address and opens no other connection.
 """
 
 import socketserver
@@ -19,7 +18,6 @@ import pandas as pd
 
 from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError, TiswarmError
-from tiswarm.base.parts import load
 from tiswarm.records.messages import counted
 from tiswarm.report.page import Page, render
 from tiswarm.report.page_tables import PageTable, case_table
@@ -34,21 +32,18 @@ _LISTED = ("case", "status", "robots", "RMSE [R]", "reason")
 
 
 def serve(run: Path, port: int, announce: Callable[[str], None]) -> None:
-    """Serve a run folder or a stream until the user interrupts; then return.
+    """Serve a run folder until the user interrupts; then return.
 
     Args:
-        run: Folder of a run, finished or not, or output of `tiswarm track`.
+        run: Folder of a run, finished or not.
         port: Port to listen on; 0 takes a free one.
         announce: Receives the address of the page once it is served.
 
     Raises:
-        InputError: this is neither a folder of a run nor an output of `tiswarm track`.
+        InputError: this is no folder of a run.
         EnvironmentTroubleError: the port is in use or reserved.
     """
-    pages = (
-        load("tiswarm.report.stream_page:StreamPages", "a stream") if run.is_file() else _LiveRun
-    )
-    live = pages(run)
+    live = _LiveRun(run)
     try:
         server = _Server((_HOST, port), partial(_Handler, live))
     except OSError as error:
@@ -83,7 +78,7 @@ class _LiveRun:
 
     def page(self) -> str:
         """Render the page that shows the list of cases and the chosen one."""
-        return render("live.html", name=self._folder.path.resolve().name, what="case")
+        return render("live.html", name=self._folder.path.resolve().name)
 
     def listing(self, state: str) -> str:
         """Render the cases, the newest first."""
@@ -144,7 +139,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().__init__(*connection)
 
     def do_GET(self) -> None:
-        """Answer with the page, the list of cases or lines if it has changed, or one of them."""
+        """Answer with the page, the list of cases if it has changed, or one of them."""
         try:
             host, path = urlsplit(f"//{self.headers['Host']}").hostname, urlsplit(self.path).path
         except ValueError:  # a bracket of an address that does not end

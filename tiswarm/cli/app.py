@@ -57,6 +57,9 @@ Plugins = Annotated[
 ]
 Debug = Annotated[bool, Option("--debug", help="Print the traceback if a plug-in fails.")]
 RunFolderPath = Annotated[Path, Argument(metavar="RUN", help="Run folder.")]
+Overwrite = Annotated[
+    bool, Option("--overwrite", help="Replace files that no tiswarm command wrote.")
+]
 Open = Annotated[bool, Option("--open", help="Open the page in the browser.")]
 Pdf = Annotated[bool, Option("--pdf", help="Also write figures as vector PDF.")]
 Animate = Annotated[bool, Option("--animate", help="Animate the growth of the largest structure.")]

@@ -1,5 +1,6 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from tiswarm.cli.app import (
     OneArch,
     Open,
     Overrides,
+    Overwrite,
     Plugins,
     Quiet,
     Threads,
@@ -96,39 +98,49 @@ def localize(
         raise typer.Exit(NOT_TRUSTED)
 
 
-@app.command(epilog="Example: tiswarm track sensing.jsonl --out changes.jsonl")
+@app.command(epilog="Example: radio-receiver | tiswarm track - > changes.jsonl")
 def track(
     source: Annotated[
         str, Argument(metavar="LOG|-", help="Sensing log, or - for lines of standard input.")
     ],
-    out: Annotated[Path, Option(help="Changes to write, a JSON object a line.")] = Path(
-        "changes.jsonl"
-    ),
-    journal: Annotated[
-        Path | None, Option(help="Input so far (default: OUT.journal).", show_default=False)
+    out: Annotated[
+        Path | None,
+        Option(
+            help="File for the answers, which appears at the end of the input (default: print each "
+            "answer at once).",
+            show_default=False,
+        ),
     ] = None,
     estimate: Annotated[
         Path | None, Option(metavar="TABLE", help="Table of positions to write at the end.")
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - typer never changes it
     *,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the robots' positions while they join, line by line.
 
-    Each line of the input has one in the output: who moved, by how much, and how certain each now
-    is. A malformed line is refused by its number and skipped. Stopped at any moment and started
-    again, the command goes on where it was; standard input then goes on at the line it names.
+    Each line of the input has an answer, a JSON object: who moved, by how much, and how certain
+    each now is. A malformed line is refused by its number and skipped. The same lines give the same
+    answers: to start again, feed them from the first one.
     """
     import sys
 
     from tiswarm import api
+    from tiswarm.base.errors import InputError
+    from tiswarm.records.outputs import refuse_same
 
+    if source == "-" and sys.stdin is None:
+        raise InputError("standard input is closed; send lines to it, or name a LOG", key="-")
     given = sys.stdin.buffer if source == "-" else Path(source)
+    if out is None:
+        refuse_same(sys.stdout, given)
     tracker = api.track(
-        given, out=out, journal=journal, estimate=estimate, overrides=overrides, quiet=quiet
-    )
-    if not quiet:
+        given, on_answer=None if out else partial(typer.echo, nl=False), out=out, estimate=estimate,
+        overrides=overrides, overwrite=overwrite,
+    )  # fmt: skip
+    if out and not quiet:
         typer.echo(f"{len(tracker.names)} robots -> {out}")
 
 
@@ -137,8 +149,8 @@ def view(
     log: Annotated[
         Path,
         Argument(
-            metavar="LOG|RUN|CHANGES",
-            help="Sensing log, or for --live run folder or output of track.",
+            metavar="LOG|RUN",
+            help="Sensing log, or for --live run folder.",
         ),
     ],
     estimate: EstimateTable = None,
@@ -151,25 +163,20 @@ def view(
     ] = None,
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
-    live: Annotated[
-        bool, Option("--live", help="Serve a run or a stream to this machine's browser.")
-    ] = False,
+    live: Annotated[bool, Option("--live", help="Serve a run to this machine's browser.")] = False,
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
     """Show an estimate on a page with a 3D view.
 
     The page has the estimate's uncertainty, and what the log leaves open. With --live, it has the
-    cases of a run that is still computed, and the 3D view of one; or the lines that `tiswarm track`
-    has answered in its output, and the 3D view after one. Ctrl-C ends the command.
+    cases of a run that is still computed, and the 3D view of one. Ctrl-C ends the command.
     """
     if live:
         from tiswarm.app.live import serve
         from tiswarm.base.plugins import load_plugins
 
-        refuse(
-            {"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run or a stream"
-        )
+        refuse({"ESTIMATE": estimate, "--truth": truth, "--out": out}, "--live shows a run")
         load_plugins(plugins)
         serve(log, port or 0, lambda page: show_page(page, opened=opened))
         return

@@ -11,7 +11,7 @@ import stat
 import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -30,6 +30,9 @@ else:
     from backports import zstd
 
 _Content = TypeVar("_Content")
+
+Opener = Callable[[Path], AbstractContextManager[BinaryIO]]
+"""Opens a file to write, as `replacing` does, or refuses to."""
 
 LARGEST = 1e22
 """Larger numbers in tables are refused: no position is as large in any unit of a log."""
@@ -51,12 +54,31 @@ def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int,
     """Yield each line with its number, counted from 1; only one line is in memory at a time.
 
     Raises:
-        InputError: the file cannot be read or decompressed, is not UTF-8, has a line of more than
-            64 MiB, or is compressed and has more than `most` [byte].
+        InputError: as for `raw_lines`, or a line is not UTF-8.
     """
-    number, is_packed = 0, path.suffix == ".zst"
+    for number, raw in raw_lines(path, most):
+        yield number, decode(raw, path, number)
+
+
+def raw_lines(
+    path: Path, most: int = MAX_LOG_BYTES, *, source: BinaryIO | None = None
+) -> Iterator[tuple[int, bytes]]:
+    """Yield the bytes of each line with its number, counted from 1; a byte-order mark is dropped.
+
+    The last line needs no newline at its end.
+
+    Args:
+        path: File, or what messages call an open input.
+        most: Largest content of a compressed file [byte].
+        source: Open input to read in place of the file; a line that arrives in parts is waited for.
+
+    Raises:
+        InputError: the file cannot be read or decompressed, has a line of more than 64 MiB, or is
+            compressed and has more than `most` [byte].
+    """
+    number, is_packed = 0, source is None and path.suffix == ".zst"
     try:
-        with zstd.ZstdFile(path) if is_packed else path.open("rb") as file:
+        with _opened(path) if source is None else nullcontext(source) as file:
             while raw := file.readline(MAX_LINE_BYTES + 1):
                 number += 1
                 if is_packed and file.tell() > most:
@@ -67,7 +89,7 @@ def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int,
                 if len(raw) > MAX_LINE_BYTES:
                     problem = "the line is longer than 64 MiB; write one robot a line"
                     raise InputError(problem, path=path, line=number)
-                yield number, decode(raw, path, number)
+                yield number, raw
     except OSError as error:
         raise unreadable(path, error) from error
     except EOFError as error:
@@ -77,6 +99,11 @@ def numbered_lines(path: Path, most: int = MAX_LOG_BYTES) -> Iterator[tuple[int,
         reason = str(error).rpartition(": ")[2]
         problem = f"not a whole Zstandard file ({reason}); compress or copy it again"
         raise InputError(problem, path=path, line=number + 1) from error
+
+
+def _opened(path: Path) -> Any:  # noqa: ANN401 - a file in all but its type
+    """Open a file to read its content, which is compressed where the name says so."""
+    return zstd.ZstdFile(path) if path.suffix == ".zst" else path.open("rb")
 
 
 def unpacked(data: bytes, size: int) -> bytes:
@@ -258,10 +285,16 @@ def _real(cell: str) -> float:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(
+    path: Path, *, on_whole: Callable[[Path], object] = lambda _: None
+) -> Iterator[BinaryIO]:
     """Open a file that replaces `path` when the block ends without an exception.
 
     A reader finds the old file or the new one, never a part, even if the writer is killed.
+
+    Args:
+        path: File to write.
+        on_whole: Called with the temporary file once it is whole, before it replaces `path`.
 
     Raises:
         EnvironmentTroubleError: the folder is missing or not writable, or the disk is full.
@@ -273,6 +306,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
                 yield content
             file.flush()
             os.fsync(file.fileno())
+        on_whole(temporary)
         temporary.replace(path)
         with suppress(OSError):  # so the name survives a power cut, where that is possible
             folder = os.open(path.parent, os.O_RDONLY)

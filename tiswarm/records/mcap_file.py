@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.io import MAX_LINE_BYTES, decode, unpacked, unreadable
+from tiswarm.records.io import MAX_LINE_BYTES, unpacked, unreadable
 
 SENSING = "sensing"
 """Topic of a sensing log."""
@@ -47,8 +47,8 @@ def encode_messages(topics: Mapping[str, Iterable[tuple[int, Mapping[str, Any]]]
     return stream.getvalue()
 
 
-def sensing_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield each message of the topic `sensing` with its number, counted from 1.
+def sensing_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield the bytes of each message of the topic `sensing` with its number, counted from 1.
 
     Raises:
         InputError: the file cannot be read, is damaged or has no such message.
@@ -66,7 +66,7 @@ def sensing_lines(path: Path) -> Iterator[tuple[int, str]]:
                 if len(data) > MAX_LINE_BYTES:
                     problem = "the message is longer than 64 MiB; write one robot a message"
                     raise InputError(problem, path=path, line=number)
-                yield number, decode(data, path, number)
+                yield number, data
     except _TooLargeError as error:
         problem = "a record or chunk has more than 256 MiB; write smaller ones, or copy it again"
         raise InputError(problem, path=path, line=number + 1) from error

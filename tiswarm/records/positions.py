@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import InputError
 from tiswarm.records.estimate import Estimate, Observability, position_columns
-from tiswarm.records.io import CsvFile, write_text
+from tiswarm.records.io import CsvFile, Opener, replacing
 from tiswarm.records.sensing_log import SensingLog
 
 _WORDS = {
@@ -45,6 +45,7 @@ def write_positions(
     further: Mapping[str, Sequence[object]] | None = None,
     *,
     length_unit: str = "R",
+    opened: Opener = replacing,
 ) -> None:
     """Write a table of positions; each number has the shortest form that reads back exactly.
 
@@ -54,19 +55,23 @@ def write_positions(
         position: Centers, shape (N, 3).
         further: Further columns, by name.
         length_unit: Unit of all lengths; part of the column names.
+        opened: Opens the file.
 
     Raises:
         ValueError: a position is not finite.
     """
-    _write(path, position, position_columns(robot_id, position, length_unit) | dict(further or {}))
+    columns = position_columns(robot_id, position, length_unit) | dict(further or {})
+    _write(path, position, columns, opened)
 
 
-def write_estimate(path: Path, estimate: Estimate) -> None:
+def write_estimate(path: Path, estimate: Estimate, *, opened: Opener = replacing) -> None:
     """Write an estimate with its standard deviations, observability and yaw, where it has them."""
-    _write(path, estimate.position, estimate.columns())
+    _write(path, estimate.position, estimate.columns(), opened)
 
 
-def _write(path: Path, position: Reals, columns: Mapping[str, Sequence[object]]) -> None:
+def _write(
+    path: Path, position: Reals, columns: Mapping[str, Sequence[object]], opened: Opener
+) -> None:
     """Write columns by name; numbers that are NaN are empty cells."""
     if not np.isfinite(position).all():
         raise ValueError(f"{path.name}: positions must be finite")
@@ -75,7 +80,8 @@ def _write(path: Path, position: Reals, columns: Mapping[str, Sequence[object]])
     writer.writerow(columns)
     for row in zip(*columns.values(), strict=True):
         writer.writerow(["" if cell != cell else cell for cell in row])  # noqa: PLR0124 - NaN
-    write_text(path, text.getvalue())
+    with opened(path) as file:
+        file.write(text.getvalue().encode())
 
 
 def read_positions(path: Path, *, length_unit: str = "R") -> tuple[Ints, Reals]:

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiswarm.base.errors import InputError
-from tiswarm.records.io import at_line, numbered_lines, replacing
+from tiswarm.records.io import Opener, at_line, decode, raw_lines, replacing
 from tiswarm.records.mcap_file import sensing_lines
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_events import EVENT_VERSION, parse_line
@@ -48,29 +48,44 @@ def read_sensing_log(path: Path) -> SensingLog:
     ...     print(path.read_text().splitlines()[1])
     {"robot": 7, "orientation_wxyz": [1.0, 0.0, 0.0, 0.0], "contacts": [], "flip_height": 5.31}
     """
-    lines = sensing_lines(path) if path.suffix == ".mcap" else numbered_lines(path)
-    number, text = next(lines, (0, ""))
+    lines = log_lines(path)
+    number, raw = next(lines, (0, b""))
     if number == 0:
         raise InputError("the file is empty; start it with a header line", path=path, line=1)
     with at_line(path, number):
-        builder = SensingLogBuilder(parse_header(text))
-    for number, text in lines:
+        builder = SensingLogBuilder(parse_header(decode(raw, path, number)))
+    for number, raw in lines:
         with at_line(path, number):
-            builder.take(parse_line(text, builder.header))
+            builder.take(parse_line(decode(raw, path, number), builder.header))
     if number == 1:
         problem = "there are no robots; add a line for each, the anchor first"
         raise InputError(problem, path=path, line=2)
     return builder.log()
 
 
-def write_sensing_log(log: SensingLog, path: Path) -> None:
-    """Write a sensing file.
+def log_lines(path: Path, source: BinaryIO | None = None) -> Iterator[tuple[int, bytes]]:
+    """Yield the bytes of each line of a log with its number, counted from 1, as it is read.
+
+    Args:
+        path: Sensing file of any kind, or what messages call an open input.
+        source: Open input to read in place of the file.
+
+    Raises:
+        InputError: the file cannot be read, or a line is too long.
+    """
+    if source is None and path.suffix == ".mcap":
+        return sensing_lines(path)
+    return raw_lines(path, source=source)
+
+
+def write_sensing_log(log: SensingLog, path: Path, *, opened: Opener = replacing) -> None:
+    """Write a sensing file, which `opened` opens.
 
     Raises:
         ValueError: a number that must be known is not finite.
         EnvironmentTroubleError: the file cannot be written.
     """
-    with replacing(path) as file:
+    with opened(path) as file:
         for entries in log_entries(log):
             file.write(f"{json.dumps(entries, allow_nan=False)}\n".encode())
 
