@@ -39,6 +39,7 @@ from tiswarm.app.tracking import track as track  # noqa: PLC0414
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyMovie, AnyPrecision
 from tiswarm.base.plugins import load_plugins
+from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.sensing_log import SensingLog
 
@@ -70,6 +71,9 @@ def localize(
     threads: int | None = None,
     precision: AnyPrecision = "auto",
     plugins: Sequence[File] = (),
+    out: File | None = None,
+    report: File | None = None,
+    overwrite: bool = False,
     quiet: bool = True,
     **settings: object,
 ) -> Localized:
@@ -87,6 +91,9 @@ def localize(
         precision: Floating-point type on that device; `auto` takes f64 where it computes that at
             half the rate of f32. Other methods compute in f64.
         plugins: Python files that register methods, see `tiswarm.method`.
+        out: Table of positions to write; none if None.
+        report: Page to write; none if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
         settings: Settings of the method by name, nested ones as dictionaries.
 
@@ -95,15 +102,24 @@ def localize(
         explain the measurements: `estimate.convergence` has both verdicts and the reason.
 
     Raises:
-        InputError: the log, method, a cue or a setting is invalid, or there is no such solution.
+        InputError: the log, method, a cue or a setting is invalid, there is no such solution, or an
+            output would replace another file.
         EnvironmentTroubleError: the machine lacks the device.
     """
+    table = None if out is None else as_path(out, "out")
+    page = None if report is None else as_path(report, "report")
+    outputs.check({"out": table, "report": page}, [log, *plugins], overwrite=overwrite)
     load_plugins(plugins)
     method_params(method, cues, overrides, settings)  # before a log is read, which may take long
-    return open_log(log).localize(
+    found = open_log(log).localize(
         method, cues=cues, overrides=overrides, solution=solution, arch=arch, threads=threads,
         precision=precision, quiet=quiet, **settings,
     )  # fmt: skip
+    if table is not None:
+        found.write(table, overwrite=overwrite)
+    if page is not None:
+        found.view(out=page, overwrite=overwrite)
+    return found
 
 
 def run(
@@ -111,6 +127,7 @@ def run(
     overrides: Overrides | None = None,
     *,
     out: File = "reports",
+    overwrite: bool = False,
     arch: AnyArch = "cpu",
     threads: int | None = None,
     workers: int | None = None,
@@ -129,6 +146,7 @@ def run(
         scenario: YAML file, the name of a shipped scenario, or a dictionary as such a file has.
         overrides: Values by dotted key that replace the file's, or texts `KEY=VALUE`.
         out: Parent of the run folder.
+        overwrite: Whether to use a folder of that name that no run made, and replace files there.
         arch: Compute device, as for `localize`.
         threads: CPU threads; all that this process may use if None.
         workers: Number of worker processes; none if None.
@@ -152,7 +170,7 @@ def run(
     progress = ConsoleProgress(quiet=quiet)
     result = study.run(
         _load(scenario, overrides), as_path(out, "out"),
-        progress=progress, arch=arch, threads=threads, execution=where,
+        progress=progress, arch=arch, threads=threads, execution=where, overwrite=overwrite,
     )  # fmt: skip
     if not result.missing:
         draw_all(result, progress, pictures=pictures, pdf=pdf, movie=movie)
@@ -225,7 +243,9 @@ def check(path: File, *, plugins: Sequence[File] = ()) -> Inspection:
 def import_poses(
     poses: File,
     *,
+    docks: File | None = None,
     out: File | None = None,
+    overwrite: bool = False,
     **assumed: Any,  # noqa: ANN401 - types of their own
 ) -> "dict[str, Imported]":
     """Convert robot poses of any simulator to sensing logs and true positions.
@@ -233,7 +253,9 @@ def import_poses(
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
             `time`; a GSD file; or a folder of TUM trajectories.
+        docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         assumed: Fields of `tiswarm.interop.assumptions.Assumptions`, such as `dock_radius`.
 
     Returns:
@@ -241,24 +263,35 @@ def import_poses(
         Warnings say why contacts or final poses are probably wrong.
 
     Raises:
-        InputError: the table is malformed, or there is no such field.
+        InputError: the table is malformed, there is no such field, or an output would replace
+            another file.
     """
     from tiswarm.interop import imports  # noqa: PLC0415 - slow to import
     from tiswarm.interop.assumptions import Assumptions  # noqa: PLC0415 - slow to import
+    from tiswarm.interop.poses import read_dock_offsets  # noqa: PLC0415 - slow to import
 
     for name in assumed:
         choose(name, [field.name for field in fields(Assumptions)], "assumed")
-    found = imports.import_poses(as_path(poses, "poses"), Assumptions(**assumed))
+    if docks is not None:
+        assumed["dock_offset_body"] = read_dock_offsets(as_path(docks, "docks"))
+    path, stated = as_path(poses, "poses"), Assumptions(**assumed)
+    found = imports.import_poses(path, stated)
+    if out is not None:
+        inputs = [*(path.iterdir() if path.is_dir() else [path]), stated.contacts, docks]
+        imports.write_imports(found, as_path(out, "out"), inputs, overwrite=overwrite)
     for run, imported in found.items():
-        if out is not None:
-            imports.write_import(imported, as_path(out, "out") / run)
         for warning in imported.warnings:
             warn(f"run {run}: {warning}" if run else warning)
     return found
 
 
 def score(
-    truth: File, estimate: Estimate | File, *, out: File | None = None, quiet: bool = True
+    truth: File,
+    estimate: Estimate | File,
+    *,
+    out: File | None = None,
+    overwrite: bool = False,
+    quiet: bool = True,
 ) -> "Scores":
     """Compare an estimate, or its table, with a table of true positions.
 
@@ -267,6 +300,7 @@ def score(
         estimate: Estimate, or its table.
         out: Figure to draw, .png or .pdf: the error of each robot in join order, and truth and
             estimate from two sides; none if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide the name of the figure.
 
     Returns:
@@ -274,40 +308,48 @@ def score(
 
     Raises:
         InputError: a table is malformed, the estimate has another unit or other robots, or the
-            figure has another format.
+            figure has another format or would replace another file.
     """
     from tiswarm.evaluation.tables import score_files  # noqa: PLC0415 - slow to import
 
+    figure = None if out is None else as_path(out, "out")
+    outputs.check({"out": figure}, [truth, estimate], overwrite=overwrite)
     found = estimate if isinstance(estimate, Estimate) else as_path(estimate, "estimate")
     scores = score_files(as_path(truth, "truth"), found)
-    if out is not None:
+    if figure is not None:
         from tiswarm.report.score_figure import write_score  # noqa: PLC0415 - slow to import
 
-        figure = as_path(out, "out")
-        write_score(figure, scores.true, scores.estimated, scores.errors, scores.unit)
+        write_score(
+            figure, scores.true, scores.estimated, scores.errors, scores.unit, overwrite=overwrite
+        )
         ConsoleProgress(quiet=quiet).info(str(figure))
     return scores
 
 
-def compare(runs: Sequence[Run | File], *, out: File = "reports/comparison") -> Comparison:
+def compare(
+    runs: Sequence[Run | File], *, out: File = "reports/comparison", overwrite: bool = False
+) -> Comparison:
     """Compare runs in two tables and a figure.
 
     Args:
         runs: Two or more runs, or their folders.
         out: Folder to write to.
+        overwrite: Whether to replace files that no tiswarm command wrote.
 
     Raises:
-        InputError: there are fewer than two different runs, or one has no results.
+        InputError: there are fewer than two different runs, one has no results, or an output would
+            replace another file.
     """
     from tiswarm import study  # noqa: PLC0415 - slow to import
     from tiswarm.base.progress import Progress  # noqa: PLC0415
     from tiswarm.report.table_figures import draw_comparison  # noqa: PLC0415 - slow to import
 
     folder = as_path(out, "out")
-    study.compare(
-        [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs], folder
-    )
-    draw_comparison(folder, Progress())
+    folders = [run.folder if isinstance(run, Run) else as_path(run, "runs") for run in runs]
+    files = [folder / name for name in study.COMPARISON]
+    outputs.check({"out": files}, [each / "cases" for each in folders], overwrite=overwrite)
+    study.compare(folders, folder, overwrite=overwrite)
+    draw_comparison(folder, Progress(), overwrite=overwrite)
     return Comparison(folder)
 
 
@@ -347,6 +389,7 @@ def explain(
     estimate: Estimate | File | None = None,
     *,
     out: File | None = None,
+    overwrite: bool = False,
     quiet: bool = True,
 ) -> Explanation:
     """Say how the measurements of one robot narrow the places it may have, one after the other.
@@ -360,6 +403,7 @@ def explain(
         robot: Name of the robot in the log.
         estimate: Estimate, or its table; `joint` localizes the log if None.
         out: Picture to write, .png or .pdf; none if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
 
     Returns:
@@ -367,11 +411,13 @@ def explain(
 
     Raises:
         InputError: there is no such robot, it is the anchor, or it touches none that joined
-            earlier.
+            earlier, or the picture would replace another file.
     """
+    picture = None if out is None else as_path(out, "out")
+    outputs.check({"out": picture}, [log, estimate], overwrite=overwrite)
     found = open_log(log).with_estimate(estimate, quiet=quiet).explain(robot)
-    if out is not None:
-        found.draw(as_path(out, "out"))
+    if picture is not None:
+        found.draw(picture, overwrite=overwrite)
     return found
 
 

@@ -21,7 +21,7 @@ from tiswarm.compute import backend
 from tiswarm.evaluation import metrics
 from tiswarm.localization.params import VirtualForceParams
 from tiswarm.localization.registry import localize_many
-from tiswarm.records.io import write_text
+from tiswarm.records.io import write_bytes
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.scenario.expansion import Variant, variants
 from tiswarm.scenario.model import Scenario
@@ -326,4 +326,4 @@ def _write(path: Path, record: Mapping[str, Any], done: Sequence[Mapping[str, An
     entries = [f" {json.dumps(name)}: {json.dumps(value)}" for name, value in record.items()]
     rows = ",\n".join(f"  {json.dumps(row)}" for row in done)
     text = ",\n".join([*entries, f' "trials": [\n{rows}\n ]'])
-    write_text(path, f"{{\n{text}\n}}\n")
+    write_bytes(path, f"{{\n{text}\n}}\n".encode())

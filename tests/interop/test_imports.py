@@ -10,7 +10,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.imports import import_poses, write_import
+from tiswarm.interop.imports import import_poses, write_imports
 from tiswarm.interop.poses import read_dock_offsets
 from tiswarm.localization.params import LeastSquaresParams
 from tiswarm.localization.registry import localize
@@ -58,7 +58,7 @@ def test_contacts_of_a_grown_structure_come_back(towers, tmp_path):
     np.random.default_rng(0).shuffle(rows)
 
     imported = bring_in(tmp_path, f"{POSES},join", rows, ground_z=0.0)
-    write_import(imported, tmp_path / "in")
+    write_imports({"": imported}, tmp_path / "in")
     log = read_sensing_log(tmp_path / "in" / "sensing.jsonl")
     _, position = read_positions(tmp_path / "in" / "truth.csv")
 

@@ -14,7 +14,7 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.compute.math import dock_offsets
 from tiswarm.evaluation.metrics import rmse
 from tiswarm.interop.assumptions import Assumptions
-from tiswarm.interop.imports import import_poses, write_import
+from tiswarm.interop.imports import import_poses, write_imports
 from tiswarm.localization.params import JointParams
 from tiswarm.localization.registry import localize
 from tiswarm.records.sensing_file import read_sensing_log
@@ -61,7 +61,7 @@ def test_stances_of_a_grown_structure_come_back(towers, tmp_path, structure):
     np.random.default_rng(0).shuffle(rows)
 
     imported = bring_in(tmp_path, rows)
-    write_import(imported, tmp_path / "in")
+    write_imports({"": imported}, tmp_path / "in")
 
     sensed = observe(towers[structure], SensingParams())
     log = read_sensing_log(tmp_path / "in" / "sensing.jsonl")

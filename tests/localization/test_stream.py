@@ -36,10 +36,10 @@ def stream(towers):
 @pytest.fixture(scope="module")
 def answers(stream):
     """Answers of these lines."""
-    found = []
+    found = io.StringIO()
     with pytest.warns(ResultWarning):
-        track(as_input(stream), on_answer=found.append, **SET)
-    return found
+        track(as_input(stream), out=found, **SET)
+    return found.getvalue().splitlines(keepends=True)
 
 
 def as_input(lines):
@@ -49,12 +49,12 @@ def as_input(lines):
 
 def test_every_line_has_an_answer_and_broken_ones_are_skipped(stream, answers):
     """A refusal names the line; those after it count as if it had not been there."""
-    found, clean = [json.loads(answer) for answer in answers], []
+    found, clean = [json.loads(answer) for answer in answers], io.StringIO()
+    kept = [line for k, line in enumerate(stream) if k not in {4, 9, 13}]
 
     with pytest.warns(ResultWarning) as warnings:
         track(as_input(stream[:6]), **SET)
-    track(as_input(line for k, line in enumerate(stream) if k not in {4, 9, 13}),
-          on_answer=lambda answer: clean.append(json.loads(answer)), **SET)  # fmt: skip
+    track(as_input(kept), out=clean, **SET)
 
     assert [answer["line"] for answer in found] == list(range(1, len(stream) + 1))
     assert [answer["line"] for answer in found if "refused" in answer] == [5, 10, 14]
@@ -66,7 +66,7 @@ def test_every_line_has_an_answer_and_broken_ones_are_skipped(stream, answers):
     (warning,) = warnings
     assert str(warning.message).startswith("-:5: not JSON at column 2")
     assert str(warning.message).endswith("; skipped")
-    moved = [answer.get("moved") for answer in clean]
+    moved = [json.loads(answer).get("moved") for answer in clean.getvalue().splitlines()]
     assert [answer.get("moved") for answer in found if "refused" not in answer] == moved
 
 
@@ -86,28 +86,28 @@ def test_a_file_of_answers_has_the_bytes_that_a_stream_has(tmp_path, stream, ans
 def test_a_line_that_is_still_being_written_is_waited_for(stream, answers):
     """A part of a line is no line; at the end of the input the last line needs no newline."""
     reading, writing = os.pipe()
-    found, two = [], threading.Event()
+    parts, two = [], threading.Event()
 
-    def take(answer):
-        found.append(answer)
-        if len(found) == 2:
-            two.set()
+    class Output(io.StringIO):
+        def flush(self):
+            if self.getvalue().count("\n") == 2:
+                two.set()
 
     def feed():
         with os.fdopen(writing, "wb", buffering=0) as lines:
             lines.write(b"\n".join(stream[:3])[:-9])  # two lines, and part of the third one
-            parts.append((two.wait(60), len(found)))
+            parts.append((two.wait(60), found.getvalue().count("\n")))
             lines.write(b"\n".join(stream[:3])[-9:])
 
-    parts = []
+    found = Output()
     feeding = threading.Thread(target=feed)
     feeding.start()
     with os.fdopen(reading, "rb") as lines:
-        track(lines, on_answer=take, **SET)
+        track(lines, out=found, **SET)
     feeding.join()
 
     assert parts == [(True, 2)]
-    assert found == answers[:3]
+    assert found.getvalue() == "".join(answers[:3])
 
 
 def test_a_line_without_end_is_refused_at_the_limit(monkeypatch, stream):

@@ -8,16 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tiswarm.records.frames import read_frame, write_frame
-from tiswarm.records.io import replacing, write_bytes, write_text
-
-
-def test_text_is_written_as_it_is(tmp_path):
-    """Line ends are not translated and the encoding is UTF-8."""
-    path = tmp_path / "file"
-
-    write_text(path, "ä\r\nb\n")
-
-    assert path.read_bytes() == "ä\r\nb\n".encode()
+from tiswarm.records.io import replacing, write_bytes
 
 
 def test_nothing_is_left_of_a_write_that_failed(tmp_path):

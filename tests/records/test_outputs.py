@@ -8,16 +8,7 @@ from pathlib import Path
 import pytest
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
-from tiswarm.records.outputs import (
-    LEDGER,
-    check_outputs,
-    is_own,
-    output,
-    refuse_same,
-    write_folder,
-    write_output,
-    write_own,
-)
+from tiswarm.records import outputs
 
 FOREIGN = "no tiswarm command wrote this file as it is"
 
@@ -25,17 +16,17 @@ FOREIGN = "no tiswarm command wrote this file as it is"
 @pytest.fixture
 def path(tmp_path) -> Path:
     """An output that tiswarm wrote."""
-    write_output(tmp_path / "estimate.csv", b"robot,x_R,y_R,z_R\n")
+    outputs.write(tmp_path / "estimate.csv", b"robot,x_R,y_R,z_R\n")
     return tmp_path / "estimate.csv"
 
 
 def test_an_own_output_is_replaced_again_and_again(path):
     """A command may be repeated; its own output needs no option."""
     for content in (b"one", b"two", b"one"):
-        write_output(path, content)
+        outputs.write(path, content)
 
         assert path.read_bytes() == content
-        assert is_own(path)
+        assert outputs.is_own(path)
 
 
 @pytest.mark.parametrize("content", [b"mine", b"", b"robot,x_R,y_R,z_R\n0,0,0,0\n"])
@@ -45,19 +36,19 @@ def test_a_file_of_somebody_else_is_refused_and_stays(tmp_path, content):
     mine.write_bytes(content)
 
     with pytest.raises(InputError, match=rf"mine.csv: {FOREIGN}; .*--overwrite"):
-        write_output(mine, b"lost")
+        outputs.write(mine, b"lost")
     assert mine.read_bytes() == content
 
-    write_output(mine, b"new", overwrite=True)
+    outputs.write(mine, b"new", overwrite=True)
     assert mine.read_bytes() == b"new"
-    assert is_own(mine)
+    assert outputs.is_own(mine)
 
 
 @pytest.mark.parametrize("change", [
     lambda path: path.write_bytes(path.read_bytes() + b"a note of mine\n"),
     lambda path: path.rename(path.with_name("other")) and shutil.copy(__file__, path),
-    lambda path: path.with_name(LEDGER).unlink(),
-    lambda path: path.with_name(LEDGER).write_bytes(b"mine"),
+    lambda path: path.with_name(outputs.LEDGER).unlink(),
+    lambda path: path.with_name(outputs.LEDGER).write_bytes(b"mine"),
 ])  # fmt: skip
 def test_what_was_edited_or_lost_its_ledger_is_refused(path, change):
     """Whoever edited an output wants to keep the edit."""
@@ -65,7 +56,7 @@ def test_what_was_edited_or_lost_its_ledger_is_refused(path, change):
     before = path.read_bytes()
 
     with pytest.raises(InputError, match=FOREIGN):
-        write_output(path, b"lost")
+        outputs.write(path, b"lost")
 
     assert path.read_bytes() == before
 
@@ -74,7 +65,7 @@ def test_a_file_that_appears_meanwhile_stays(tmp_path):
     """A long command looks again before it replaces anything."""
     path = tmp_path / "late.csv"
 
-    with pytest.raises(InputError, match=FOREIGN), output(path) as file:
+    with pytest.raises(InputError, match=FOREIGN), outputs.opened(path) as file:
         file.write(b"%d lost" % path.write_bytes(b"mine"))
 
     assert path.read_bytes() == b"mine"
@@ -85,7 +76,7 @@ def test_a_copy_under_another_name_is_its_owners(path):
     """Somebody kept it."""
     kept = shutil.copy(path, path.with_name("kept.csv"))
 
-    assert not is_own(kept)
+    assert not outputs.is_own(kept)
 
 
 @pytest.mark.parametrize("make", [
@@ -101,7 +92,7 @@ def test_no_link_or_folder_is_replaced(path, make, overwrite):
     make(place, path)
 
     with pytest.raises(InputError, match=r"place: this is a (link|folder); name "):
-        write_output(place, b"lost", overwrite=overwrite)
+        outputs.write(place, b"lost", overwrite=overwrite)
 
     assert path.read_bytes() == before
     assert not place.is_file() or place.is_symlink()
@@ -114,14 +105,14 @@ def test_devices_and_pipes_are_refused(tmp_path, overwrite):
 
     for place in (Path("/dev/full"), Path("/dev/null"), tmp_path / "fifo"):
         with pytest.raises(EnvironmentTroubleError, match="this is no regular file"):
-            check_outputs({"out": place}, overwrite=overwrite)
+            outputs.check({"out": place}, overwrite=overwrite)
 
 
 @pytest.mark.parametrize("name", ["same", "folder/../same", "link", "hard", "linked/same"])
 def test_an_input_is_never_an_output(tmp_path, monkeypatch, name):
     """Not under another name either, and not if tiswarm wrote it, and whatever the option says."""
     monkeypatch.chdir(tmp_path)
-    write_output(Path("same"), b"data")
+    outputs.write(Path("same"), b"data")
     Path("folder").mkdir()
     Path("link").symlink_to("same")
     Path("hard").hardlink_to("same")
@@ -129,28 +120,28 @@ def test_an_input_is_never_an_output(tmp_path, monkeypatch, name):
 
     for overwrite in (True, False):
         with pytest.raises(InputError, match="out: this is an input, which"):
-            check_outputs({"out": Path(name)}, [None, "gone", "same"], overwrite=overwrite)
+            outputs.check({"out": Path(name)}, [None, "gone", "same"], overwrite=overwrite)
     with pytest.raises(InputError, match="out: this is an input, which"):
-        check_outputs({"out": Path("same")}, [Path(name)], overwrite=True)
+        outputs.check({"out": Path("same")}, [Path(name)], overwrite=True)
 
 
 def test_files_of_an_input_folder_are_inputs_but_own_ones(tmp_path):
     """A run is exported into its folder, but never over its cases."""
     (tmp_path / "case.csv").write_bytes(b"sensed")
-    write_output(tmp_path / "export.csv", b"again")
+    outputs.write(tmp_path / "export.csv", b"again")
 
-    check_outputs({"out": tmp_path / "export.csv"}, [tmp_path], overwrite=False)
-    check_outputs({"out": tmp_path / "new.csv"}, [tmp_path], overwrite=False)
+    outputs.check({"out": tmp_path / "export.csv"}, [tmp_path], overwrite=False)
+    outputs.check({"out": tmp_path / "new.csv"}, [tmp_path], overwrite=False)
     with pytest.raises(InputError, match="this is an input"):
-        check_outputs({"out": tmp_path / "case.csv"}, [tmp_path], overwrite=True)
+        outputs.check({"out": tmp_path / "case.csv"}, [tmp_path], overwrite=True)
 
 
 def test_two_outputs_are_two_files(tmp_path):
     """One would replace the other in silence."""
-    outputs = {"out": tmp_path / "a", "estimate": tmp_path / "." / "a", "report": None}
+    named = {"out": tmp_path / "a", "estimate": tmp_path / "." / "a", "report": None}
 
     with pytest.raises(InputError, match="estimate: out names the same file"):
-        check_outputs(outputs, overwrite=True)
+        outputs.check(named, overwrite=True)
 
 
 def test_an_open_output_is_no_open_input(tmp_path):
@@ -160,10 +151,10 @@ def test_an_open_output_is_no_open_input(tmp_path):
     with (tmp_path / "log").open("rb") as read, (tmp_path / "log").open("ab") as written:
         for given in (read, tmp_path / "log"):
             with pytest.raises(InputError, match="the output is the input"):
-                refuse_same(written, given)
-        refuse_same(written, [])
+                outputs.refuse_same(written, given)
+        outputs.refuse_same(written, [])
     with Path(os.devnull).open("r+b") as null:
-        refuse_same(null, null)
+        outputs.refuse_same(null, null)
 
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
@@ -171,24 +162,24 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
     (tmp_path / "b").write_bytes(b"mine")
 
     with pytest.raises(InputError, match=FOREIGN):
-        write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=False)
+        outputs.write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=False)
     assert [each.name for each in tmp_path.iterdir()] == ["b"]
-    with pytest.raises(InputError, match="a: its folder is a file; name a folder"):
-        write_folder(tmp_path / "b", {"a": b"1"}, overwrite=True)
+    with pytest.raises(InputError, match="a: out: its folder is a file; name a folder"):
+        outputs.write_folder(tmp_path / "b", {"a": b"1"}, overwrite=True)
 
-    written = write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=True)
+    written = outputs.write_folder(tmp_path, {"a": b"1", "b": b"2"}, overwrite=True)
     assert [each.read_bytes() for each in written] == [b"1", b"2"]
-    assert [*map(is_own, written)] == [True, True]
+    assert [*map(outputs.is_own, written)] == [True, True]
 
 
 def test_the_ledger_reads_as_sha256sum_writes_it(path):
     """A user can check the outputs of a folder; a line that a kill cut costs no other one."""
-    ledger = path.with_name(LEDGER)
+    ledger = path.with_name(outputs.LEDGER)
     with ledger.open("ab") as file:
         file.write(b"12ab")
-    write_output(path.with_name("second"), b"2")
+    outputs.write(path.with_name("second"), b"2")
 
-    command = ["sha256sum", "--check", LEDGER]
+    command = ["sha256sum", "--check", outputs.LEDGER]
     done = subprocess.run(command, cwd=path.parent, capture_output=True, check=True)
 
     assert done.stdout == b"estimate.csv: OK\nsecond: OK\n"
@@ -198,13 +189,13 @@ def test_the_ledger_reads_as_sha256sum_writes_it(path):
 def test_a_ledger_that_leads_elsewhere_is_not_written(tmp_path, link):
     """It would add lines to a file of the user."""
     (tmp_path / "diary").write_bytes(b"# SHA-256 of the files in this folder")
-    link(tmp_path / LEDGER, tmp_path / "diary")
+    link(tmp_path / outputs.LEDGER, tmp_path / "diary")
     before = (tmp_path / "diary").read_bytes()
 
-    write_output(tmp_path / "a", b"1")
+    outputs.write(tmp_path / "a", b"1")
 
     assert (tmp_path / "diary").read_bytes() == before
-    assert not is_own(tmp_path / "a")
+    assert not outputs.is_own(tmp_path / "a")
 
 
 def test_a_file_of_a_run_replaces_a_link_and_not_what_it_leads_to(path):
@@ -213,7 +204,7 @@ def test_a_file_of_a_run_replaces_a_link_and_not_what_it_leads_to(path):
     link.symlink_to(path)
     before = path.read_bytes()
 
-    write_own(link, b"picture")
+    outputs.write_own(link, b"picture")
 
     assert path.read_bytes() == before
-    assert is_own(link)
+    assert outputs.is_own(link)

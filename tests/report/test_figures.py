@@ -10,6 +10,7 @@ from tests.recorder import Recorder
 from tests.report.conftest import is_blank, write_case, write_summary, write_table
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import Progress
+from tiswarm.records import outputs
 from tiswarm.report import error_figures, figure_style, figures, table_figures
 from tiswarm.report.curve_figures import (
     PROFILED,
@@ -77,16 +78,17 @@ def test_names_of_users_are_text(run_folder):
 
 
 def test_figures_that_a_run_no_longer_has_are_removed(run_folder):
-    """Figures that the run no longer has disappear from the folder and from the page."""
+    """Figures that the run no longer has disappear from the folder; pictures of others stay."""
     stale = run_folder / "figures" / "profiles.png"
     stale.parent.mkdir()
-    stale.touch()
-    vector = stale.with_name("convergence.pdf")
-    vector.touch()
+    outputs.write(stale, b"of an earlier call")
+    vector, mine = stale.with_name("convergence.pdf"), stale.with_name("mine.png")
+    for path in (vector, mine):
+        path.touch()
 
     written = draw_figures(load_run(run_folder), Progress())
 
-    assert set(stale.parent.iterdir()) == set(written)
+    assert set(stale.parent.glob("[!.]*")) == {*written, mine}
     assert vector.stat().st_size > 0
 
 

@@ -369,7 +369,7 @@ def test_exports_have_the_unit_of_the_log(log, estimate, true, tmp_path):
     export_view(view_log(log, estimate), "csv", tmp_path / "csv", Progress())
     export_view(view_log(log, estimate, true), "ply", tmp_path / "ply", Progress())
 
-    assert sorted(path.name for path in (tmp_path / "csv").iterdir()) == [
+    assert sorted(path.name for path in (tmp_path / "csv").glob("[!.]*")) == [
         "contacts.csv", "estimate.csv",
     ]  # fmt: skip
     table = pd.read_csv(tmp_path / "csv" / "estimate.csv")

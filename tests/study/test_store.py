@@ -68,21 +68,29 @@ def test_cases_of_other_code_are_computed_again(tmp_path, capsys, monkeypatch):
 
 
 def test_damaged_cases_are_computed_again(tiswarm, small_run, tmp_path):
-    """A case that is half-written, changed or empty is computed again, to the same bytes."""
+    """A case that is half-written, changed or empty is computed again, to the same bytes.
+
+    Files that somebody else put into the folder stay.
+    """
     run = tmp_path / small_run.name
     shutil.copytree(small_run, run)
     cases = run / "cases"
     shutil.rmtree(cases / "0-baseline")
     (cases / "1-baseline" / "estimate.csv").write_text("robot,x_R,y_R,z_R\n")
     (cases / "0-no-z" / "case.json").write_text("{")
-    (cases / ".1-no-z.part").mkdir()
-    (run / "renders" / ".scenes.tmp").mkdir()
-    (run / "renders" / ".structure.png.tmp").touch()
+    (cases / ".1-no-z.0123abcd.part").mkdir()
+    (run / "renders" / ".structure.png.0123abcd.tmp").touch()
+    mine = {run / "notes.txt", run / ".mine.tmp", cases / "0-no-z" / "plot.png"}
+    for path in mine:
+        path.write_text("mine")
 
     done = tiswarm("run", "tests/tower.yaml", *SMALL, "--out", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert "3 of 6 cases are already stored" in done.stderr
+    assert {path.read_text() for path in mine} == {"mine"}
+    for path in mine:
+        path.unlink()
     assert_same_bytes(run, small_run)
     assert not (run / "report.html").exists()  # it showed another state
     assert not [*run.rglob(".*.part"), *run.rglob(".*.tmp")]

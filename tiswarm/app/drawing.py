@@ -12,8 +12,9 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.params import AnyMovie
 from tiswarm.base.parts import load
 from tiswarm.base.progress import Progress
+from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
-from tiswarm.records.io import digest, make_folder, write_bytes, write_text
+from tiswarm.records.io import digest
 from tiswarm.records.run_folder import Origin, read_manifest, write_manifest
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.report.figures import draw_figures
@@ -119,6 +120,7 @@ def draw_log(
     notes: Sequence[str] = (),
     advice: Sequence[Mapping[str, str]] = (),
     figures: Sequence[Any] = (),
+    overwrite: bool = False,
 ) -> None:
     """Write the page of a log and its estimate.
 
@@ -132,8 +134,10 @@ def draw_log(
         notes: What the log leaves open, and what the method found, in lines.
         advice: Further measurements that would help, as rows of cells by heading.
         figures: Figures, as `explanation.show_one` returns them.
+        overwrite: Whether to replace a file that no tiswarm command wrote.
 
     Raises:
+        InputError: there is such a file, and it is not to be replaced.
         EnvironmentTroubleError: the file cannot be written.
     """
     scores = {}
@@ -146,19 +150,33 @@ def draw_log(
         view, estimate, name=name, scores=scores, warnings=warnings, notes=notes, advice=advice,
         figures=figures,
     )  # fmt: skip
-    write_text(path, page.html())
+    outputs.write(path, page.html().encode(), overwrite=overwrite)
 
 
 def render_log(
-    view: SwarmView, out: Path, progress: Progress, *, renderer: str | None = None
+    view: SwarmView,
+    out: Path,
+    progress: Progress,
+    *,
+    renderer: str | None = None,
+    inputs: Sequence[object] = (),
+    overwrite: bool = False,
 ) -> list[Path]:
     """Write 3D pictures of a log and its estimate into a folder.
+
+    Args:
+        view: The log and its estimate.
+        out: Folder to write to.
+        progress: Receives progress reports.
+        renderer: Renderer; the first that works if None.
+        inputs: Files that were read, which no picture replaces.
+        overwrite: Whether to replace files that no tiswarm command wrote.
 
     Returns:
         The files written.
 
     Raises:
-        InputError: the renderer is unknown.
+        InputError: the renderer is unknown, or a picture would replace another file.
         EnvironmentTroubleError: the folder cannot be made, or the renderer does not work.
     """
     render_view = load(f"{_PICTURES}:render_view", "a picture")
@@ -169,11 +187,8 @@ def render_log(
         terrain = replace(view.terrain, ground_z=view.terrain.ground_z - float(view.origin[2]))
         near = replace(near, terrain=terrain)
     pictures, _, _ = render_view(near, progress, renderer)
-    make_folder(out)
-    written = []
-    for name, data in pictures.items():
-        path = out / f"{name}.png"
-        write_bytes(path, data)
+    files = {f"{name}.png": data for name, data in pictures.items()}
+    written = outputs.write_folder(out, files, inputs, overwrite=overwrite)
+    for path in written:
         progress.info(str(path))
-        written.append(path)
     return written

@@ -55,9 +55,9 @@ class Explanation:
         ]
         return "\n".join([f"robot {self.robot}: spread of the places that remain", *lines])
 
-    def draw(self, out: Path) -> Path:
+    def draw(self, out: Path, *, overwrite: bool = False) -> Path:
         """Draw the places that remain after each measurement; return the picture."""
-        _figure("write_placement")(out, self._placement())
+        _figure("write_placement")(out, self._placement(), overwrite=overwrite)
         return out
 
     def show(self, why: str) -> Any:  # noqa: ANN401 - a type of an optional part's room

@@ -6,7 +6,7 @@ rooms that do so, and a localizer reads them: so these are classes of their own.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import warn
 from tiswarm.base.params import AnyArch, AnyPrecision
 from tiswarm.base.parts import load
+from tiswarm.records import outputs
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.positions import read_estimate, read_positions_of, write_estimate
 from tiswarm.records.sensing_file import read_sensing_log
@@ -85,9 +86,11 @@ class Log(SensingLog):
             return self.localize(quiet=quiet)
         if isinstance(estimate, Localized):
             return replace(estimate, log=self)
+        table = None
         if not isinstance(estimate, Estimate):
-            estimate = read_estimate(self, as_path(estimate, "estimate"))
-        return Localized(**_fields(Estimate, estimate), log=self)
+            table = as_path(estimate, "estimate")
+            estimate = read_estimate(self, table)
+        return Localized(**_fields(Estimate, estimate), log=self, table=table)
 
     def view(
         self,
@@ -95,11 +98,14 @@ class Log(SensingLog):
         truth: Truth = None,
         *,
         out: File = "view.html",
+        overwrite: bool = False,
         quiet: bool = True,
     ) -> PageFile:
         """Write a page with a 3D view of an estimate; `joint` localizes the log if None."""
-        true = self.positions(truth)  # a mistake in it is found before the log is localized
-        return self.with_estimate(estimate, quiet=quiet).view(true, out=out)
+        page = as_path(out, "out")
+        outputs.check({"out": page}, [self.path, estimate, truth], overwrite=overwrite)
+        self.positions(truth)  # a mistake in it is found before the log is localized
+        return self.with_estimate(estimate, quiet=quiet).view(truth, out=page, overwrite=overwrite)
 
     def render(
         self,
@@ -108,12 +114,13 @@ class Log(SensingLog):
         *,
         renderer: str | None = None,
         out: File = "renders",
+        overwrite: bool = False,
         quiet: bool = False,
     ) -> Figures:
         """Draw 3D pictures of an estimate; `joint` localizes the log if None."""
-        true = self.positions(truth)
+        self.positions(truth)
         found = self.with_estimate(estimate, quiet=quiet)
-        return found.render(true, renderer=renderer, out=out, quiet=quiet)
+        return found.render(truth, renderer=renderer, out=out, overwrite=overwrite, quiet=quiet)
 
     def export(
         self,
@@ -122,15 +129,16 @@ class Log(SensingLog):
         truth: Truth = None,
         *,
         out: File = "export",
+        overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
         """Write structure, contacts and an estimate for other programs.
 
         `joint` localizes the log if there is no estimate.
         """
-        true = self.positions(truth)
+        self.positions(truth)
         found = self.with_estimate(estimate, quiet=quiet)
-        return found.export(form, true, out=out, quiet=quiet)
+        return found.export(form, truth, out=out, overwrite=overwrite, quiet=quiet)
 
     def positions(self, truth: Truth) -> Reals | None:
         """Read true centers [log unit] in join order, shape (N, 3), unless they are an array."""
@@ -145,6 +153,9 @@ class Localized(Estimate):
 
     log: Log
     """Log that the estimate is of."""
+
+    table: Path | None = None
+    """Table that the positions were read from, if they were."""
 
     chosen: int | None = None
     """Number of the solution that the positions are, counted from 1; None for the mean of all."""
@@ -175,29 +186,40 @@ class Localized(Estimate):
         """
         return replace(self.log.with_estimate(super().with_solution(number)), chosen=number)
 
-    def write(self, out: File = "estimate.csv") -> Path:
-        """Write the table of positions; return its path."""
+    def write(self, out: File = "estimate.csv", *, overwrite: bool = False) -> Path:
+        """Write the table of positions; return its path.
+
+        Raises:
+            InputError: it is the log, or a file that no tiswarm command wrote and that is not to be
+                overwritten.
+        """
         path = as_path(out, "out")
-        write_estimate(path, self)
+        outputs.check({"out": path}, self._inputs(), overwrite=overwrite)
+        write_estimate(path, self, opened=partial(outputs.opened, overwrite=overwrite))
         return path
 
-    def view(self, truth: Truth = None, *, out: File = "view.html") -> PageFile:
+    def view(
+        self, truth: Truth = None, *, out: File = "view.html", overwrite: bool = False
+    ) -> PageFile:
         """Write a page with a 3D view, the uncertainty, and what the log leaves open.
 
         Args:
             truth: Table of true positions, or true centers [log unit], shape (N, 3).
             out: Page to write.
+            overwrite: Whether to replace files that no tiswarm command wrote.
 
         Returns:
             The page, which a notebook shows.
         """
         from tiswarm.app.drawing import draw_log  # noqa: PLC0415 - slow to import
 
-        page, findings = as_path(out, "out"), self.findings
+        page = as_path(out, "out")
+        outputs.check({"out": page}, self._inputs(truth), overwrite=overwrite)
+        findings = self.findings
         draw_log(
             page, self.log, self, name=f"{findings.solution}{self.log.path.name}",
             true=self.log.positions(truth), warnings=findings.warnings, notes=findings.notes,
-            advice=findings.advice, figures=show_one(self.log, self),
+            advice=findings.advice, figures=show_one(self.log, self), overwrite=overwrite,
         )  # fmt: skip
         return PageFile(page)
 
@@ -207,6 +229,7 @@ class Localized(Estimate):
         *,
         renderer: str | None = None,
         out: File = "renders",
+        overwrite: bool = False,
         quiet: bool = False,
     ) -> Figures:
         """Draw 3D pictures into a folder.
@@ -215,6 +238,7 @@ class Localized(Estimate):
             truth: Table of true positions, or true centers [log unit], shape (N, 3).
             renderer: "open3d" or "taichi"; the first that works if None.
             out: Folder to write to.
+            overwrite: Whether to replace files that no tiswarm command wrote.
             quiet: Whether to hide progress.
 
         Returns:
@@ -222,8 +246,11 @@ class Localized(Estimate):
         """
         from tiswarm.app.drawing import render_log  # noqa: PLC0415 - slow to import
 
-        shown, progress = self._shown(truth), ConsoleProgress(quiet=quiet)
-        return Figures.of(render_log(shown, as_path(out, "out"), progress, renderer=renderer))
+        written = render_log(
+            self._shown(truth), as_path(out, "out"), ConsoleProgress(quiet=quiet),
+            renderer=renderer, inputs=self._inputs(truth), overwrite=overwrite,
+        )  # fmt: skip
+        return Figures.of(written)
 
     def export(
         self,
@@ -231,6 +258,7 @@ class Localized(Estimate):
         truth: Truth = None,
         *,
         out: File = "export",
+        overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
         """Write structure, contacts and estimate for other programs.
@@ -239,6 +267,7 @@ class Localized(Estimate):
             form: File format.
             truth: Table of true positions, or true centers [log unit], shape (N, 3).
             out: Folder to write to.
+            overwrite: Whether to replace files that no tiswarm command wrote.
             quiet: Whether to hide progress.
 
         Returns:
@@ -246,8 +275,15 @@ class Localized(Estimate):
         """
         export_view = load("tiswarm.interop.exports:export_view", f"format {form}")
         folder = as_path(out, "out")
-        export_view(self._shown(truth), form, folder, ConsoleProgress(quiet=quiet))
+        export_view(
+            self._shown(truth), form, folder, ConsoleProgress(quiet=quiet),
+            inputs=self._inputs(truth), overwrite=overwrite,
+        )  # fmt: skip
         return folder
+
+    def _inputs(self, truth: Truth = None) -> list[object]:
+        """List the files of the log, of the estimate and of the truth, where they are files."""
+        return [self.log.path, self.table, truth]
 
     def _shown(self, truth: Truth) -> "SwarmView":
         from tiswarm.report.swarm_view import view_log  # noqa: PLC0415 - slow to import

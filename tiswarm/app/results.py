@@ -185,6 +185,7 @@ class Run:
         *,
         out: File | None = None,
         case: str | None = None,
+        overwrite: bool = False,
         quiet: bool = False,
     ) -> Path:
         """Write structure, contacts and estimate of a case for other programs.
@@ -193,6 +194,7 @@ class Run:
             form: File format.
             out: Folder to write to; `export` in the run's folder if None.
             case: Case; the largest if None.
+            overwrite: Whether to replace files that no tiswarm command wrote.
             quiet: Whether to hide progress.
 
         Returns:
@@ -204,7 +206,10 @@ class Run:
 
         shown = read_case_view(load_run(self.folder).choose(case))
         folder = as_path(out or self.folder / "export", "out")
-        export_view(shown, form, folder, ConsoleProgress(quiet=quiet))
+        export_view(
+            shown, form, folder, ConsoleProgress(quiet=quiet),
+            inputs=[self.folder / "cases"], overwrite=overwrite,
+        )  # fmt: skip
         return folder
 
     def __str__(self) -> str:

@@ -49,6 +49,7 @@ def view(
     truth: Truth = None,
     *,
     out: File | None = None,
+    overwrite: bool = False,
     quiet: bool = True,
 ) -> PageFile:
     """Show an estimate on a page with a 3D view, its uncertainty and what the log leaves open.
@@ -58,6 +59,7 @@ def view(
         estimate: Estimate of a log, or its table; `joint` localizes the log if None.
         truth: True positions of a log, or their table, if there are any.
         out: Page to write for a log; `view.html` if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
 
     Returns:
@@ -70,7 +72,8 @@ def view(
     shown = open_source(source, of_log=of_log)
     if isinstance(shown, Run):
         return shown.view(quiet=quiet)
-    return shown.view(estimate, truth, out=out or "view.html", quiet=quiet)
+    page = out or "view.html"
+    return shown.view(estimate, truth, out=page, overwrite=overwrite, quiet=quiet)
 
 
 def render(
@@ -82,6 +85,7 @@ def render(
     case: str | None = None,
     movie: AnyMovie | None = None,
     out: File | None = None,
+    overwrite: bool = False,
     quiet: bool = False,
 ) -> Figures:
     """Draw 3D pictures of a run, which its report.html shows too, or of a log and its estimate.
@@ -94,6 +98,7 @@ def render(
         case: Case of a run; the largest if None.
         movie: File format of an animation of a run's growth; none if None.
         out: Folder for pictures of a log; `renders` if None.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
 
     Returns:
@@ -103,7 +108,10 @@ def render(
     shown = open_source(source, of_log=of_log, of_run={"case": case, "movie": movie})
     if isinstance(shown, Run):
         return shown.render(renderer=renderer, case=case, movie=movie, quiet=quiet)
-    return shown.render(estimate, truth, renderer=renderer, out=out or "renders", quiet=quiet)
+    return shown.render(
+        estimate, truth,
+        renderer=renderer, out=out or "renders", overwrite=overwrite, quiet=quiet,
+    )  # fmt: skip
 
 
 def export(
@@ -115,6 +123,7 @@ def export(
     out: File | None = None,
     case: str | None = None,
     plugins: Sequence[File] = (),
+    overwrite: bool = False,
     quiet: bool = False,
 ) -> Path:
     """Export structure, contacts and estimate of a case, or of a log, for other programs.
@@ -127,6 +136,7 @@ def export(
         out: Folder to write to; `export`, in the run's folder if there is one, if None.
         case: Case of a run; the largest if None.
         plugins: Python files that register formats, see `tiswarm.export_format`.
+        overwrite: Whether to replace files that no tiswarm command wrote.
         quiet: Whether to hide progress.
 
     Returns:
@@ -136,8 +146,9 @@ def export(
     of_log = {"estimate": estimate, "truth": truth}
     shown = open_source(source, of_log=of_log, of_run={"case": case})
     if isinstance(shown, Run):
-        return shown.export(form, out=out, case=case, quiet=quiet)
-    return shown.export(form, estimate, truth, out=out or "export", quiet=quiet)
+        return shown.export(form, out=out, case=case, overwrite=overwrite, quiet=quiet)
+    folder = out or "export"
+    return shown.export(form, estimate, truth, out=folder, overwrite=overwrite, quiet=quiet)
 
 
 def _refuse(reason: str, given: Mapping[str, object]) -> None:

@@ -1,6 +1,5 @@
 """Streams of a log's lines, answered while robots join."""
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
 from os import PathLike
@@ -11,21 +10,22 @@ from tiswarm.app.logs import method_params
 from tiswarm.app.results import File, Overrides, as_path
 from tiswarm.base.errors import warn
 from tiswarm.base.parts import load
-from tiswarm.records.outputs import check_outputs, output
+from tiswarm.records import outputs
 from tiswarm.records.positions import write_estimate
 from tiswarm.records.sensing_file import log_lines
 
 if TYPE_CHECKING:
-    from typing import BinaryIO
+    from typing import BinaryIO, TextIO
 
     from tiswarm.localization.online.tracker import Tracker
+
+_NAME = (str, PathLike)
 
 
 def track(
     source: "File | BinaryIO",
     *,
-    on_answer: Callable[[str], object] | None = None,
-    out: File | None = None,
+    out: "File | TextIO | None" = None,
     estimate: File | None = None,
     overrides: Overrides = (),
     overwrite: bool = False,
@@ -37,9 +37,9 @@ def track(
 
     Args:
         source: Sensing file, or an open binary input.
-        on_answer: Called with the answer of each line, a JSON object that ends in a newline, before
-            the next line is read.
-        out: File for all answers, which appears at the end of the input; none if None.
+        out: Open text output that receives the answer of each line, a JSON object, before the next
+            line is read; or file for all answers, which appears at the end of the input; none if
+            None.
         estimate: Table of positions to write at the end, of the final answer; none if None.
         overrides: Settings of the method `online`, as for `localize`.
         overwrite: Whether to replace files that no tiswarm command wrote.
@@ -53,26 +53,28 @@ def track(
             input, or a file that no tiswarm command wrote.
     """
     follow = load("tiswarm.localization.online.stream:follow", "track")
-    answers = None if out is None else as_path(out, "out")
+    file, terminal = (as_path(out, "out"), None) if isinstance(out, _NAME) else (None, out)
     table = None if estimate is None else as_path(estimate, "estimate")
-    check_outputs({"out": answers, "estimate": table}, [source], overwrite=overwrite)
+    outputs.check({"out": file, "estimate": table}, [source], overwrite=overwrite)
+    outputs.refuse_same(terminal, source)
     params = method_params("online", None, overrides, settings)
-    name, stream = Path("-"), None
-    if isinstance(source, (str, PathLike)):
-        name = as_path(source, "source")
+    if isinstance(source, _NAME):
+        path = as_path(source, "source")
+        lines = log_lines(path)
     else:
-        stream = source
-    opened = partial(output, overwrite=overwrite)
-    with opened(answers) if answers else nullcontext() as file:
+        path = Path("-")
+        lines = log_lines(path, source)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    with opened(file) if file else nullcontext() as whole:
 
         def answer(text: str) -> None:
-            if file is not None:
-                file.write(text.encode())
-            if on_answer is not None:
-                on_answer(text)
+            if whole is not None:
+                whole.write(text.encode())
+            elif terminal is not None:
+                terminal.write(text)
+                terminal.flush()
 
-        lines = log_lines(name, stream)
-        tracker: Tracker = follow(lines, name, params=params, on_answer=answer, on_refused=warn)
+        tracker: Tracker = follow(lines, path, params=params, on_answer=answer, on_refused=warn)
     if table is not None:
         write_estimate(table, tracker.estimate(final=True), opened=opened)
     return tracker

@@ -11,6 +11,7 @@ from tiswarm.cli.app import (
     Debug,
     Movie,
     Open,
+    Overwrite,
     Pdf,
     Plugins,
     Quiet,
@@ -59,6 +60,7 @@ def render(
     *,
     animate: Animate = False,
     movie: Movie = None,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Draw 3D pictures of a run, or of a log and its estimate."""
@@ -67,7 +69,7 @@ def render(
     animated = chosen_movie(movie, animate=animate)
     api.render(
         source, estimate, truth,
-        renderer=renderer, case=case, movie=animated, out=out, quiet=quiet,
+        renderer=renderer, case=case, movie=animated, out=out, overwrite=overwrite, quiet=quiet,
     )  # fmt: skip
 
 
@@ -76,6 +78,7 @@ def compare(
     runs: Annotated[list[Path], Argument(metavar="RUN RUN ...", help="Run folders.")],
     out: Annotated[Path, Option(help="Folder to write to.")] = Path("reports/comparison"),
     *,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare runs in a table and a figure.
@@ -84,7 +87,7 @@ def compare(
     """
     from tiswarm import api
 
-    found = api.compare(runs, out=out)
+    found = api.compare(runs, out=out, overwrite=overwrite)
     if not quiet:
         typer.echo(found)
 
@@ -107,6 +110,7 @@ def export(
     case: Annotated[str | None, Option(help="Case to export (default: the largest).")] = None,
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
+    overwrite: Overwrite = False,
     debug: Debug = False,
     quiet: Quiet = False,
 ) -> None:
@@ -117,4 +121,7 @@ def export(
     from tiswarm import api
 
     with showing_traceback(debug=debug):
-        api.export(source, form, estimate, truth, out=out, case=case, plugins=plugins, quiet=quiet)
+        api.export(
+            source, form, estimate, truth,
+            out=out, case=case, plugins=plugins, overwrite=overwrite, quiet=quiet,
+        )  # fmt: skip

@@ -1,6 +1,5 @@
 """Commands on a user's data: sensing logs, poses, estimates."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,6 +58,7 @@ def localize(
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     verbose: Annotated[bool, Option("--verbose", "-v", help="List the solutions.")] = False,
+    overwrite: Overwrite = False,
     opened: Open = False,
     debug: Debug = False,
     quiet: Quiet = False,
@@ -79,9 +79,9 @@ def localize(
     with showing_traceback(debug=debug):
         found = api.localize(
             log, method, cues=names, overrides=overrides, solution=solution, arch=arch,
-            threads=threads, precision=precision, plugins=plugins, quiet=quiet, **seeded,
+            threads=threads, precision=precision, plugins=plugins, out=out, report=report,
+            overwrite=overwrite, quiet=quiet, **seeded,
         )  # fmt: skip
-    found.write(out)
     if not quiet:
         typer.echo(f"{found} -> {out}")
         typer.echo("".join(f"{line}\n" for line in found.findings.solutions * verbose), nl=False)
@@ -90,10 +90,8 @@ def localize(
                 f"the positions are the mean of {count} solutions; --solution 1 writes the "
                 "likeliest consistent configuration, --verbose lists all"
             )
-    if report is not None:
-        found.view(out=report)
-        if opened or not quiet:
-            show_page(report, opened=opened)
+    if report is not None and (opened or not quiet):
+        show_page(report, opened=opened)
     if found.findings.doubt:
         raise typer.Exit(NOT_TRUSTED)
 
@@ -129,17 +127,13 @@ def track(
 
     from tiswarm import api
     from tiswarm.base.errors import InputError
-    from tiswarm.records.outputs import refuse_same
 
     if source == "-" and sys.stdin is None:
         raise InputError("standard input is closed; send lines to it, or name a LOG", key="-")
     given = sys.stdin.buffer if source == "-" else Path(source)
-    if out is None:
-        refuse_same(sys.stdout, given)
     tracker = api.track(
-        given, on_answer=None if out else partial(typer.echo, nl=False), out=out, estimate=estimate,
-        overrides=overrides, overwrite=overwrite,
-    )  # fmt: skip
+        given, out=out or sys.stdout, estimate=estimate, overrides=overrides, overwrite=overwrite
+    )
     if out and not quiet:
         typer.echo(f"{len(tracker.names)} robots -> {out}")
 
@@ -164,6 +158,7 @@ def view(
     plugins: Plugins = [],  # noqa: B006 - typer never changes it
     *,
     live: Annotated[bool, Option("--live", help="Serve a run to this machine's browser.")] = False,
+    overwrite: Overwrite = False,
     opened: Open = False,
     quiet: Quiet = False,
 ) -> None:
@@ -183,7 +178,7 @@ def view(
     from tiswarm import api
 
     refuse({"--port": port, "--plugin": plugins}, "only --live serves a page")
-    page = api.view(log, estimate, truth, out=out, quiet=quiet)
+    page = api.view(log, estimate, truth, out=out, overwrite=overwrite, quiet=quiet)
     if opened or not quiet:
         show_page(page, opened=opened)
 
@@ -226,6 +221,7 @@ def explain(
     estimate: EstimateTable = None,
     out: Annotated[Path, Option(help="Picture to write: .png or .pdf.")] = Path("explain.png"),
     *,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Show how the measurements of one robot narrow its place.
@@ -235,7 +231,7 @@ def explain(
     """
     from tiswarm import api
 
-    found = api.explain(log, robot, estimate, out=out, quiet=quiet)
+    found = api.explain(log, robot, estimate, out=out, overwrite=overwrite, quiet=quiet)
     if not quiet:
         typer.echo(f"{found}\n-> {out}")
 
@@ -309,6 +305,7 @@ def import_(
     drop_incomplete: Annotated[
         bool, Option("--drop-incomplete", help="Drop rows with empty cells or NaN.")
     ] = False,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Convert poses of any simulator to a sensing log and a truth.
@@ -318,7 +315,6 @@ def import_(
     from tiswarm import api
     from tiswarm.base.errors import InputError
     from tiswarm.base.robot import docks_in_plane
-    from tiswarm.interop.poses import read_dock_offsets
 
     if dock_offset is not None and docks is not None:
         raise InputError("choose only one of --docks, --dock-offset")
@@ -331,8 +327,10 @@ def import_(
     found = api.import_poses(
         poses,
         out=out,
+        overwrite=overwrite,
         dock_radius=dock_radius,
-        dock_offset_body=body if docks is None else read_dock_offsets(docks),
+        dock_offset_body=body,
+        docks=docks,
         gap=gap,
         overlap=overlap,
         contacts=contacts,
@@ -364,6 +362,7 @@ def score(
         ),
     ] = None,
     *,
+    overwrite: Overwrite = False,
     quiet: Quiet = False,
 ) -> None:
     """Print and draw the errors of an estimate.
@@ -374,4 +373,4 @@ def score(
     from tiswarm import api
 
     figure = out or estimate.with_name(f"{estimate.name.partition('.')[0]}-score.png")
-    typer.echo(api.score(truth, estimate, out=figure, quiet=quiet))
+    typer.echo(api.score(truth, estimate, out=figure, overwrite=overwrite, quiet=quiet))

@@ -15,6 +15,7 @@ from tiswarm.cli.app import (
     OneArch,
     Open,
     Overrides,
+    Overwrite,
     Pdf,
     Plugins,
     Quiet,
@@ -57,6 +58,7 @@ def run(
     pdf: Pdf = False,
     animate: Animate = False,
     movie: Movie = None,
+    overwrite: Overwrite = False,
     opened: Open = False,
     debug: Debug = False,
     quiet: Quiet = False,
@@ -78,7 +80,7 @@ def run(
     found = api.run(
         scenario, overrides,
         out=out, arch=arch, threads=threads, pictures=pictures, pdf=pdf, movie=animated,
-        plugins=plugins, quiet=quiet, **execution,
+        plugins=plugins, overwrite=overwrite, quiet=quiet, **execution,
     )  # fmt: skip
     if not quiet:
         typer.echo(found)

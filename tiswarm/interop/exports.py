@@ -4,7 +4,7 @@ Solids and particles have float32 numbers, relative to the place of the anchor: 
 the translation of nodes (glTF), `comment origin` (PLY) and `log/origin` (GSD).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -12,7 +12,7 @@ from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.base.plugins import guarded, register, registered
 from tiswarm.base.progress import Progress
-from tiswarm.records.io import make_folder, write_bytes
+from tiswarm.records import outputs
 from tiswarm.records.messages import did_you_mean
 from tiswarm.report.swarm_view import SwarmView
 
@@ -64,11 +64,28 @@ def export_format(name: str, suffix: str) -> Callable[[_Encode], _Encode]:
     return add
 
 
-def export_view(view: SwarmView, form: str, out: Path, progress: Progress) -> None:
+def export_view(
+    view: SwarmView,
+    form: str,
+    out: Path,
+    progress: Progress,
+    *,
+    inputs: Sequence[object] = (),
+    overwrite: bool = False,
+) -> None:
     """Write the structure, if the truth is known, the estimate and the contacts.
 
+    Args:
+        view: What to export.
+        form: Name of the format.
+        out: Folder to write to.
+        progress: Receives progress reports.
+        inputs: Files and folders that were read, which no file replaces.
+        overwrite: Whether to replace files that no tiswarm command wrote.
+
     Raises:
-        InputError: there is no such format, or the log of the view is damaged.
+        InputError: there is no such format, the log of the view is damaged, or a file of the export
+            would replace another one.
         EnvironmentTroubleError: `out` cannot be made or a library is missing.
         PluginError: a format of a plug-in failed.
     """
@@ -83,7 +100,5 @@ def export_view(view: SwarmView, form: str, out: Path, progress: Progress) -> No
         problem = did_you_mean(form, names) or f"; use {', '.join(names)}"
         problem = f"there is no format {form}{problem}"
         raise InputError(problem, argument="form")
-    make_folder(out)
-    for file, data in files.items():
-        write_bytes(out / file, data)
-        progress.info(str(out / file))
+    for path in outputs.write_folder(out, files, inputs, overwrite=overwrite):
+        progress.info(str(path))

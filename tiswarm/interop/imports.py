@@ -2,7 +2,8 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from tiswarm.interop.poses import UPWARD, Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
 from tiswarm.interop.trajectories import read_gsd, read_tum
 from tiswarm.measurements.orientations import ASSUMED
+from tiswarm.records import outputs
 from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
@@ -85,17 +87,35 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
     )
 
 
-def write_import(imported: Imported, out: Path) -> None:
-    """Write `sensing.jsonl` and `truth.csv` to a folder, which is made if need be.
+def write_imports(
+    found: Mapping[str, Imported],
+    out: Path,
+    inputs: Sequence[object] = (),
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write `sensing.jsonl` and `truth.csv` of each structure to a folder of its name in `out`.
+
+    Args:
+        found: What became of each structure, by its name.
+        out: Folder, which is made if need be.
+        inputs: Files and folders that were read, which no output replaces.
+        overwrite: Whether to replace files that no tiswarm command wrote.
 
     Raises:
+        InputError: an output would replace another file; then nothing is written.
         EnvironmentTroubleError: `out` cannot be made or written to.
     """
-    log = imported.log
-    make_folder(out)
-    write_sensing_log(log, out / "sensing.jsonl")
-    truth = out / "truth.csv"
-    write_positions(truth, log.robot_id, imported.position, length_unit=log.length_unit)
+    files = [out / run / name for run in found for name in ("sensing.jsonl", "truth.csv")]
+    outputs.check({"out": files}, inputs, overwrite=overwrite)
+    opened = partial(outputs.opened, overwrite=overwrite)
+    for run, (log, position, *_) in found.items():
+        make_folder(out / run)
+        write_sensing_log(log, out / run / "sensing.jsonl", opened=opened)
+        write_positions(
+            out / run / "truth.csv", log.robot_id, position, length_unit=log.length_unit,
+            opened=opened,
+        )  # fmt: skip
 
 
 def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:

@@ -12,15 +12,16 @@ from typing import Any
 import pandas as pd
 
 from tiswarm.base.errors import InputError
-from tiswarm.records.io import damaged, run_file, write_text
+from tiswarm.records.io import Opener, damaged, replacing, run_file
 
 _GREATEST = 1e12
 """Greatest number of a table: above, sums of squares and pictures lose all digits."""
 
 
-def write_frame(table: pd.DataFrame, path: Path) -> None:
+def write_frame(table: pd.DataFrame, path: Path, *, opened: Opener = replacing) -> None:
     """Write a CSV whose numbers read back to the same bits."""
-    write_text(path, table.to_csv(index=False, lineterminator="\n"))
+    with opened(path) as file:
+        file.write(table.to_csv(index=False, lineterminator="\n").encode())
 
 
 def read_frame(

@@ -334,11 +334,6 @@ def write_bytes(path: Path, data: bytes) -> None:
         file.write(data)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a whole file at once, as UTF-8, line endings as they are."""
-    write_bytes(path, text.encode())
-
-
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a whole JSON file at once."""
     write_bytes(path, as_json(content))

@@ -2,14 +2,14 @@
 
 A file is tiswarm's own if the ledger of its folder, `.tiswarm-outputs`, has its name with the
 SHA-256 of its bytes. So a file that a user made, edited or put there is never taken for one, in any
-format. Whoever deletes a ledger has to overwrite once. The ledger is text as `sha256sum` writes it.
+format. The ledger is text as `sha256sum` writes it; if somebody deletes it, no file is own.
 
 Files within the folder of a run belong to the run and have no ledger, but for figures.
 """
 
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
@@ -26,15 +26,18 @@ _LARGEST = 2**24
 """Largest ledger that is read or grows [byte]; a line takes about a hundred."""
 
 
-def check_outputs(
-    outputs: Mapping[str, Path | None], inputs: Iterable[object] = (), *, overwrite: bool
+def check(
+    outputs: Mapping[str, Path | Sequence[Path] | None],
+    inputs: Iterable[object] = (),
+    *,
+    overwrite: bool,
 ) -> None:
     """Refuse outputs that are inputs or each other, or files that no tiswarm command wrote.
 
     Nothing is read of the inputs, and nothing is written.
 
     Args:
-        outputs: Files to write by the name of their argument; None where there is none.
+        outputs: File or files to write, by the name of their argument; None where there is none.
         inputs: What is read: files, folders, open files; arrays and the like are never an output.
         overwrite: Whether to replace files that no tiswarm command wrote.
 
@@ -42,22 +45,21 @@ def check_outputs(
         InputError: an output is refused.
         EnvironmentTroubleError: an output is a device or a pipe.
     """
-    files = [*map(_place, inputs)]
+    read = [*map(_place, inputs)]
     taken: dict[Path, str] = {}
-    for argument, path in outputs.items():
-        if path is None:
-            continue
-        if any(_is_part(path, file) for file in files):
-            problem = "this is an input, which an output never replaces; name another file"
-            raise InputError(problem, path=path, argument=argument)
-        if (other := taken.setdefault(_real(path), argument)) != argument:
-            problem = f"{other} names the same file; name another one"
-            raise InputError(problem, path=path, argument=argument)
-        _refuse_foreign(path, overwrite=overwrite, argument=argument)
+    for argument, given in outputs.items():
+        for path in [given] if isinstance(given, Path) else given or []:
+            if any(_is_part(path, file) for file in read):
+                problem = "this is an input, which an output never replaces; name another file"
+                raise InputError(problem, path=path, argument=argument)
+            if (other := taken.setdefault(_real(path), argument)) != argument:
+                problem = f"{other} names the same file; name another one"
+                raise InputError(problem, path=path, argument=argument)
+            _refuse_foreign(path, overwrite=overwrite, argument=argument)
 
 
 @contextmanager
-def output(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
+def opened(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
     """Open an output that appears whole when the block ends without an exception.
 
     Raises:
@@ -75,9 +77,9 @@ def output(path: Path, *, overwrite: bool = False) -> Iterator[BinaryIO]:
         yield file
 
 
-def write_output(path: Path, data: bytes, *, overwrite: bool = False) -> None:
-    """Write a whole output at once; errors as for `output`."""
-    with output(path, overwrite=overwrite) as file:
+def write(path: Path, data: bytes, *, overwrite: bool = False) -> None:
+    """Write a whole output at once; errors as for `opened`."""
+    with opened(path, overwrite=overwrite) as file:
         file.write(data)
 
 
@@ -97,14 +99,14 @@ def write_folder(
     """Write outputs by name into a folder, which is made if need be; none if one is refused.
 
     Raises:
-        InputError: as for `check_outputs`.
+        InputError: as for `check`.
         EnvironmentTroubleError: the folder cannot be made or written to.
     """
     paths = [folder / name for name in files]
-    check_outputs({path.name: path for path in paths}, inputs, overwrite=overwrite)
+    check({"out": paths}, inputs, overwrite=overwrite)
     make_folder(folder)
     for path, data in zip(paths, files.values(), strict=True):
-        write_output(path, data, overwrite=overwrite)
+        write(path, data, overwrite=overwrite)
     return paths
 
 
@@ -122,7 +124,8 @@ def _refuse_foreign(path: Path, *, overwrite: bool, argument: str = "") -> None:
     except FileNotFoundError:
         return
     except NotADirectoryError as error:
-        raise InputError("its folder is a file; name a folder", path=path) from error
+        problem = "its folder is a file; name a folder"
+        raise InputError(problem, path=path, argument=argument) from error
     except OSError as error:
         problem = f"{path}: cannot be written: {error.strerror}; name another output"
         raise EnvironmentTroubleError(problem) from error
@@ -185,7 +188,7 @@ def _entry(path: Path, digest: str) -> bytes:
 def _ledger_of(path: Path) -> list[bytes]:
     """Read the ledger of a file's folder; empty where there is none that tiswarm wrote."""
     try:
-        with _opened(path.with_name(LEDGER), os.O_RDONLY) as file:
+        with _open_ledger(path.with_name(LEDGER), os.O_RDONLY) as file:
             return [*file.read(_LARGEST).splitlines(keepends=True)]
     except OSError:
         return []
@@ -197,13 +200,13 @@ def _record(path: Path, digest: str) -> None:
     if not entry or not digest or entry in _ledger_of(path):
         return
     flags, ledger = os.O_RDWR | os.O_APPEND | os.O_CREAT, path.with_name(LEDGER)
-    with suppress(OSError), _opened(ledger, flags) as file:  # or the file is not known again
+    with suppress(OSError), _open_ledger(ledger, flags) as file:  # or the file is not known again
         file.seek(-1, os.SEEK_END)
         cut = b"" if file.read(1) == b"\n" else b"\n"  # a kill left part of a line
         file.write(cut + entry)  # at once, so that entries of several processes do not mix
 
 
-def _opened(ledger: Path, flags: int) -> FileIO:
+def _open_ledger(ledger: Path, flags: int) -> FileIO:
     """Open a ledger without buffer; raise OSError where the file is another's, or too large."""
     descriptor = os.open(ledger, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     file = os.fdopen(descriptor, "r+b" if flags & os.O_RDWR else "rb", buffering=0)

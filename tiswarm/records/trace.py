@@ -8,7 +8,7 @@ import numpy as np
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import read_frame
-from tiswarm.records.io import damaged, write_text
+from tiswarm.records.io import damaged, write_bytes
 
 MOST_ROBOTS = 1_000
 """Robots of an estimate beyond which no trace is stored: it would outgrow the log."""
@@ -43,7 +43,7 @@ def write_trace(path: Path, estimate: Estimate) -> None:
     for iteration, center in zip(trace.iteration.tolist(), trace.center.tolist(), strict=True):
         for robot, (x, y, z) in zip(estimate.robot_id.tolist(), center, strict=True):
             lines.append(f"{iteration},{robot},{x:.{_DIGITS}f},{y:.{_DIGITS}f},{z:.{_DIGITS}f}")
-    write_text(path, "\n".join(lines) + "\n")
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_trace(path: Path, robots: int) -> EstimateTrace | None:

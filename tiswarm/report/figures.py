@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from tiswarm.base.errors import InputError
 from tiswarm.base.parts import load
 from tiswarm.base.progress import Progress
-from tiswarm.records.io import write_bytes
+from tiswarm.records import outputs
 from tiswarm.records.messages import did_you_mean
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -45,7 +45,8 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
 
     A second SVG of a wide figure is drawn as wide as a column, for narrow screens.
     Cases that failed are left out, and a note on each figure states their number. A figure of an
-    earlier call that the run no longer has is removed; an existing PDF is redrawn.
+    earlier call that the run no longer has is removed, but no other file; an existing PDF is
+    redrawn.
 
     Returns:
         The files written; empty where no case is done.
@@ -62,16 +63,16 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
             for suffix, encode in (("png", png), ("pdf", pdf), ("svg", svg)):
                 path = run.subfolder("figures") / f"{name}.{suffix}"
                 if suffix != "pdf" or vector or path.exists():
-                    write_bytes(path, encode(figure))
+                    outputs.write_own(path, encode(figure))
                     progress.info(f"figures/{path.name}")
                     written.append(path)
             if not is_narrow(figure):
                 path = run.subfolder("figures") / f"{name}{NARROW}.svg"
-                write_bytes(path, svg(draw(run, COLUMN_WIDTH)))
+                outputs.write_own(path, svg(draw(run, COLUMN_WIDTH)))
                 written.append(path)
     folder = run.folder / "figures"
     for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
-        if not path.is_dir():
+        if outputs.is_own(path):
             path.unlink()
     return written
 

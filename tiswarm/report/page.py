@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tiswarm.base.progress import Progress
-from tiswarm.records.io import damaged, run_file, write_text
+from tiswarm.records.io import damaged, run_file, write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, TRUE_BLUE
@@ -90,7 +90,7 @@ def write_page(run: RunData, progress: Progress) -> Path:
     case = run.choose(None).name if run.series else ""
     page = replace(page, renders=show_pictures(run.folder / "renders", room, case=case))
     path = run.folder / "report.html"
-    write_text(path, page.html())
+    write_bytes(path, page.html().encode())
     progress.info(path.name)
     return path
 

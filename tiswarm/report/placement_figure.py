@@ -8,7 +8,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.io import write_bytes
+from tiswarm.records import outputs
 from tiswarm.records.messages import three_digits
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -60,11 +60,11 @@ class Placement(NamedTuple):
     """The log's unit."""
 
 
-def write_placement(path: Path, placement: Placement) -> None:
+def write_placement(path: Path, placement: Placement, *, overwrite: bool = False) -> None:
     """Write the figure, as vectors if the name ends in .pdf.
 
     Raises:
-        InputError: the name ends in neither .png nor .pdf.
+        InputError: the name ends in neither .png nor .pdf, or another file has it.
     """
     from matplotlib import style
 
@@ -72,7 +72,8 @@ def write_placement(path: Path, placement: Placement) -> None:
         raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
     encode = figure_style.pdf if path.suffix == ".pdf" else figure_style.png
     with style.context(["default", figure_style.STYLE]):
-        write_bytes(path, encode(draw_placement(placement)))
+        data = encode(draw_placement(placement))
+    outputs.write(path, data, overwrite=overwrite)
 
 
 def show_placement(placement: Placement, caption: str) -> Shown:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
-from tiswarm.records.io import write_bytes
+from tiswarm.records import outputs
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import ESTIMATE_ORANGE, PAGE_WIDTH, TRUE_BLUE, new_figure
 
@@ -27,12 +27,18 @@ _VIEWS = {"from the side": (0, 2), "from above": (0, 1)}
 
 
 def write_score(
-    path: Path, true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit: str
+    path: Path,
+    true: Reals,
+    estimated: Reals,
+    errors: Mapping[str, Reals],
+    unit: str,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write the figure of a score, as vectors if the name ends in .pdf; arguments of `draw_score`.
 
     Raises:
-        InputError: the name ends in neither .png nor .pdf.
+        InputError: the name ends in neither .png nor .pdf, or another file has it.
     """
     from matplotlib import style
 
@@ -40,7 +46,8 @@ def write_score(
         raise InputError(f"{path.name!r} should end in .png or .pdf; rename it", argument="out")
     encode = figure_style.pdf if path.suffix == ".pdf" else figure_style.png
     with style.context(["default", figure_style.STYLE]):
-        write_bytes(path, encode(draw_score(true, estimated, errors, unit)))
+        data = encode(draw_score(true, estimated, errors, unit))
+    outputs.write(path, data, overwrite=overwrite)
 
 
 def draw_score(true: Reals, estimated: Reals, errors: Mapping[str, Reals], unit: str) -> "Figure":

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from tiswarm.base.progress import Progress
+from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame
-from tiswarm.records.io import write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
 from tiswarm.report.figure_style import (
@@ -117,13 +117,14 @@ def _each_structure(run: RunData, measure: str, point: str) -> "pd.Series[float]
     return cases[done].set_index("condition")[measure]
 
 
-def draw_comparison(folder: Path, progress: Progress) -> None:
+def draw_comparison(folder: Path, progress: Progress, *, overwrite: bool = False) -> None:
     """Draw `comparison.png` beside the table that it shows: a row for each of its first rows."""
     from matplotlib import style
 
     table = read_frame(folder / "comparison.csv", ["run", "condition"], gaps=["cases", *_DRAWN])
     with style.context(["default", figure_style.STYLE]):
-        write_bytes(folder / "comparison.png", figure_style.png(draw_rows(table)))
+        data = figure_style.png(draw_rows(table))
+    outputs.write(folder / "comparison.png", data, overwrite=overwrite)
     progress.info("comparison.png")
 
 

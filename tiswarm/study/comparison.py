@@ -2,11 +2,13 @@
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from tiswarm.base.errors import InputError
+from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.io import make_folder
 from tiswarm.records.run_folder import TABLE_NOTES
@@ -16,14 +18,19 @@ from tiswarm.study.tables import accuracy_by_key, differences
 _COMPARED = ["run", "series", "against_run", "against_series", "measure"]
 
 
-def compare(runs: Sequence[Path], out: Path) -> None:
+COMPARISON = ("comparison.csv", "paired.csv", "comparison.png")
+"""Files of a comparison."""
+
+
+def compare(runs: Sequence[Path], out: Path, *, overwrite: bool = False) -> None:
     """Write `comparison.csv`, all rows of the runs' `table.csv`, and `paired.csv`, differences.
 
     Differences are on the structures that two runs share: those with the same true positions to
     the last bit; names of scenarios do not matter.
 
     Raises:
-        InputError: fewer than two different runs are given, or a folder has no `table.csv`.
+        InputError: fewer than two different runs are given, a folder has no `table.csv`, or a table
+            would replace a file that no tiswarm command wrote.
         EnvironmentTroubleError: `out` cannot be made.
     """
     if len({run.resolve() for run in runs}) < max(2, len(runs)):
@@ -46,8 +53,11 @@ def compare(runs: Sequence[Path], out: Path) -> None:
             pair = dict(zip(_COMPARED, (*other, *one), strict=False))
             rows += differences(pair, before, after)
     make_folder(out)
-    write_frame(both[[*first, *both.columns.difference(first, sort=False)]], out / "comparison.csv")
-    write_frame(pd.DataFrame(rows, columns=None if rows else _COMPARED), out / "paired.csv")
+    opened = partial(outputs.opened, overwrite=overwrite)
+    columns = [*first, *both.columns.difference(first, sort=False)]
+    write_frame(both[columns], out / "comparison.csv", opened=opened)
+    pairs = pd.DataFrame(rows, columns=None if rows else _COMPARED)
+    write_frame(pairs, out / "paired.csv", opened=opened)
 
 
 def _read_table(run: Path) -> pd.DataFrame:

@@ -51,6 +51,7 @@ def run(
     arch: AnyArch = "cpu",
     threads: int | None = None,
     execution: Execution = _HERE,
+    overwrite: bool = False,
 ) -> RunResult:
     """Compute every case that is not yet stored, then write the tables.
 
@@ -61,13 +62,16 @@ def run(
         arch: Device of methods that are `registry.PARALLEL`; other stages run on the processor.
         threads: CPU threads; all if None.
         execution: Where cases are computed, and which.
+        overwrite: Whether to replace files of a folder that no run made.
 
     Raises:
+        InputError: the folder has files, and no run made it.
         CasesFailedError: a case failed and `execution` stops at failures.
         EnvironmentTroubleError: the device is missing, the folder is in use, or workers run
             other code.
     """
     whole = plan(scenario)
+    RunFolder.refuse_foreign(scenario, parent, overwrite=overwrite)
     running = _start_device(whole, arch, threads, execution, progress)
     number, count = execution.shard
     mine = whole.structures[number - 1 :: count]

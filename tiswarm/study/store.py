@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, field, replace
 from hashlib import sha256
 from pathlib import Path
@@ -28,9 +28,9 @@ from tiswarm.records.io import (
     digest,
     make_folder,
     read_json,
+    run_file,
     write_bytes,
     write_json,
-    write_text,
 )
 from tiswarm.records.positions import Truth, write_estimate, write_positions
 from tiswarm.records.run_folder import check_folders, read_manifest, write_manifest
@@ -47,8 +47,18 @@ _STRUCTURES = "structures"
 TRACEBACK = "traceback.txt"
 """File of a case that failed in a plug-in."""
 
+_LOCK = ".lock"
+_PARTIAL = ".*." + "[0-9a-f]" * 8 + "."
+"""Names of files and folders that are being written, without their end."""
+
 _TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case."""
+
+_CASE_FILES = {
+    *("sensing.jsonl", "truth.csv", "estimate.csv", "trace.csv", "case.json", _COST, TRACEBACK),
+    *(f"{name}.csv" for name in _TABLES),
+}
+"""All files that a case may have."""
 
 _COST_KIND = TypeAdapter(Cost, config=STRICT)
 _COSTS_KIND = TypeAdapter(Mapping[str, Cost], config=STRICT)
@@ -125,12 +135,32 @@ class RunFolder:
         self.path = path
         self.cases = path / "cases"
 
+    @staticmethod
+    def refuse_foreign(scenario: Scenario, parent: Path, *, overwrite: bool = False) -> None:
+        """Refuse a folder of the scenario's name that has files, but was not made by a run.
+
+        A run leaves its lock there, and its scenario.
+
+        Raises:
+            InputError: the folder has such files, and they are not to be replaced.
+        """
+        path = _folder_of(scenario, parent)
+        if overwrite or not path.is_dir() or (path / _LOCK).is_file():
+            return
+        with suppress(InputError, OSError):
+            stated = run_file(path / "scenario.yaml").read_bytes()
+            if stated == dump_scenario(scenario).encode():
+                return
+        if any(not file.is_dir() for file in path.rglob("[!.]*")):
+            problem = "this folder has files, and no run made it; choose another --out, or replace"
+            raise InputError(f"{problem} files of a run in it (--overwrite)", path=path)
+
     @classmethod
     def of(cls, scenario: Scenario, parent: Path) -> "RunFolder":
         """Make the folder of a scenario below `parent`, or open it where it exists."""
-        folder = cls(parent / f"{scenario.name}-{scenario_hash(scenario)}")
+        folder = cls(_folder_of(scenario, parent))
         make_folder(folder.cases)
-        write_text(folder.path / "scenario.yaml", dump_scenario(scenario))
+        write_bytes(folder.path / "scenario.yaml", dump_scenario(scenario).encode())
         return folder
 
     @classmethod
@@ -152,7 +182,7 @@ class RunFolder:
             EnvironmentTroubleError: another run computes here.
         """
         with ExitStack() as locks:
-            self._lock(locks, ".lock", fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
+            self._lock(locks, _LOCK, fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
             if shard:
                 self._lock(locks, f".lock-{shard}", fcntl.LOCK_EX)
             else:
@@ -173,7 +203,7 @@ class RunFolder:
             raise EnvironmentTroubleError(msg) from error
 
     def _remove_partial_files(self) -> None:
-        for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
+        for partial in [*self.cases.glob(_PARTIAL + "part"), *self.path.rglob(_PARTIAL + "tmp")]:
             remove(partial)
 
     def read_case(self, name: str) -> CaseRecord | None:
@@ -200,7 +230,7 @@ class RunFolder:
         if traceback:
             why = f"{record.reason}; cases/{record.case}/{TRACEBACK} has the traceback"
             record = replace(record, reason=why)
-            write_text(folder / TRACEBACK, traceback)
+            write_bytes(folder / TRACEBACK, traceback.encode())
         self._publish(record, folder)
         return record
 
@@ -237,6 +267,7 @@ class RunFolder:
     def _publish(self, record: CaseRecord, folder: Path) -> None:
         write_bytes(folder / "case.json", record.sealed().written())
         target = self.cases / record.case
+        _keep_others(target, folder)
         remove(target)
         try:
             folder.rename(target)
@@ -298,7 +329,10 @@ class RunFolder:
             used = used or {Used("grow", backend.current())}
             write_manifest(self.path, manifest(used, [*costs.values()]))
         if all(record.is_done for record in records.values()):
-            remove(self.path / _STRUCTURES)
+            for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
+                remove(kept)
+            with suppress(OSError):  # there is none, or somebody keeps files in it
+                (self.path / _STRUCTURES).rmdir()
 
     def _has_manifest(self) -> bool:
         try:
@@ -309,6 +343,18 @@ class RunFolder:
     def _structure_path(self, case: Case) -> Path:
         key = sha256(repr((case.structure_key, structure_code())).encode()).hexdigest()[:12]
         return self.path / _STRUCTURES / f"seed{case.seed}-{key}.npz"
+
+
+def _folder_of(scenario: Scenario, parent: Path) -> Path:
+    return parent / f"{scenario.name}-{scenario_hash(scenario)}"
+
+
+def _keep_others(old: Path, new: Path) -> None:
+    """Move files of somebody else from the folder of a case to the one that is to replace it."""
+    if old.is_dir() and not old.is_symlink():
+        for path in old.iterdir():
+            if path.name not in _CASE_FILES:
+                path.rename(new / path.name)
 
 
 def remove(path: Path) -> None:
