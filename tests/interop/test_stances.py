@@ -210,6 +210,19 @@ def test_a_join_order_beats_the_clock(short, tmp_path):
     assert_same_stances(log, observe(short, SensingParams()))
 
 
+def test_clocks_of_each_robot_lose_no_contact_without_a_word(towers, tmp_path):
+    """Recorders that start with their robot count from 0: the contacts that they cost are named."""
+    rows, start = rows_of(towers[0]), {}
+    own = [[*row[:-1], row[-1] - start.setdefault(row[0], row[-1])] for row in rows]
+
+    right, found = bring_in(tmp_path, rows), bring_in(tmp_path, own)
+
+    assert right.warnings == []
+    (warning,) = found.warnings
+    lost = int(re.match(r"(\d+) contacts of stances left out: by the time, ", warning)[1])
+    assert lost > 0.2 * len(right.log.stances.contacts)
+
+
 def test_robots_in_motion_are_no_contacts(short, tmp_path):
     """What comes to a place later is not there yet: a contact with it is none."""
     rows = rows_of(short)

@@ -122,6 +122,24 @@ def test_a_folder_of_trajectories_has_stances(towers, tmp_path):
     np.testing.assert_array_equal(imported.position, towers[0].position)
 
 
+def test_lines_without_a_number_can_be_dropped(towers, tmp_path):
+    """Trackers write NaN while they see no markers; a note names file and lines."""
+    rows = [row for row in rows_of(towers[0]) if row[0] < 3]
+    for robot in range(3):
+        write_tum(tmp_path / f"{robot}.tum", [row for row in rows if row[0] == robot])
+    known = {"dock_offset_body": BODY, "ground_z": 0.0, "drop_incomplete": True}
+    whole = import_poses(tmp_path, Assumptions(**known))[""]
+    file = tmp_path / "1.tum"
+    lines = file.read_text().splitlines()
+    gap = " ".join([lines[1].split()[0] + ".5", *["nan"] * 7])  # line 1 is a comment
+    file.write_text("\n".join([*lines[:2], gap, *lines[2:]]) + "\n")
+
+    found = import_poses(tmp_path, Assumptions(**known))[""]
+
+    assert found.notes == ["1 incomplete row of 1.tum dropped: line 3", *whole.notes]
+    assert_same_stances(found.log, whole.log)
+
+
 def test_an_exported_trajectory_comes_back(exported, towers):
     """It has a robot a line, whose time is the join index."""
     imported = import_poses(exported / "structure.tum", Assumptions(dock_offset_body=BODY))[""]
@@ -137,7 +155,17 @@ def test_an_exported_trajectory_comes_back(exported, towers):
     [
         ("7.tum", "0 0 0 0 0 0 1\n", "7.tum:1: is not time, x, y, z, qx, qy, qz, qw; write eight"),
         ("7.tum", "# t\n0 0 0 0 0 0 x 1\n", "7.tum:2: is not time"),
-        ("7.tum", "0 nan 0 0 0 0 0 1\n", "7.tum:1: is not time"),
+        ("7.tum", "0 nan 0 0 0 0 0 1\n", "7.tum:1: no line is complete; add a pose"),
+        (
+            "7.tum",
+            "0 0 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n2 nan nan nan nan nan nan nan\n",
+            "7.tum:2: 2 incomplete rows, empty or NaN: line 2-3; complete them, or drop them with",
+        ),
+        (
+            "7.tum",
+            "0 0 0 0 0 0 0 1\n0 1 0 0 0 0 0 1\n",
+            "7.tum:2: robot 7 has a row already at time 0; keep one",
+        ),
         ("7.tum", "0 0 0 0 0 0 1 1\n", "7.tum:1: the quaternion has length 1.41421; scale"),
         ("7.tum", "0 1e11 0 0 0 0 0 1\n", "7.tum:1: x: 1e+11 is too far out; move the origin"),
         ("7.tum", "# t\n", "7.tum:1: there are no poses; add a line for each"),

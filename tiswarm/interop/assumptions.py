@@ -1,7 +1,10 @@
 """What a table of poses does not state, and an import has to assume."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from tiswarm.base.aliases import Reals
 
@@ -71,3 +74,14 @@ class Assumptions:
     def largest_overlap(self) -> float:
         """Largest overlap of two docks in contact."""
         return TOLERANCE * self.dock_radius if self.overlap is None else self.overlap
+
+    @property
+    def spacing(self) -> Reals:
+        """Least and greatest distance of the centers of two docks in contact, shape (2,)."""
+        return 2.0 * self.dock_radius + np.array([-self.largest_overlap, self.largest_gap])
+
+    @property
+    def level(self) -> Reals:
+        """Least and greatest height of the center of a dock on the ground; NaN without, (2,)."""
+        ground = math.nan if self.ground_z is None else self.ground_z
+        return ground + self.dock_radius + np.array([-self.largest_overlap, self.largest_gap])

@@ -113,9 +113,10 @@ class _OnGround(NamedTuple):
 
 def _on_ground(poses: Poses, assumed: Assumptions) -> _OnGround:
     """Count the docks that stand on the ground and those below it."""
-    height = poses.docks[..., 2] - (assumed.ground_z or 0.0) - assumed.dock_radius
-    below = height < -assumed.largest_overlap
-    return _OnGround(int((~below & (height <= assumed.largest_gap)).sum()), int(below.sum()))
+    least, greatest = assumed.level
+    height = poses.docks[..., 2]
+    below = height < least
+    return _OnGround(int((~below & (height <= greatest)).sum()), int(below.sum()))
 
 
 def _off_center(poses: Poses, assumed: Assumptions) -> Reals:

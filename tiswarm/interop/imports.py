@@ -1,6 +1,5 @@
 """Imports poses of other simulators as a sensing log and a truth."""
 
-import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -32,7 +31,13 @@ from tiswarm.records.io import at_line, make_folder
 from tiswarm.records.messages import counted, explain
 from tiswarm.records.positions import write_positions
 from tiswarm.records.sensing_file import check_header, write_sensing_log
-from tiswarm.records.sensing_log import KNOWN_SD, SensingLog, SensingNoise, canonical_contacts
+from tiswarm.records.sensing_log import (
+    KNOWN_SD,
+    SensingLog,
+    SensingNoise,
+    Stances,
+    canonical_contacts,
+)
 
 GAINS = (
     "on towers of 100 robots, joint's mean RMSE is 1.0 R from contacts and ground, 0.7 R with "
@@ -76,7 +81,9 @@ def import_poses(path: Path, assumed: Assumptions) -> dict[str, Imported]:
 def _read(path: Path, assumed: Assumptions) -> PoseTable:
     """Read poses in the format that the name of their file or folder says."""
     if path.is_dir() or path.suffix == ".tum":
-        return read_tum(path, dock_radius=assumed.dock_radius)
+        return read_tum(
+            path, dock_radius=assumed.dock_radius, drop_incomplete=assumed.drop_incomplete
+        )
     if path.suffix == ".gsd":
         return read_gsd(path, dock_radius=assumed.dock_radius)
     return read_table(
@@ -134,7 +141,8 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     order, joined = _join_order(
         poses, contacts, anchors, rests, drop_disconnected=assumed.drop_disconnected
     )
-    log = _log(poses, contacts, anchors, order, rests, assumed)
+    stances, early = (None, 0) if rests is None else stances_of(rests, poses, order, assumed)
+    log = _log(poses, contacts, anchors, order, stances, assumed)
     with at_line(path, 1):
         check_header(log)
     refuse_crowds(log, path)
@@ -146,6 +154,10 @@ def _import_run(path: Path, poses: Poses, assumed: Assumptions) -> Imported:
     few = few_contacts(poses, assumed, len(contacts), overlaps)
     # Docks at wrong places stand nowhere, so the ground says nothing more.
     warnings = [*(few or off_the_ground(poses, assumed)), *_unrested(poses, rests)]
+    if early:
+        problem = f"{counted(early, 'contact')} of stances left out: by the time, the other robot "
+        problem += "had not arrived; if robots have clocks of their own, set them to one"
+        warnings.append(f"{problem}, or give a column join")
     return Imported(log, poses.position[order], notes, warnings)
 
 
@@ -210,7 +222,7 @@ def _log(
     contacts: Ints,
     anchors: list[int],
     order: Ints,
-    rests: Rests | None,
+    stances: Stances | None,
     assumed: Assumptions,
 ) -> SensingLog:
     """Derive what the robots in `order` would have sensed at rest."""
@@ -222,15 +234,9 @@ def _log(
     renamed = renamed[(renamed[:, [0, 2]] >= 0).all(axis=1)]
     swapped = renamed[:, 0] > renamed[:, 2]
     renamed[swapped] = renamed[swapped][:, [2, 3, 0, 1]]
-    ground_z = math.nan if assumed.ground_z is None else assumed.ground_z
-    limits = np.array([-assumed.largest_overlap, assumed.largest_gap])
-    level = ground_z + assumed.dock_radius + limits
+    least, greatest = assumed.level
     height = poses.docks[order, :, 2]
-    standing = np.argwhere((height >= level[0]) & (height <= level[1])).astype(np.int32)
-    stances = rests and stances_of(
-        rests, poses, order, spacing=2.0 * assumed.dock_radius + limits, level=level,
-        on_one_clock=poses.join is None,
-    )  # fmt: skip
+    standing = np.argwhere((height >= least) & (height <= greatest)).astype(np.int32)
     known = sorted(anchors[1:], key=lambda row: place[row])
     fixes = [
         (place[row], *axis, along, KNOWN_SD * assumed.dock_radius, -1)

@@ -207,14 +207,28 @@ def _find(header: Sequence[str], meaning: str) -> str:
 def _without_incomplete(text: CsvFile, columns: Iterable[str], *, drop: bool) -> list[str]:
     """Drop rows that lack a number and say so in a line, or refuse them all at once."""
     lines = text.incomplete(columns)
+    note = report_incomplete(text.path, lines, drop=drop)
+    if lines:
+        text.drop(lines)
+    return note
+
+
+def report_incomplete(path: Path, lines: Sequence[int], *, drop: bool, name: str = "") -> list[str]:
+    """Say in a line that rows without a number are dropped, or refuse them all at once.
+
+    Args:
+        path: Their file.
+        lines: Lines of the rows; there may be none.
+        drop: Whether they are dropped.
+        name: Name of the file if it is one of several.
+    """
     if not lines:
         return []
     rows, where = counted(len(lines), "incomplete row"), f"line {line_ranges(lines)}"
     if drop:
-        text.drop(lines)
-        return [f"{rows} dropped: {where}"]
+        return [f"{rows}{f' of {name}' * bool(name)} dropped: {where}"]
     problem = f"{rows}, empty or NaN: {where}; complete them, or drop them with --drop-incomplete"
-    raise InputError(problem, path=text.path, line=lines[0])
+    raise InputError(problem, path=path, line=lines[0])
 
 
 def line_ranges(lines: Collection[int]) -> str:

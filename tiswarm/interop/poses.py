@@ -237,7 +237,8 @@ def _by_robot(table: pd.DataFrame, by: list[str], path: Path) -> pd.DataFrame:
         when = f" at time {first['time']:g}" if "time" in by else ""
         remedy = "keep one" if when else "keep one, or give the time of each in a column time"
         problem = f"{what} {repeated['robot'].iloc[0]} has a row already{when}; {remedy}"
-        raise InputError(problem, path=path, line=int(first["line"]))
+        file = Path(first.get("file", path))  # one of a folder
+        raise InputError(problem, path=file, line=int(first["line"]))
     if not spheres and "time" not in by:
         return table
     robot, _ = pd.factorize(table["robot"])

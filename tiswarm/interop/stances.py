@@ -268,31 +268,29 @@ def stances_of(
     rests: Rests,
     poses: Poses,
     order: Ints,
-    *,
-    spacing: Reals,
-    level: Reals,
-    on_one_clock: bool,
-) -> Stances | None:
+    assumed: Assumptions,
+) -> tuple[Stances | None, int]:
     """Derive what robots sensed at rest before their final poses.
 
-    Contacts are with robots that joined earlier and, on one clock, had reached their final poses.
+    Contacts are with robots that joined earlier and, unless a join order is given, had reached
+    their final poses by the clock.
 
     Args:
         rests: Poses at rest.
         poses: Final poses.
         order: Robots that are in the log, in join order.
-        spacing: Least and greatest distance of two docks in contact, shape (2,).
-        level: Least and greatest height of a dock on the ground, shape (2,); NaN without ground.
-        on_one_clock: Whether times of different robots can be compared.
+        assumed: Limits of contacts, and the ground.
 
     Returns:
-        The stances; None if there are none.
+        The stances, None if there are none; and the number of contacts that only the clock
+        excludes, which is 0 but for chance where all robots have one clock.
     """
     rows = [np.arange(rests.start[robot], rests.last[robot]) for robot in order.tolist()]
     start = np.cumsum([0, *map(len, rows)])
     chosen = np.concatenate(rows)
     if not len(chosen):
-        return None
+        return None, 0
+    spacing, level = assumed.spacing, assumed.level
     turn = rests.orientation_wxyz[chosen]
     docks = rests.position[chosen, None] + dock_offsets(turn, poses.dock_offset_body)
     final, number = poses.docks[order], docks.shape[1]
@@ -305,15 +303,18 @@ def stances_of(
     stance, robot = own // number, other // number
     place = np.repeat(np.arange(len(order)), np.diff(start))
     is_contact = (apart >= spacing[0]) & (robot < place[stance])
-    if on_one_clock:
+    early = np.zeros(len(is_contact), np.bool_)
+    if poses.join is None:
         arrived = rests.begin[rests.last[order]]
-        is_contact &= arrived[robot] <= rests.end[chosen[stance]]
+        early = is_contact & (arrived[robot] > rests.end[chosen[stance]])
+        is_contact &= ~early
     contacts = np.column_stack([stance, own % number, robot, other % number])[is_contact]
     standing = (docks[:, :, 2] >= level[0]) & (docks[:, :, 2] <= level[1])
-    return Stances(
+    stances = Stances(
         start=start,
         orientation_wxyz=turn,
         pivot_dock=rests.pivot[chosen].astype(np.int32),
         contacts=np.unique(contacts, axis=0).astype(np.int32),
         ground_docks=np.argwhere(standing).astype(np.int32),
     )
+    return stances, int(early.sum())

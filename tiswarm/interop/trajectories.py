@@ -16,7 +16,7 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import InputError
 from tiswarm.interop.particles import gsd_library
-from tiswarm.interop.pose_table import QUATERNION, PoseTable, refuse_far
+from tiswarm.interop.pose_table import QUATERNION, PoseTable, refuse_far, report_incomplete
 from tiswarm.records.io import LARGEST, numbered_lines, unreadable
 from tiswarm.records.messages import counted
 from tiswarm.records.sensing_builder import FAR_FROM_UNIT
@@ -88,12 +88,18 @@ def _docks(particles: object, path: Path, dock_radius: float) -> Reals | None:
     return np.array(shape["centers"], np.float64)
 
 
-def read_tum(path: Path, *, dock_radius: float) -> PoseTable:
+def read_tum(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTable:
     """Read a folder of trajectories, one for each robot, or a file with a robot a line.
+
+    Args:
+        path: Folder or file.
+        dock_radius: Radius of a dock sphere.
+        drop_incomplete: Whether to leave out lines with NaN, instead of refusing them.
 
     Raises:
         InputError: a line is malformed, or a file of the folder has no number in its name.
     """
+    notes: list[str] = []
     if path.is_dir():
         tables = []
         for file in sorted(path.glob("*.tum")):
@@ -101,21 +107,24 @@ def read_tum(path: Path, *, dock_radius: float) -> PoseTable:
             if len(numbers) != 1:
                 problem = "the name has no number, or several; name the file as robot_7.tum"
                 raise InputError(problem, path=file)
-            tables.append(_trajectory(file, dock_radius).assign(robot=int(numbers[0])))
+            rows, lines = _trajectory(file, dock_radius)
+            notes += report_incomplete(file, lines, drop=drop_incomplete, name=file.name)
+            tables.append(rows.assign(robot=int(numbers[0]), file=str(file)))
         if not tables:
             raise InputError("there are no files *.tum; add one for each robot", path=path)
-        return PoseTable(pd.concat(tables).assign(run=""), "", (), [])
-    rows = _trajectory(path, dock_radius)
+        return PoseTable(pd.concat(tables).assign(run=""), "", (), notes)
+    rows, lines = _trajectory(path, dock_radius)
+    notes += report_incomplete(path, lines, drop=drop_incomplete)
     rank = rows["time"].argsort(kind="stable").argsort().to_numpy()
     note = "a robot a line, numbered by time; for poses over time, name a folder with a file each"
     return PoseTable(
-        rows.drop(columns="time").assign(robot=rank, join=rank, run=""), "", (), [note]
+        rows.drop(columns="time").assign(robot=rank, join=rank, run=""), "", (), [note, *notes]
     )
 
 
-def _trajectory(path: Path, dock_radius: float) -> pd.DataFrame:
-    """Read the lines of a file, with their numbers."""
-    rows, lines = [], []
+def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
+    """Read the lines of a file, with their numbers, and list the lines that have a NaN."""
+    rows, lines, incomplete = [], [], []
     for line, text in numbered_lines(path, _LONGEST_TEXT):
         cells = text.split()
         if not cells or cells[0].startswith("#"):
@@ -124,6 +133,9 @@ def _trajectory(path: Path, dock_radius: float) -> pd.DataFrame:
             row = [*map(float, cells)]
         except ValueError:
             row = []
+        if len(row) == len(_TUM) and np.isnan(row).any():
+            incomplete.append(line)
+            continue
         if len(row) != len(_TUM) or not np.abs(row).max() <= LARGEST:
             problem = (
                 "is not time, x, y, z, qx, qy, qz, qw; write eight numbers with spaces between"
@@ -135,8 +147,10 @@ def _trajectory(path: Path, dock_radius: float) -> pd.DataFrame:
             raise InputError(problem, path=path, line=line)
         rows.append(row)
         lines.append(line)
-    if not rows:
+    if not rows and not incomplete:
         raise InputError("there are no poses; add a line for each", path=path, line=1)
+    if not rows:
+        raise InputError("no line is complete; add a pose", path=path, line=incomplete[0])
     table = pd.DataFrame(rows, columns=_TUM).assign(line=lines)
     refuse_far(table, path, dock_radius)
-    return table
+    return table, incomplete
