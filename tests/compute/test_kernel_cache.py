@@ -1,6 +1,8 @@
 """A damaged cache of kernels costs time, never a crash."""
 
 import fcntl
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -110,3 +112,18 @@ def test_kernels_outlast_a_reset_by_other_code(monkeypatch, capsys, tmp_path):
         f"tiswarm: warning: a reset() of {LIBRARY} ended kernels; starting them anew\n"
     )
     assert not running.is_cold
+
+
+def test_a_folder_that_another_process_has_just_put_aside_is_empty(cache, monkeypatch):
+    """Locks may not reach other nodes."""
+    make = tempfile.mkdtemp
+
+    def make_later(**options):
+        shutil.rmtree(cache)
+        return make(**options)
+
+    monkeypatch.setattr(tempfile, "mkdtemp", make_later)
+
+    assert not kernel_cache.clear(cache)
+
+    assert cache.is_dir()

@@ -1,8 +1,12 @@
 """Stored cases and structures: what is found, refused and computed again."""
 
 import dataclasses
+import errno
 import json
+import os
 import shutil
+import subprocess
+import sys
 from hashlib import sha256
 from pathlib import Path
 
@@ -10,10 +14,11 @@ import numpy as np
 import pytest
 
 from tests.recorder import Recorder
-from tests.runs import REPOSITORY, assert_same_bytes
+from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results
 from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
+from tiswarm.records.temporary import path_for
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner, store
 from tiswarm.study.cases import plan
@@ -216,6 +221,78 @@ def test_nothing_is_locked_through_a_link(damaged, tmp_path):
         RunFolder(damaged).locked().__enter__()
 
     assert not (tmp_path / "made").exists()
+
+
+def _flock(error=None):
+    """Return a lock that excludes nobody, or that the file system refuses."""
+
+    def flock(*_):
+        if error is not None:
+            raise OSError(error, os.strerror(error))
+
+    return flock
+
+
+def test_a_file_system_without_locks_takes_a_run(tiny, damaged, monkeypatch):
+    """Network folders may have none; a note says what to avoid."""
+    shutil.rmtree(damaged / "cases" / "1-a")
+    monkeypatch.setattr(store.fcntl, "flock", _flock(errno.ENOLCK))
+    progress = Recorder()
+
+    again = study.run(tiny, damaged.parent, progress=progress)
+
+    assert again.computed == 1
+    note = f"{damaged}: no file locks here; start this run only once at a time"
+    assert progress.lines.count(note) == 1
+
+
+@pytest.mark.parametrize("moment", ["reopen", "_publish", "store_cost", "complete"])
+def test_equal_runs_whose_locks_do_not_reach_each_other_store_the_same(
+    tiny, tiny_run, tmp_path, monkeypatch, moment
+):
+    """Another node computes the whole run while this one is about to write."""
+    monkeypatch.setattr(store.fcntl, "flock", _flock())
+    method, found = getattr(RunFolder, moment), []
+
+    def with_another_run(folder, *arguments):
+        if not found:
+            found.append(None)
+            found.append(study.run(tiny, tmp_path, progress=Progress()))
+        return method(folder, *arguments)
+
+    monkeypatch.setattr(RunFolder, moment, with_another_run)
+
+    mine = study.run(tiny, tmp_path, progress=Progress())
+
+    assert not mine.failed
+    assert not found[1].failed
+    assert_same_results(tiny_run, mine.folder)
+    assert json.loads((mine.folder / "manifest.json").read_text())["cases"] == 3
+
+
+def test_what_a_living_process_writes_is_left_alone(damaged):
+    """Of this machine, processes are looked up; of others, nothing stays untouched for an hour."""
+    gone = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    gone.wait()
+    host, _, here, end = path_for(Path("0-a"), "part").name.split(".")[2].split("-")
+    writers = {
+        "mine": f"{host}-{os.getpid()}-{here}-{end}",
+        "with my number": f"{host}-{os.getpid()}-{end}-{end}",
+        "alive": f"{host}-{os.getppid()}-{end}-{end}",
+        "gone": f"{host}-{gone.pid}-{end}-{end}",
+        "elsewhere": f"{'0' * 6}-1-{end}-{end}",
+        "long gone elsewhere": f"{'0' * 6}-2-{end}-{end}",
+        "of an older version": end,
+    }
+    paths = {who: damaged / "cases" / f".{who}.{name}.part" for who, name in writers.items()}
+    for path in paths.values():
+        path.mkdir()
+    os.utime(paths["long gone elsewhere"], (0.0, 0.0))
+
+    with RunFolder(damaged).locked():
+        pass
+
+    assert {who for who, path in paths.items() if path.exists()} == {"mine", "alive", "elsewhere"}
 
 
 def test_a_report_names_what_it_lacks(damaged):

@@ -93,8 +93,9 @@ def _locked(folder: Path) -> Iterator[None]:
 def _put_aside(folder: Path) -> bool:
     """Empty the folder, at once for others that use it; return whether it held kernels."""
     aside = Path(tempfile.mkdtemp(prefix=f"{folder.name}-", dir=folder.parent))
-    folder.rename(aside)
-    folder.mkdir()
+    with contextlib.suppress(FileNotFoundError):  # where locks do not reach each other
+        folder.rename(aside)
+    folder.mkdir(exist_ok=True)
     had_any = any(file.name != _SEAL for file in aside.iterdir())
     shutil.rmtree(aside, ignore_errors=True)
     return had_any

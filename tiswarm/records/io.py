@@ -6,12 +6,12 @@ Files whose names end in `.zst` are compressed by Zstandard, piece by piece.
 import csv
 import json
 import os
-import secrets
 import stat
 import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import asdict
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -23,6 +23,7 @@ from pydantic import TypeAdapter
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
+from tiswarm.records.temporary import path_for
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -299,7 +300,7 @@ def replacing(
     Raises:
         EnvironmentTroubleError: the folder is missing or not writable, or the disk is full.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    temporary = path_for(path, "tmp")
     try:
         with temporary.open("xb") as file:
             with _compressing(file) if path.suffix == ".zst" else nullcontext(file) as content:
@@ -344,12 +345,21 @@ def as_json(content: Mapping[str, Any]) -> bytes:
     return f"{json.dumps(content, indent=1)}\n".encode()
 
 
-def read_json(path: Path, kind: TypeAdapter[_Content]) -> _Content | None:
-    """Read JSON of some kind; None where the file is missing or damaged."""
+def read_json(path: Path, kind: TypeAdapter[_Content], *, exact: bool = False) -> _Content | None:
+    """Read JSON of some kind; None where the file is missing or damaged.
+
+    Args:
+        path: File.
+        kind: Type of the content; a dataclass where it is to be `exact`.
+        exact: Whether bytes that `write_json` would not write are damage, too.
+    """
     try:
-        return kind.validate_json(run_file(path).read_bytes())
+        raw = run_file(path).read_bytes()
+        content = kind.validate_json(raw)
     except (InputError, OSError, ValueError):
         return None
+    is_changed = exact and raw != as_json(asdict(content))  # type: ignore[call-overload]
+    return None if is_changed else content
 
 
 def digest(path: Path) -> str:

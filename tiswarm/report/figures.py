@@ -73,7 +73,7 @@ def draw_figures(run: RunData, progress: Progress, *, vector: bool = False) -> l
     folder = run.folder / "figures"
     for path in {path for form in _FORMS for path in folder.glob(f"*.{form}")} - {*written}:
         if outputs.is_own(path):
-            path.unlink()
+            path.unlink(missing_ok=True)
     return written
 
 

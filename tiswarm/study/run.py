@@ -76,7 +76,7 @@ def run(
     number, count = execution.shard
     mine = whole.structures[number - 1 :: count]
     part = "" if count == 1 else f"{number}-of-{count}"
-    with RunFolder.opened(scenario, parent, part) as folder:
+    with RunFolder.opened(scenario, parent, progress, part) as folder:
         stored = _read_stored(mine, folder, progress)
         missing = _without(mine, stored)
         outcomes: list[Outcome] = []

@@ -1,11 +1,12 @@
 """The run folder: cases appear whole or not at all, and are identified by their content."""
 
+import errno
 import fcntl
 import json
 import os
-import secrets
 import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, field, replace
 from hashlib import sha256
@@ -19,12 +20,13 @@ from pydantic.dataclasses import dataclass
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import registered
+from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
 from tiswarm.compute import backend
+from tiswarm.records import temporary
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame
 from tiswarm.records.io import (
-    as_json,
     digest,
     make_folder,
     read_json,
@@ -48,9 +50,6 @@ TRACEBACK = "traceback.txt"
 """File of a case that failed in a plug-in."""
 
 _LOCK = ".lock"
-_PARTIAL = ".*." + "[0-9a-f]" * 8 + "."
-"""Names of files and folders that are being written, without their end."""
-
 _TABLES = ("robots", "convergence", "growth", "relative")
 """Tables of a finished case."""
 
@@ -59,6 +58,15 @@ _CASE_FILES = {
     *(f"{name}.csv" for name in _TABLES),
 }
 """All files that a case may have."""
+
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
+"""Errors of a file system that has no locks."""
+
+_REPLACED = {errno.ENOENT, errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR}
+"""Errors of a write while another run replaces the folder."""
+
+_WAITS_S = (0.05, 0.2, 1.0)
+"""Times to wait until it has [s]."""
 
 _COST_KIND = TypeAdapter(Cost, config=STRICT)
 _COSTS_KIND = TypeAdapter(Mapping[str, Cost], config=STRICT)
@@ -114,10 +122,6 @@ class CaseRecord:
         content = json.dumps(asdict(replace(self, digest="")))
         return replace(self, digest=sha256(content.encode()).hexdigest())
 
-    def written(self) -> bytes:
-        """Return the bytes of `case.json`."""
-        return as_json(asdict(self))
-
 
 _RECORD_KIND = TypeAdapter(CaseRecord)
 
@@ -165,55 +169,75 @@ class RunFolder:
 
     @classmethod
     @contextmanager
-    def opened(cls, scenario: Scenario, parent: Path, shard: str = "") -> "Iterator[RunFolder]":
+    def opened(
+        cls, scenario: Scenario, parent: Path, progress: Progress, shard: str = ""
+    ) -> "Iterator[RunFolder]":
         """Make or open the folder of a scenario, and keep other runs out while the block runs."""
         folder = cls.of(scenario, parent)
-        with folder.locked(shard):
+        with folder.locked(shard) as has_locks:
+            if not has_locks:
+                progress.info(
+                    f"{folder.path}: no file locks here; start this run only once at a time"
+                )
             yield folder
 
     @contextmanager
-    def locked(self, shard: str = "") -> Iterator[None]:
+    def locked(self, shard: str = "") -> Iterator[bool]:
         """Keep other runs out of the folder, except those of other shards, which have names.
 
-        The system releases a lock when its process ends, in any way. Partial files are removed
-        at both ends of the block, as a process that is killed leaves some.
+        The system releases a lock when its process ends, in any way. What such processes left half
+        written is removed at both ends of the block. Locks may not reach other machines, and some
+        file systems have none: two equal runs then do the same work and store the same bytes.
+
+        Yields:
+            Whether the file system has locks.
 
         Raises:
             EnvironmentTroubleError: another run computes here.
         """
         with ExitStack() as locks:
-            self._lock(locks, _LOCK, fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
+            has_locks = self._lock(locks, _LOCK, fcntl.LOCK_SH if shard else fcntl.LOCK_EX)
             if shard:
                 self._lock(locks, f".lock-{shard}", fcntl.LOCK_EX)
             else:
                 self._remove_partial_files()
                 locks.callback(self._remove_partial_files)
-            yield
+            yield has_locks
 
-    def _lock(self, locks: ExitStack, name: str, kind: int) -> None:
+    def _lock(self, locks: ExitStack, name: str, kind: int) -> bool:
+        """Lock a file until the stack ends; return whether the file system has locks."""
         path = self.path / name
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            fcntl.flock(locks.enter_context(os.fdopen(descriptor)), kind | fcntl.LOCK_NB)
+        except OSError as error:
+            msg = f"{path}: cannot be locked: {error.strerror}; choose another --out"
+            raise EnvironmentTroubleError(msg) from error
+        file = locks.enter_context(os.fdopen(descriptor))
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
         except BlockingIOError as error:
             msg = f"{self.path}: another run is at work here; wait for it, or choose another --out"
             raise EnvironmentTroubleError(msg) from error
         except OSError as error:
+            if error.errno in _NO_LOCKS:
+                return False
             msg = f"{path}: cannot be locked: {error.strerror}; choose another --out"
             raise EnvironmentTroubleError(msg) from error
+        return True
 
     def _remove_partial_files(self) -> None:
-        for partial in [*self.cases.glob(_PARTIAL + "part"), *self.path.rglob(_PARTIAL + "tmp")]:
-            remove(partial)
+        for partial in [*self.cases.glob(".*.part"), *self.path.rglob(".*.tmp")]:
+            if temporary.is_abandoned(partial):
+                remove(partial)
 
     def read_case(self, name: str) -> CaseRecord | None:
         """Read a case, finished or failed; None where a file is missing or damaged, or a link."""
         folder = self.cases / name
         path = folder / "case.json"
-        record = read_json(path, _RECORD_KIND)
+        record = read_json(path, _RECORD_KIND, exact=True)
         if record is None or record.case != name or folder.is_symlink():
             return None
-        if record.digest != record.sealed().digest or path.read_bytes() != record.written():
+        if record.digest != record.sealed().digest:
             return None
         complete = not record.is_done or {f"{name}.csv" for name in _TABLES} <= set(record.files)
         intact = all(digest(folder / file) == sha for file, sha in record.files.items())
@@ -226,12 +250,12 @@ class RunFolder:
 
     def store_failure(self, record: CaseRecord, traceback: str = "") -> CaseRecord:
         """Store a case that failed, with its traceback if it has one; the next run tries again."""
-        folder = self._new_folder(record.case)
-        if traceback:
-            why = f"{record.reason}; cases/{record.case}/{TRACEBACK} has the traceback"
-            record = replace(record, reason=why)
-            write_bytes(folder / TRACEBACK, traceback.encode())
-        self._publish(record, folder)
+        with self._new_folder(record.case) as folder:
+            if traceback:
+                why = f"{record.reason}; cases/{record.case}/{TRACEBACK} has the traceback"
+                record = replace(record, reason=why)
+                write_bytes(folder / TRACEBACK, traceback.encode())
+            self._publish(record, folder)
         return record
 
     def store(
@@ -245,37 +269,43 @@ class RunFolder:
         cost: Mapping[str, Cost],
     ) -> CaseRecord:
         """Write a case, make it appear at once, and return its record with the digests."""
-        folder = self._new_folder(record.case)
-        write_sensing_log(log, folder / "sensing.jsonl")
-        write_positions(folder / "truth.csv", truth.robot_id, truth.position)
-        write_estimate(folder / "estimate.csv", estimate)
-        for name in _TABLES:
-            write_frame(tables[name], folder / f"{name}.csv")
-        write_trace(folder / "trace.csv", estimate)
-        files = {path.name: digest(path) for path in sorted(folder.iterdir())}
-        write_json(folder / _COST, cost)
-        complete = replace(record, files=files)
-        self._publish(complete, folder)
+        with self._new_folder(record.case) as folder:
+            write_sensing_log(log, folder / "sensing.jsonl")
+            write_positions(folder / "truth.csv", truth.robot_id, truth.position)
+            write_estimate(folder / "estimate.csv", estimate)
+            for name in _TABLES:
+                write_frame(tables[name], folder / f"{name}.csv")
+            write_trace(folder / "trace.csv", estimate)
+            files = {path.name: digest(path) for path in sorted(folder.iterdir())}
+            write_json(folder / _COST, cost)
+            complete = replace(record, files=files)
+            self._publish(complete, folder)
         return complete
 
-    def _new_folder(self, name: str) -> Path:
-        """Make an empty folder, which the next run removes if this one is killed."""
-        folder = self.cases / f".{name}.{secrets.token_hex(4)}.part"
+    @contextmanager
+    def _new_folder(self, name: str) -> Iterator[Path]:
+        """Make an empty folder for a case, which is gone at the end unless it was published."""
+        folder = temporary.path_for(self.cases / name, "part")
         folder.mkdir()
-        return folder
+        try:
+            yield folder
+        finally:
+            remove(folder)
 
     def _publish(self, record: CaseRecord, folder: Path) -> None:
-        write_bytes(folder / "case.json", record.sealed().written())
-        target = self.cases / record.case
-        _keep_others(target, folder)
-        remove(target)
-        try:
+        """Give the folder of a case its name, unless another run has just stored the same case."""
+        record = record.sealed()
+        write_json(folder / "case.json", asdict(record))
+
+        def publish() -> None:
+            if record.is_done and self.read_case(record.case) == record:
+                return
+            target = self.cases / record.case
+            _keep_others(target, folder)
+            remove(target)
             folder.rename(target)
-        except OSError:
-            if not target.is_dir():
-                raise
-            # A worker that outlived its run has stored the same case a moment ago.
-            remove(folder)
+
+        _again_while_replaced(publish)
 
     def read_cost(self, name: str) -> Mapping[str, Cost]:
         """Read the cost of a case by stage; empty where it is unknown."""
@@ -287,7 +317,7 @@ class RunFolder:
 
     def store_cost(self, name: str, cost: Mapping[str, Cost]) -> None:
         """Write the cost of a stored case by stage."""
-        write_json(self.cases / name / _COST, cost)
+        _again_while_replaced(lambda: write_json(self.cases / name / _COST, cost))
 
     def read_structure(self, case: Case) -> tuple[History, Cost] | None:
         """Read the structure of a case, and the cost of growing it; None where it is not kept."""
@@ -301,9 +331,13 @@ class RunFolder:
     def keep_structure(self, case: Case, history: History, cost: Cost) -> None:
         """Keep a structure that took long to grow until all cases of the run are done."""
         path = self._structure_path(case)
-        make_folder(path.parent)
-        write_json(path.with_suffix(".json"), cost)
-        write_history(history, path)
+
+        def keep() -> None:
+            make_folder(path.parent)
+            write_json(path.with_suffix(".json"), cost)
+            write_history(history, path)
+
+        _again_while_replaced(keep)
 
     def reopen(self) -> None:
         """Remove what describes a complete run, as cases are to be computed."""
@@ -353,8 +387,20 @@ def _keep_others(old: Path, new: Path) -> None:
     """Move files of somebody else from the folder of a case to the one that is to replace it."""
     if old.is_dir() and not old.is_symlink():
         for path in old.iterdir():
-            if path.name not in _CASE_FILES:
+            if path.name not in _CASE_FILES and not temporary.is_temporary(path):
                 path.rename(new / path.name)
+
+
+def _again_while_replaced(write: Callable[[], None]) -> None:
+    """Write, and again soon after where an equal run has just removed or made the folder."""
+    for wait in _WAITS_S:
+        try:
+            return write()
+        except (EnvironmentTroubleError, OSError) as error:
+            if getattr(error.__cause__ or error, "errno", None) not in _REPLACED:
+                raise
+            time.sleep(wait)
+    return write()
 
 
 def remove(path: Path) -> None:
