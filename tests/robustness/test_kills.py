@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -14,7 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results, environment
+from tests.robustness.studies import END_S, Study
+from tests.runs import assert_same_bytes, assert_same_results
 from tiswarm.compute.backend import available_threads
 
 pytestmark = pytest.mark.slow
@@ -26,42 +26,21 @@ STUDY = (
 )
 """Settings of eight cases of two methods."""
 CASES = 8
-END_S = 600.0
-"""Wall time in which a study ends that nobody disturbs [s]."""
 NOBODY_S = 20.0
 """Wall time in which processes end whose parent was killed [s]; they look once a second."""
 
 
-class _Study:
-    """Command of a study, and its folder."""
+def _study(out: Path, cache: Path) -> Study:
+    return Study(out, cache, STUDY)
 
-    def __init__(self, out: Path, cache: Path) -> None:
-        self.out = out
-        self.said = out.with_suffix(".txt")
-        # A separate cache of kernels, since a killed process may leave a damaged one.
-        self.environment = environment(XDG_CACHE_HOME=str(cache))
 
-    def start(self, *options: str) -> "subprocess.Popen[bytes]":
-        """Start the command in its own process group."""
-        settings = [part for text in STUDY for part in ("--set", text)]
-        command = [sys.executable, "-m", "tiswarm", "run", "tests/tower.yaml", *settings]
-        with self.said.open("wb") as said:
-            return subprocess.Popen(
-                [*command, "--out", self.out, *options],
-                cwd=REPOSITORY,
-                env=self.environment,
-                stdout=said,
-                stderr=said,
-                start_new_session=True,
-            )
-
-    def moment(self) -> str:
-        """Return how many cases are stored, or else which drawing was reported last."""
-        stored = len([*self.out.glob("*/cases/[!.]*/case.json")])
-        if stored < CASES:
-            return f"{'no' if stored == 0 else 'some'} cases stored"
-        drawn = re.findall(r"^(figures|renders)/", self.said.read_text(), flags=re.MULTILINE)
-        return f"all cases stored{''.join(f', some {what} drawn' for what in drawn[-1:])}"
+def _moment(study: Study) -> str:
+    """Return how many cases are stored, or else which drawing was reported last."""
+    stored = len([*study.out.glob("*/cases/[!.]*/case.json")])
+    if stored < CASES:
+        return f"{'no' if stored == 0 else 'some'} cases stored"
+    drawn = re.findall(r"^(figures|renders)/", study.said.read_text(), flags=re.MULTILINE)
+    return f"all cases stored{''.join(f', some {what} drawn' for what in drawn[-1:])}"
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +53,10 @@ def undisturbed(tmp_path_factory):
     plain = "--no-pictures"
     runs = [(plain, half), (plain, None), (plain, None), ("--pictures", None)]
     for number, (pictures, threads) in enumerate(runs):
-        study = _Study(temporary / str(number), cache)
+        study = _study(temporary / str(number), cache)
         limited = [] if threads is None else ["--threads", str(threads)]
         begun = time.monotonic()
-        assert study.start(pictures, *limited).wait(END_S) == 0, study.said.read_text()
+        study.finish(pictures, *limited)
         found[pictures] = study.out, time.monotonic() - begun
     return cache, found
 
@@ -86,10 +65,10 @@ def undisturbed(tmp_path_factory):
 def study(undisturbed, tmp_path):
     """Return a study to disturb."""
     cache, _ = undisturbed
-    return _Study(tmp_path / "killed", cache)
+    return _study(tmp_path / "killed", cache)
 
 
-def _assert_nothing_amiss(whole: Path, study: _Study, compare) -> None:
+def _assert_nothing_amiss(whole: Path, study: Study, compare) -> None:
     """Compare all bytes except measured ones, and look for leftovers; then remove the folder."""
     a, b = next(whole.iterdir()), next(study.out.iterdir())
     compare(a, b)
@@ -127,7 +106,7 @@ def test_killed_studies_lose_and_double_nothing(trial, undisturbed, study, end, 
             end(process)
             process.wait()
             killed += 1
-            trial.outcomes[study.moment()] += 1
+            trial.outcomes[_moment(study)] += 1
             continue
         with trial.attempt(killed, study.said):
             assert status == 0, study.said.read_text()
@@ -156,7 +135,7 @@ def test_studies_outlive_children_that_are_killed(trial, undisturbed, study):
                 with suppress(psutil.NoSuchProcess):  # it has just ended
                     random.choice(children).kill()
                     killed += 1
-                    trial.outcomes[study.moment()] += 1
+                    trial.outcomes[_moment(study)] += 1
                 at = time.monotonic() + random.uniform(0.0, takes / 2.0)
         status, said = process.wait(END_S), study.said.read_text()
         again = study.start(pictures).wait(END_S)
