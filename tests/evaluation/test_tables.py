@@ -90,8 +90,9 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
         localize(log, VirtualForceParams(iterations=1)), convergence=None, mirrored=None
     )
     at_odds = Convergence(
-        converged=True, consistent=False, misfit_sd=27.0, sd_factor=3.1, chains=8, restarted=0
-    )
+        converged=True, consistent=False, spare=900, misfit_sd=27.0, sd_factor=3.1, chains=8,
+        restarted=0,
+    )  # fmt: skip
     judged = dataclasses.replace(estimate, convergence=at_odds, mirrored=np.arange(30) < 4)
     naming = dataclasses.replace(judged, outlier_robots=np.array([7, 12]))
 
@@ -101,8 +102,9 @@ def test_scores_have_both_verdicts_and_the_count_of_mirrored_robots(towers):
     )
 
     assert {"converged", "consistent", "mirrored", "suspects"} & set(silent) == set()
-    names = ("converged", "consistent", "misfit_sd", "sd_factor", "mirrored", "suspects")
-    assert [found[name] for name in names] == [True, False, 27.0, 3.1, 4, 0]
+    names = ("converged", "consistent", "testable", "misfit_sd", "sd_factor", "mirrored")
+    assert [found[name] for name in names] == [True, False, True, 27.0, 3.1, 4]
+    assert (found["spare_measurements"], found["suspects"]) == (900, 0)
     assert named["suspects"] == 2
 
 

@@ -162,3 +162,17 @@ def test_the_sd_of_others_excuses_no_robot_that_is_far_off(off, converged):
     found = assess(log, ("fixes",), position, is_guess=np.zeros(13, bool), sd=sd)
 
     assert found.convergence.converged == converged
+
+
+@pytest.mark.parametrize("ranged", [False, True])
+def test_consistency_is_testable_only_with_spare_measurements(ranged):
+    """Three fixes a robot fit any lie; a range between any two of five robots shows one."""
+    _, place = foreign.without_beacons(5, 0)
+    log = foreign.with_places(foreign.silent(place), place, range(1, 5))
+    log = foreign.with_all_ranges(log, place, sd=0.0, seed=0, stated=0.1) if ranged else log
+
+    found = assess(log, ("fixes", "ranges"), place / log.dock_radius, is_guess=np.zeros(5, bool))
+
+    verdict = found.convergence
+    assert verdict.consistent
+    assert (verdict.testable, verdict.spare) == (ranged, 10 * ranged)

@@ -253,6 +253,8 @@ def test_a_clean_tower_converges_and_is_consistent(tower):
     assert verdict.reason == ""
     assert verdict.sd_factor == 1.0
     assert verdict.misfit_sd < 5.0
+    assert verdict.testable
+    assert verdict.spare > 3 * len(tower.position)
 
 
 def test_docks_of_another_length_are_not_consistent(tower):

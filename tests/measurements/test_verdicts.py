@@ -81,6 +81,21 @@ def test_a_trusted_estimate_says_how_many_configurations_fit(log, estimate):
     assert distrust(log, mirrored) == ""
 
 
+def test_an_estimate_is_not_called_consistent_where_nothing_could_show_that_it_is_not(
+    log, estimate
+):
+    """As few spare measurements as these fit any lie."""
+    few = replace(GOOD, testable=False, spare=28)
+
+    assert headline(log, replace(estimate, convergence=few)) == (
+        "converged; consistency not testable (28 spare measurements)"
+    )
+    assert headline(log, replace(estimate, convergence=replace(few, spare=1))).endswith(
+        "(1 spare measurement)"
+    )
+    assert distrust(log, replace(estimate, convergence=few)) == ""
+
+
 def test_an_estimate_that_did_not_converge_states_the_reason_that_the_method_gave(log, estimate):
     """A chi-square as expected is not the reason, so that the line does not contain it."""
     lost = replace(estimate, convergence=LOST)

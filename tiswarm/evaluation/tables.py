@@ -342,7 +342,9 @@ def _calibration(truth: Truth, estimate: Estimate, unknown: Bools) -> dict[str, 
         scores["coverage_90"] = _mean(error <= MOST_WITHIN * sd)
     if (found := estimate.convergence) is not None:
         scores |= {"converged": found.converged, "consistent": found.consistent}
-        scores |= {"misfit_sd": found.misfit_sd, "sd_factor": found.sd_factor}
+        scores |= {"testable": found.testable, "misfit_sd": found.misfit_sd}
+        scores |= {} if found.spare is None else {"spare_measurements": found.spare}
+        scores |= {"sd_factor": found.sd_factor}
         scores |= {"chains": found.chains, "restarted_chains": found.restarted}
     if estimate.mirrored is not None:
         scores["mirrored"] = int(estimate.mirrored.sum())

@@ -129,6 +129,8 @@ def assess(
     verdicts = Convergence(
         converged=not reason,
         consistent=is_consistent,
+        testable=not is_consistent or is_large or found.freedom == freedom,
+        spare=None if is_large else found.freedom,
         misfit_sd=misfit_sd,
         sd_factor=factor,
         reason=reason or ("" if is_consistent else "noise as stated does not explain all rows"),

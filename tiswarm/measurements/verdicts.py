@@ -52,7 +52,14 @@ def headline(log: SensingLog, estimate: Estimate) -> str:
         return text
     if estimate.convergence is None:
         return ""
-    return "; ".join(["converged", *_fitting(estimate), *_mirrored(log, estimate)])
+    found = ["converged", *_untestable(estimate.convergence)]
+    return "; ".join([*found, *_fitting(estimate), *_mirrored(log, estimate)])
+
+
+def _untestable(found: Convergence) -> Iterator[str]:
+    """State that too few measurements are spare to find that the log is not consistent."""
+    if not found.testable:
+        yield f"consistency not testable ({counted(found.spare or 0, 'spare measurement')})"
 
 
 def verdict(estimate: Estimate) -> str:

@@ -61,7 +61,16 @@ class Convergence:
     its measurements."""
 
     consistent: bool
-    """Whether noise as stated explains the least cost, outliers left out."""
+    """Whether noise as stated explains the least cost, outliers left out. True without any check
+    unless `testable`."""
+
+    testable: bool = True
+    """Whether the log could be found not consistent: it was, or its spare measurements are at least
+    a quarter of the unknown coordinates."""
+
+    spare: int | None = None
+    """Spare measurements: those beyond the unknowns that they determine, the degrees of freedom of
+    the chi-square. None where they were not counted."""
 
     misfit_sd: float
     """Excess of the least chi-square over its expectation, in standard deviations of a chi-square;

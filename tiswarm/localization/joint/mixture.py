@@ -56,8 +56,11 @@ class Minimum(NamedTuple):
     chi_square: float
     """The same without overlaps [1]."""
 
+    spare: int | None
+    """Measurements beyond the unknowns that they determine; None where they were not counted."""
+
     freedom: int
-    """Degrees of freedom of the chi-square."""
+    """Degrees of freedom of the chi-square: those, or what stands for them where they are few."""
 
     square: Reals
     """Part of the chi-square that each measurement carries [1], shape (E,)."""
@@ -199,7 +202,7 @@ def _minima(
 def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Minimum:
     """Take the mean of all chains of a structure that is too large to be refined."""
     square = np.where(inlier, ends.missed[int(ends.cost.argmin())], 0.0)
-    spare = MIXTURE.spare * 3.0 * (len(sd) - 1)
+    least = MIXTURE.spare * 3.0 * (len(sd) - 1)
     position = np.asarray(np.tensordot(ends.weight, annealed.mean, 1), np.float64)
     return Minimum(
         configuration=position,
@@ -209,7 +212,8 @@ def _unrefined(annealed: Annealed, ends: Ends, inlier: Bools, sd: Reals) -> Mini
         is_held=np.zeros(len(sd), np.bool_),
         cost=float(square.sum()),
         chi_square=float(square.sum()),
-        freedom=max(int(inlier.sum()), int(spare)),
+        spare=None,
+        freedom=max(int(inlier.sum()), int(least)),
         square=square,
         log_volume=0.0,
         chains=int((ends.weight > 0.0).sum()),
@@ -319,6 +323,8 @@ def _convergence(
     return Convergence(
         converged=converged,
         consistent=is_consistent,
+        testable=not is_consistent or best.spare in {None, best.freedom},
+        spare=best.spare,
         misfit_sd=misfit_sd,
         sd_factor=factor,
         reason=reason,
@@ -383,7 +389,8 @@ def minimum(
         is_held=is_held,
         cost=linear.cost,
         chi_square=linear.chi_square,
-        freedom=max(linear.freedom(), int(MIXTURE.spare * 3 * (len(sd) - 1))),
+        spare=(spare := linear.freedom()),
+        freedom=max(spare, int(MIXTURE.spare * 3 * (len(sd) - 1))),
         square=square,
         log_volume=linear.log_volume,
         chains=int(members.sum()),

@@ -130,7 +130,7 @@ def warned(log: SensingLog, estimate: Estimate) -> Estimate:
     if verdict is None or not reason:
         return estimate
     if verdict.trusted:
-        verdict = replace(verdict, consistent=False, reason=reason)
+        verdict = replace(verdict, consistent=False, testable=True, reason=reason)
     named = stuck if len(stuck) else None
     return replace(estimate, convergence=verdict, outlier_robots=named)
 
