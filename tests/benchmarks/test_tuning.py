@@ -73,7 +73,7 @@ def test_the_command_writes_the_record(tmp_path, record):
     ("robots", "seeds", "conditions", "message"),
     [
         (8, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
-        (8, "1", ["no-zz"], "condition: no condition 'no-zz'; choose among baseline"),
+        (8, "1", ["no-zz"], "condition: no condition 'no-zz'; choose among all-cues"),
         (
             9,
             "1",

@@ -13,7 +13,7 @@ from tiswarm.scenario.expansion import load_scenario, variants
 from tiswarm.sensing import SensingParams, observe
 from tiswarm.world.growth import grow
 
-CONDITIONS = ["baseline", "no-z", "no-z-no-undock"]
+CONDITIONS = ["all-cues", "no-z", "no-z-no-undock"]
 EQUAL = 1e-6
 """Allowed difference [R]. Sums are rounded in another order, and stable gains let 1e-15 grow to
 some 1e-12. A misfit that close to the stop would cost one program a step more."""
