@@ -509,7 +509,7 @@ def test_shapes_are_compared_in_accuracy_and_structure(tmp_path):
     assert len({line.get_color() for line in modes.lines}) == 2
 
 
-@pytest.mark.parametrize(("cases", "bars"), [(2, 0), (4, 2)])
+@pytest.mark.parametrize(("cases", "bars"), [(2, 0), (5, 2)])
 def test_few_structures_are_drawn_instead_of_an_interval(tmp_path, cases, bars):
     """An interval over two structures says nothing; small means are visible beside great ones."""
     header = "condition,cases,paper_rmse_radii,paper_procrustes_disparity"

@@ -15,7 +15,6 @@ from tiswarm.base.progress import Progress
 from tiswarm.records.run_folder import Manifest, Origin
 from tiswarm.report import space
 from tiswarm.report.captions import caption_of
-from tiswarm.report.comparison import conclusion
 from tiswarm.report.figures import draw_figures
 from tiswarm.report.headline import result_of
 from tiswarm.report.page import write_page
@@ -28,7 +27,7 @@ from tiswarm.report.page_tables import (
 from tiswarm.report.remarks import notes_of, warnings_of
 from tiswarm.report.render.pictures import build_pictures
 from tiswarm.report.run_data import load_run
-from tiswarm.report.space import build_view
+from tiswarm.report.space import build_view, first_series
 from tiswarm.report.swarm_view import read_case_view
 
 SUMMARY = "case,seed,condition,status,reason,rmse_R,floppy_modes,disconnected"
@@ -51,7 +50,7 @@ def test_a_run_without_results_has_a_page(odd_run):
     page = write_page(load_run(odd_run), Progress()).read_text()
 
     assert "1 of 1 cases failed" in page
-    assert '<p class="result">no case was finished.</p>' in page
+    assert '<p class="result">No case was finished.</p>' in page
     assert 'id="view"' not in page
     assert len(page) < 50_000
 
@@ -152,6 +151,31 @@ def test_the_view_shows_each_series_once(run_folder):
         assert len(face) == 4
 
 
+@pytest.mark.parametrize(
+    ("methods", "first"),
+    [
+        (["joint", "virtual-force", "virtual-force together", "joint"], ["c", "b"]),
+        (["virtual-force", "joint", "virtual-force", "joint"], ["c", "a"]),
+        (["virtual-force", "joint", "joint", "joint"], ["c", "a"]),
+        (["joint", "hop-by-hop", "online", "joint"], ["c", "a"]),
+        (["joint", "joint", "joint", "virtual-force"], ["d"]),
+        ([""] * 4, ["c", "a"]),
+    ],
+    ids=["best", "best-is-algorithm-1", "first", "without", "at-another-point", "old"],
+)
+def test_the_view_opens_on_the_best_beside_algorithm_1(methods, first, tmp_path):
+    """Readers meet the least error first, and what it is to be compared with."""
+    rows = [
+        [f"0-{name}", "done", name, point, method, 12, rmse]
+        for name, method, rmse, point in zip(
+            "abcd", methods, [2.0, 3.0, 1.0, 0.5], ["N=1", "N=1", "N=1", "N=2"], strict=True
+        )
+    ]
+    write_summary(tmp_path, "case,status,series,point,method,robots,rmse_R", rows)
+
+    assert first_series(load_run(tmp_path)) == first
+
+
 def test_of_many_robots_the_first_to_join_are_shown(run_folder, monkeypatch):
     """The page stays small, and a note states the limit."""
     monkeypatch.setattr(space, "MOST_ROBOTS", 5)
@@ -239,61 +263,9 @@ def test_cases_that_are_not_consistent_are_named_with_the_reason():
     assert too_good.endswith("At most, chi-square is below its expectation by 8 sd.")
 
 
-def _pairs(first, second, *, rmse=(1.0, 2.0), equal=True, structures=2, **point):
-    """Return the difference of two conditions on some structures, in all of which it has a sign."""
-    smaller = structures if rmse[1] < rmse[0] else 0
-    return {
-        "condition": second, "against": first, **point, "measure": "rmse_R",
-        "structures": structures, "smaller": smaller, "equal_measurements": equal,
-    }  # fmt: skip
-
-
-def test_the_conclusion_counts_the_sweep_points_that_a_condition_wins():
-    """Conditions are compared at the same sweep point only."""
-    table = pd.DataFrame({"condition": [*"abab"], "tilt": [0, 0, 1, 1], "cases": 2})
-    texts = []
-    for rmse in ([1.0, 2.0, 9.0, 3.0], [1.0, 2.0, 1.0, 3.0]):
-        pairs = [_pairs("a", "b", rmse=rmse[:2], tilt=0), _pairs("a", "b", rmse=rmse[2:], tilt=1)]
-        texts.append(conclusion(table.assign(rmse_R_mean=rmse), pd.DataFrame(pairs)))
-
-    same = "With the same measurements, a has the smallest RMSE at "
-    assert texts == [same + "1 of 2 points, b at 1", same + "2 of 2 points"]
-
-
-def test_swept_methods_are_compared_under_each_condition():
-    """Conditions are levels of noise there, and no noise would always win."""
-    table = pd.DataFrame({"condition": ["none", "much"] * 2, "cases": 2})
-    table.insert(1, "localization.method", [*"aabb"])
-    rmse = np.array([1.0, 9.0, 2.0, 10.0])
-    table = table.assign(rmse_R_mean=rmse, rmse_R_least=rmse - 0.1, rmse_R_most=rmse + 0.1)
-
-    text = conclusion(table.assign(measurements="contacts"), pd.DataFrame())
-
-    assert text == "With the same measurements, a has the smallest RMSE under 2 of 2 conditions"
-    others = ["contacts", "contacts", "ranges", "ranges"]
-    assert conclusion(table.assign(measurements=others), pd.DataFrame()) == ""
-
-
-def test_large_ratios_have_no_exponent():
-    """Nobody reads 2.56e+03 at a glance."""
-    table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [0.001, 2.56]})
-
-    text = conclusion(table, pd.DataFrame([_pairs("a", "b")]))
-
-    assert text.endswith("that of b is 2560 times as large")
-
-
-@pytest.mark.parametrize("change", [{"equal_measurements": False}, {"smaller": 1}])
-def test_conditions_that_cannot_be_compared_are_not(change):
-    """More measurements are no better method, and half of the structures no proof."""
-    table = pd.DataFrame({"condition": [*"ab"], "cases": 2, "rmse_R_mean": [1.0, 2.0]})
-
-    assert conclusion(table, pd.DataFrame([_pairs("a", "b") | change])) == ""
-
-
 def test_intervals_need_some_structures():
-    """A mean of fewer than four has a range; conditions are sorted by error."""
-    table = pd.DataFrame({"condition": ["a", "b", "c"], "cases": [4, 3, 1]})
+    """A mean of fewer than five has a range; conditions are sorted by error."""
+    table = pd.DataFrame({"condition": ["a", "b", "c"], "cases": [5, 4, 1]})
     table = table.assign(rmse_R_mean=[2.0, 0.5, 0.012345], rmse_R_ci95=[0.25, 1.0, np.nan])
     table = table.assign(rmse_R_least=[1.0, 0.25, 0.012345], rmse_R_most=[3.0, 0.75, 0.012345])
 
@@ -304,10 +276,10 @@ def test_intervals_need_some_structures():
         "0.0123", "0.500 (0.250 to 0.750)", "2.00 ± 0.25",
     ]  # fmt: skip
     assert shown.note.count("95 % CI") == 1
-    assert "fewer than 4 structures" in shown.note
+    assert "fewer than 5 structures" in shown.note
 
 
-def test_measurements_beyond_those_of_all_are_beside_the_error():
+def test_measurements_beyond_those_of_all_have_a_column():
     """A reader sees which conditions can be compared; one that failed measures nothing."""
     table = pd.DataFrame(
         {"condition": [*"abc"], "cases": [2, 2, 0], "rmse_R_mean": [1.0, 2.0, None]}
@@ -317,12 +289,32 @@ def test_measurements_beyond_those_of_all_are_beside_the_error():
     shown = headline_table(table.assign(measurements=used))
     alike = headline_table(table.assign(measurements=used[1]))
 
-    assert shown.frame["condition"].tolist() == ["a + walk contacts", "b", "c"]
-    assert "All conditions use contacts, height; + names" in shown.note
-    assert alike.frame["condition"].tolist() == [*"abc"]
+    assert shown.frame["condition"].tolist() == [*"abc"]
+    assert shown.frame["also uses"].tolist() == ["contacts on the way", "", ""]
+    assert "All conditions use contacts and heights." in shown.note
+    assert "also uses" not in alike.frame
 
 
-def test_disconnected_robots_are_stated_beside_the_error():
+def test_p_needs_five_structures():
+    """Of three structures, p is .25 at best: noise beside the numbers."""
+    rows = pd.DataFrame({"condition": [*"bc"], "against": "a", "measure": "rmse_R"})
+    rows = rows.assign(
+        structures=[4, 5], difference_mean=1.0, difference_ci95=0.5, smaller=0,
+        equal_measurements=1, wilcoxon_p=[0.125, 0.0625],
+    )  # fmt: skip
+    table = pd.DataFrame({"condition": [*"abc"], "cases": 5, "paper_rmse_radii": None})
+
+    some, none = (
+        next(t for t in result_tables(table, pairs) if t.title.startswith("Differences"))
+        for pairs in (rows, rows[:1])
+    )
+
+    assert some.frame["p"].tolist() == ["", "0.0625"]
+    assert "p" not in none.frame
+    assert "Wilcoxon" not in none.note
+
+
+def test_disconnected_robots_are_stated_beside_the_error(tmp_path):
     """An unfinished bridge must not look like a bad method."""
     table = pd.DataFrame({"condition": [*"ab"], "cases": 1, "rmse_R_mean": [18.3, 17.0]})
     lost = table.assign(disconnected_mean=[15.0, 0.0], joined_mean=30.0)
@@ -334,16 +326,16 @@ def test_disconnected_robots_are_stated_beside_the_error():
     assert shown.frame["robots disconnected"].tolist() == ["0", "15"]
     assert "No method can place" in shown.note
     assert "robots disconnected" not in headline_table(table).frame
-    one = result_of(full.head(1), pd.DataFrame())
+    one = result_of(tmp_path, full.head(1))
     assert one == "a: RMSE 18.3 R, disparity 0.1, 1 structure, 15 of 30 robots disconnected."
     assert "robots are disconnected from the anchor in 1 of 2 rows of the table" in result_of(
-        full, pd.DataFrame()
+        tmp_path, full
     )
 
 
 def test_calibration_is_shown_where_a_method_reports_uncertainty():
     """The table contains only the measures that the method reports."""
-    silent = pd.DataFrame({"condition": ["a"], "cases": [4], "paper_rmse_radii": [None]})
+    silent = pd.DataFrame({"condition": ["a"], "cases": [5], "paper_rmse_radii": [None]})
     silent = silent.assign(rmse_R_mean=1.0, rmse_R_ci95=0.1, paper_procrustes_disparity=None)
     frank = silent.assign(coverage_50_mean=0.48, coverage_50_ci95=0.02, outlier_recall_mean=np.nan)
 
@@ -359,6 +351,22 @@ def test_calibration_is_shown_where_a_method_reports_uncertainty():
     both = result_tables(pd.concat([silent, frank.assign(condition="b")]), pd.DataFrame())
 
     assert list(both[-1].frame["condition"]) == ["b"]
+
+
+def test_an_estimate_is_consistent_only_where_it_could_not_be():
+    """A chi-square without spare measurements shows no lie; one that is too large does."""
+    table = pd.DataFrame({"condition": [*"abcd"], "cases": 5, "paper_rmse_radii": None})
+    table = table.assign(
+        rmse_R_mean=1.0, consistent_mean=[1.0, 0.8, 1.0, np.nan],
+        testable_mean=[1.0, 0.4, 0.0, np.nan], spare_measurements_mean=[900.0, 60.0, 28.0, np.nan],
+    )  # fmt: skip
+
+    shown = result_tables(table, pd.DataFrame())[-1]
+
+    assert shown.title == "Calibration"
+    assert shown.frame.set_index("condition")["consistent estimates"].to_dict() == {
+        "a": "1", "b": "0.500 of 0.400 testable", "c": "not testable (28 spare)",
+    }  # fmt: skip
 
 
 def test_what_conditions_have_in_common_is_said_once():

@@ -151,6 +151,18 @@ def test_the_schema_describes_every_key():
     assert set(schema["required"]) == {"name", "structure", "localization"}
 
 
+def test_a_question_changes_neither_hash_nor_settings(tmp_path):
+    """A run that is asked another question keeps its folder and its cases."""
+    path = tmp_path / "asking.yaml"
+    path.write_text("name: a\nstructure: {kind: tower}\nlocalization: {method: joint}\n")
+
+    asking = load_scenario(path, ["question=scaling"])
+
+    assert asking.question == "scaling"
+    assert load_scenario(path).question == "least-error"
+    assert scenario_hash(asking) == scenario_hash(load_scenario(path))
+
+
 def test_a_label_changes_neither_hash_nor_settings(tmp_path):
     """A run keeps its folder and its cases when a condition is named better for readers."""
     path = tmp_path / "labeled.yaml"

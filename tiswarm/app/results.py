@@ -212,8 +212,13 @@ class Run:
         )  # fmt: skip
         return folder
 
+    @property
+    def answer(self) -> str:
+        """The answer to the question of the scenario, in a sentence: the last line of `run`."""
+        return str(self).rpartition("\n")[2]
+
     def __str__(self) -> str:
-        """Write a line for each condition, or how many cases other parts lack."""
+        """Write a line for each row of the table and the answer, or how many cases parts lack."""
         from tiswarm.report.headline import headline  # noqa: PLC0415 - slow to import
 
         if self.missing:

@@ -156,8 +156,8 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
     difference of two means. There is one number for each structure, NaN if none, shape (n,).
 
     Returns:
-        Number of pairs; mean, std and ci95 of second minus first; number of pairs in which the
-        second is smaller; p-value of Wilcoxon's signed-rank test, NaN if no pair differs.
+        Number of pairs; mean, std and ci95 of second minus first; pairs in which the second is
+        smaller, and larger; p-value of Wilcoxon's signed-rank test, NaN if no pair differs.
 
     >>> paired_difference(np.array([1.0, 2.0, 5.0]), np.array([0.5, 1.5, 4.5]))["smaller"]
     3
@@ -173,6 +173,7 @@ def paired_difference(first: Reals, second: Reals) -> dict[str, float | int]:
         "structures": len(difference),
         **{f"difference_{name}": value for name, value in mean_std_ci95(difference).items()},
         "smaller": int((difference < 0.0).sum()),
+        "larger": int((difference > 0.0).sum()),
         "wilcoxon_p": p_value,
     }
 

@@ -24,7 +24,7 @@ _TOLERANT = ConfigDict(strict=True, allow_inf_nan=False)  # of entries of other 
 
 _Facts = Mapping[str, str | int | None]
 
-TABLE_NOTES = ("measurements",)
+TABLE_NOTES = ("measurements", "kind", "method")
 """Columns of text that `table.csv` has after its first numbers; older ones have none."""
 
 MAX_VARIANT_NAME = 150

@@ -1,7 +1,7 @@
-"""The result of a run in words, from its `table.csv`."""
+"""The results of a run in words: a line for each row of `table.csv`, and the answer."""
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,9 @@ from tiswarm.base.errors import InputError
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import TABLE_NOTES
-from tiswarm.report.comparison import conclusion
-from tiswarm.report.run_data import swept_columns, swept_words
-
-FEWEST_FOR_CI = 4
-"""Structures below which a range says more than a confidence interval."""
+from tiswarm.report.answers import Results, answer
+from tiswarm.report.comparison import FEWEST
+from tiswarm.report.run_data import relabeled, stated_scenario, swept_columns, swept_words
 
 _MEASURES = [
     "rmse_R_mean", "rmse_R_ci95", "rmse_R_least", "rmse_R_most", "procrustes_disparity_mean",
@@ -25,7 +23,7 @@ _Row = dict[Hashable, Any]
 
 
 def headline(folder: Path) -> str:
-    """Write the results of a run: a line for each condition, then the conclusion."""
+    """Write the results of a run: a line for each row of its table, then the answer."""
     path = folder / "table.csv"
     if not path.exists():
         raise InputError("has no table.csv; give a folder that `tiswarm run` made", path=folder)
@@ -34,8 +32,8 @@ def headline(folder: Path) -> str:
     )
     swept = swept_columns(table)
     table[swept] = swept_words(table)[swept]
-    best = conclusion(table, read_pairs(folder))
-    return "\n".join([*map(_in_words, table.to_dict("records")), *([best] if best else [])])
+    last = result_of(folder, table) if len(table) > 1 else ""
+    return "\n".join([*map(_in_words, table.to_dict("records")), *([last] if last else [])])
 
 
 def read_pairs(folder: Path) -> pd.DataFrame:
@@ -52,17 +50,32 @@ def read_pairs(folder: Path) -> pd.DataFrame:
     return pairs
 
 
-def result_of(table: pd.DataFrame, pairs: pd.DataFrame) -> str:
-    """Write the result of a run in one sentence; empty where the table lacks its measures."""
+def read_scaling(folder: Path) -> pd.DataFrame:
+    """Read the errors and costs of a run by the number of robots; it may have none."""
+    path = folder / "scaling.csv"
+    if not path.exists():
+        return pd.DataFrame()
+    numbers = ["mean", "exponent", "slope"]
+    return read_frame(path, ["series", "measure"], ["robots"], gaps=numbers, empty=True)
+
+
+def result_of(folder: Path, table: pd.DataFrame, labels: Mapping[str, str] | None = None) -> str:
+    """Answer the question of a run in one sentence; empty where the table lacks its measures.
+
+    Args:
+        folder: Folder of the run.
+        table: Its `table.csv`, with conditions as the sentence names them.
+        labels: What names conditions, by what the files of the run call them.
+    """
     rows = table[table["cases"] > 0]
-    if len(rows) and not set(_MEASURES) <= set(rows):
+    if rows.empty:
+        return "No case was finished."
+    if not set(_MEASURES) <= set(rows):
         return ""
-    text = conclusion(rows, pairs)
-    if not text and len(rows) < 2:  # noqa: PLR2004 - one or none
-        text = "; ".join(map(_in_words, rows.to_dict("records"))) or "no case was finished"
-    if not text:
-        least, most = rows["rmse_R_mean"].min(), rows["rmse_R_mean"].max()
-        text = f"mean RMSE from {least:.3g} R to {most:.3g} R in {len(rows)} rows of the table"
+    pairs, scaling = (relabeled(read(folder), labels or {}) for read in (read_pairs, read_scaling))
+    question = stated_scenario(folder).get("question")
+    text = answer(str(question), Results(rows, pairs, scaling)) if len(rows) > 1 else ""
+    text = text or "; ".join(map(_in_words, rows.to_dict("records")))
     return f"{text}{_disconnected_somewhere(rows)}."
 
 
@@ -109,7 +122,7 @@ def _swept(row: _Row) -> list[Hashable]:
 def _spread(row: _Row) -> str:
     """Write an RMSE with its range, or its confidence interval where that says more."""
     mean, half = row["rmse_R_mean"], row["rmse_R_ci95"]
-    if row["cases"] >= FEWEST_FOR_CI:
+    if row["cases"] >= FEWEST:
         return f"{mean:.3g} R (95 % CI {mean - half:.3g} to {mean + half:.3g})"
     least, most = row["rmse_R_least"], row["rmse_R_most"]
     return f"{mean:.3g} R" + (f" ({least:.3g} to {most:.3g})" if row["cases"] > 1 else "")

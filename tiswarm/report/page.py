@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tiswarm.base.progress import Progress
-from tiswarm.records.io import damaged, run_file, write_bytes
+from tiswarm.records.io import run_file, write_bytes
 from tiswarm.records.messages import counted
 from tiswarm.records.run_folder import Manifest, read_manifest
 from tiswarm.report.figure_style import ERROR_COLORS, JOIN_COLORS, TRUE_BLUE
@@ -20,9 +20,8 @@ from tiswarm.report.page_tables import (
     result_tables,
 )
 from tiswarm.report.remarks import notes_of, warnings_of
-from tiswarm.report.run_data import RunData, relabeled
+from tiswarm.report.run_data import RunData, relabeled, stated_scenario
 from tiswarm.report.space import View, build_view
-from tiswarm.scenario.yaml_source import read_yaml
 
 _ACCURACY = "figures/accuracy.png"
 _MOST_BESIDE = 8  # rows of the figure of accuracy beside the 3D view
@@ -98,9 +97,7 @@ def write_page(run: RunData, progress: Progress) -> Path:
 def _gather(run: RunData) -> Page:
     """Gather what the page shows, except for the pictures."""
     path = run_file(run.folder / "scenario.yaml")
-    stated = read_yaml(path).data
-    if not isinstance(stated, dict):
-        raise damaged(path, "it is no mapping of keys to values")
+    stated = stated_scenario(run.folder)
     manifest = read_manifest(run.folder)
     numbers = ["cases", "paper_rmse_radii"]
     table = run.table("table.csv", ["condition"], numbers, after="cases")
@@ -111,7 +108,7 @@ def _gather(run: RunData) -> Page:
     return Page(
         name=stated.get("name", run.folder.name),
         description=stated.get("description", ""),
-        result=result_of(table, pairs),
+        result=result_of(run.folder, table, run.labels),
         what=_in_words(run, manifest),
         warnings=warnings_of(run.summary),
         notes=notes_of(run.summary, manifest),

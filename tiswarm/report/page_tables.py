@@ -9,11 +9,13 @@ import pandas as pd
 
 from tiswarm.records.messages import counted, three_digits
 from tiswarm.records.run_folder import Manifest
-from tiswarm.report.headline import FEWEST_FOR_CI
-from tiswarm.report.run_data import swept_columns, swept_words
+from tiswarm.report.comparison import FEWEST
+from tiswarm.report.run_data import measured_words, swept_columns, swept_words
 
 MOST_ROWS = 2_000
 """Most rows of a table of cases or robots; a file beside the page has all."""
+
+_CONSISTENT = "consistent estimates"
 
 # Label and name of the measure of each column.
 _ACCURACY = [("RMSE [R]", "rmse_R"), ("disparity", "procrustes_disparity")]
@@ -38,7 +40,7 @@ _CALIBRATION = [
     ("precision of outliers", "outlier_precision"),
     ("recall of outliers", "outlier_recall"),
     ("converged estimates", "converged"),
-    ("consistent estimates", "consistent"),
+    (_CONSISTENT, "consistent"),
     ("factor of sd", "sd_factor"),
     ("mirrored robots", "mirrored"),
     ("robots located", "located"),
@@ -102,30 +104,30 @@ def headline_table(table: pd.DataFrame) -> PageTable:
     notes = [
         f"Means over {counted(most, 'structure')}." if least == most else "Means over structures."
     ]
-    if most >= FEWEST_FOR_CI:
+    if most >= FEWEST:
         notes.append("± is the half width of the 95 % CI.")
-    if most > 1 and least < FEWEST_FOR_CI:
-        notes.append(
-            f"In parentheses: least and greatest, of fewer than {FEWEST_FOR_CI} structures."
-        )
-    if any(further) and shared:
-        notes.append(f"All conditions use {shared}; + names what others use too.")
+    if most > 1 and least < FEWEST:
+        notes.append(f"In parentheses: least and greatest, of fewer than {FEWEST} structures.")
+    if shared:
+        notes.append(f"All conditions use {shared}.")
     notes.append("R is the radius of a dock; disparity 0 means the right shape.")
     if "robots disconnected" in columns:
         notes.append("No method can place robots that are disconnected from the anchor.")
     words = swept_words(rows)
-    words["condition"] += [f" + {names}" if names else "" for names in further]
-    return _labeled(words, columns, "Accuracy", " ".join(notes))
+    if any(further):
+        columns["also uses"] = pd.Series(further, rows.index, dtype=str)
+    shown = _labeled(words, columns, "Accuracy", " ".join(notes))
+    return replace(shown, words=[*words, "also uses"]) if any(further) else shown
 
 
 def _measurements(rows: pd.DataFrame) -> tuple[str, list[str]]:
     """Write what all conditions measure, and what each measures beyond it."""
     texts = rows["measurements"].fillna("") if "measurements" in rows else [""] * len(rows)
-    used = [text.replace("_", " ").split(", ") if text else [] for text in texts]
+    used = [text.split(", ") if text else [] for text in texts]
     known = [each for each in used if each]  # of conditions with finished cases
     shared = [name for name in known[0] if all(name in each for each in known)] if known else []
-    further = [", ".join(name for name in each if name not in shared) for each in used]
-    return ", ".join(shared), further
+    further = [measured_words(", ".join(each), without=shared) for each in used]
+    return measured_words(", ".join(shared)), further
 
 
 def result_tables(
@@ -149,7 +151,7 @@ def result_tables(
     tables.append(_labeled(words, _means(table, _ATTACHMENT), "Accuracy for attachment", note))
     note = "Floppy modes are motions that change no measurement: no method can remove such errors."
     tables.append(_labeled(words, _means(table, _LIMITS), "Limits of the accuracy", note))
-    if calibration := _means(table, _CALIBRATION):
+    if calibration := _means(table, _CALIBRATION) | _consistent(table):
         note = (
             "Fractions. A robot is in its interval if its error is within the interval that its "
             "standard deviation implies; more than 0.5 and 0.9 mean that the standard deviations "
@@ -160,10 +162,11 @@ def result_tables(
                 " Precision: wrong contacts among those reported as outliers; recall: reported "
                 "outliers among wrong contacts."
             )
-        if "consistent estimates" in calibration:
+        if _CONSISTENT in calibration:
             note += (
                 " Consistent: noise as stated explains the measurements; where it does not, the "
-                "factor multiplies the standard deviations."
+                "factor multiplies the standard deviations. Not testable: fewer measurements are "
+                "spare than a quarter of the unknown coordinates."
             )
         if "mirrored robots" in calibration:
             note += (
@@ -181,6 +184,20 @@ def result_tables(
         shown = _labeled(words, anchor, "Robots on the anchor", note)
         tables.append(replace(shown, frame=_once(shown.frame)))
     return tables
+
+
+def _consistent(table: pd.DataFrame) -> dict[str, pd.Series]:
+    """Format the share of consistent estimates among those that were tested, by label."""
+    if not {"consistent_mean", "testable_mean"} <= set(table):
+        return {}
+    tested = table["testable_mean"].astype(float)
+    share = (table["consistent_mean"].astype(float) - (1.0 - tested)) / tested.where(tested > 0.0)
+    spare = _numbers(table.get("spare_measurements_mean", tested * math.nan))
+    of = np.where(tested < 1.0, " of " + _numbers(tested) + " testable", "")
+    texts = np.where(tested > 0.0, _numbers(share) + of, "not testable (" + spare + " spare)")
+    known = table["consistent_mean"].notna()
+    found = pd.Series(texts, table.index, dtype=str).where(known, "")
+    return {_CONSISTENT: found} if known.any() else {}
 
 
 def _measured_suites(suites: pd.DataFrame) -> PageTable:
@@ -231,17 +248,19 @@ def _differences(paired: pd.DataFrame) -> PageTable:
     first = paired["against"] == paired["against"].iloc[0]
     rows = paired[first & paired["measure"].isin(list(_MEASURES))]
     words = swept_words(rows, before="measure").assign(measure=rows["measure"].map(_MEASURES))
-    p = rows["wilcoxon_p"]
     columns = {
         "difference": _mean(rows, "difference", sign="+"),
         "smaller in": rows["smaller"].astype(str) + " of " + rows["structures"].astype(str),
         "measurements": np.where(rows["equal_measurements"] == 1, "the same", "others"),
-        "p": _numbers(p).mask(p < 1e-4, "< 0.0001"),  # noqa: PLR2004 - a limit of the test
     }
-    note = (
-        "p of Wilcoxon's signed-rank test, not corrected for multiple comparisons; with n "
-        "structures it is at least 2^(1 - n). paired.csv contains all measures and pairs."
-    )
+    note = "paired.csv contains all measures and pairs."
+    p = rows["wilcoxon_p"].where(rows["structures"] >= FEWEST)
+    if p.notna().any():
+        columns["p"] = _numbers(p).mask(p < 1e-4, "< 0.0001")  # noqa: PLR2004 - a limit of the test
+        note = (
+            "p of Wilcoxon's signed-rank test, not corrected for multiple comparisons; with n "
+            f"structures it is at least 2^(1 - n), and fewer than {FEWEST} have none. {note}"
+        )
     return _labeled(words, columns, "Differences on the same structures", note)
 
 
@@ -307,7 +326,7 @@ def _mean(table: pd.DataFrame, name: str, *, sign: str = "") -> "pd.Series[str]"
 
 def _spread(count: float, mean: float, half: float, least: float, most: float, *, sign: str) -> str:
     """Write a mean with three significant digits and what is known of its uncertainty."""
-    if count >= FEWEST_FOR_CI and math.isfinite(half):
+    if count >= FEWEST and math.isfinite(half):
         digits = max(0, 2 - math.floor(math.log10(abs(mean) or 1.0)))
         return f"{mean:{sign}.{digits}f} ± {half:.{digits}f}"
     between = f" ({_number(least)} to {_number(most)})" if count > 1 and least < most else ""

@@ -5,7 +5,7 @@ All functions of this room raise InputError if a file that they read is missing 
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ import pandas as pd
 from tiswarm.base.aliases import Reals
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.records.frames import read_frame
-from tiswarm.records.io import run_file
+from tiswarm.records.io import damaged, run_file
 from tiswarm.records.run_folder import LABEL, TABLE_NOTES, case_folder, check_folders
 from tiswarm.records.terrain import NO_EDGE
 from tiswarm.scenario.yaml_source import read_yaml
@@ -33,7 +33,7 @@ class StoredCase:
     series: str  # point of the sweep and condition, which cases of other seeds share
     point: str  # values of the sweep; empty without a sweep
     kind: str  # kind of its structure
-    measurements: str  # that its method used; empty where unknown
+    method: str  # that localized its robots; empty where unknown
     robots: int  # robots of its structure; 0 where unknown
     left_edge: float  # end of the ground at the left [R], as in `Terrain`
     right_edge: float  # beginning of the ground at the right [R]
@@ -53,6 +53,23 @@ class StoredCase:
 _WORDS = ["case", "series", "condition", "point", "kind", "status", "reason"]
 """Columns of text that a summary has."""
 
+CUE_WORDS = {
+    "contacts": "contacts",
+    "touches": "contacts of unknown docks",
+    "directions": "directions of contacts",
+    "displacements": "displacements",
+    "ranges": "ranges",
+    "fixes": "fixes",
+    "height": "heights",
+    "ground": "docks on the ground",
+    "plane": "the plane of motion",
+    "anchors": "further anchors",
+    "odometry": "odometry",
+    "walk_contacts": "contacts on the way",
+    "non_overlap": "non-overlap",
+}
+"""Cues in words, in the order in which sentences list them."""
+
 Series = dict[str, list[StoredCase]]
 """Cases that are done, by the name of their series."""
 
@@ -68,7 +85,7 @@ class RunData:
     @cached_property
     def cases(self) -> list[StoredCase]:
         """All cases, in the order of the summary."""
-        unknown = {"robots": 0, "measurements": "", "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
+        unknown = {"robots": 0, "method": "", "left_edge_R": NO_EDGE, "right_edge_R": NO_EDGE}
         table = self.summary.reindex(columns=[*_WORDS, *unknown])
         table = table.fillna(unknown | dict.fromkeys(_WORDS, ""))
         return [
@@ -79,7 +96,7 @@ class RunData:
                 robots=int(row["robots"]),
                 left_edge=row["left_edge_R"],
                 right_edge=row["right_edge_R"],
-                measurements=row["measurements"],
+                method=row["method"],
                 **{word: row[word] for word in ("condition", "series", "point", "kind")},
             )
             for row in table.to_dict("records")
@@ -186,11 +203,18 @@ def load_run(folder: Path) -> RunData:
     return RunData(folder, relabeled(summary, labels), labels)
 
 
-def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
-    """Read what each condition of a run sets, by its name; empty where a run has no scenario."""
+def stated_scenario(folder: Path) -> dict[str, Any]:
+    """Read the scenario of a run, every default included; empty where a run has none."""
     path = folder / "scenario.yaml"
     stated: Any = read_yaml(run_file(path)).data if path.exists() else {}
-    conditions = stated.get("conditions") if isinstance(stated, dict) else {}
+    if not isinstance(stated, dict):
+        raise damaged(path, "it is no mapping of keys to values")
+    return stated
+
+
+def stated_conditions(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read what each condition of a run sets, by its name; empty where a run has no scenario."""
+    conditions = stated_scenario(folder).get("conditions")
     each = conditions.items() if isinstance(conditions, dict) else ()
     return {name: entries for name, entries in each if isinstance(entries, dict)}
 
@@ -216,3 +240,16 @@ def swept_words(table: pd.DataFrame, *, before: str = "cases") -> pd.DataFrame:
     """Write the columns that identify a row as YAML does, without braces."""
     words = table[swept_columns(table, before=before)].astype(str)
     return words.replace({"True": "true", "False": "false"}).replace(r"[{}']", "", regex=True)
+
+
+def measured_words(names: str, *, without: Collection[str] = ()) -> str:
+    """Write cues, as tables list them, in words; leave some of them out.
+
+    >>> measured_words("contacts, height, walk_contacts, non_overlap", without={"non_overlap"})
+    'contacts, heights and contacts on the way'
+    """
+    order = [*CUE_WORDS]
+    kept = [name for name in names.split(", ") if name and name not in without]
+    kept.sort(key=lambda name: order.index(name) if name in order else len(order))
+    *first, last = [CUE_WORDS.get(name, name.replace("_", " ")) for name in kept] or [""]
+    return f"{', '.join(first)} and {last}" if first else last

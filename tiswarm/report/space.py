@@ -18,6 +18,9 @@ _MOST_CASES = 12  # in the view
 MOST_ROBOTS = 100_000
 """Robots in the view, in all cases together."""
 
+ALGORITHM_1 = ("virtual-force", "distributed algorithm-1")
+"""Methods, as `summary.csv` names them, that are the paper's Algorithm 1."""
+
 SD = "sd"
 """Label of the coloring by standard deviation, which is also the size of the spheres."""
 
@@ -54,16 +57,20 @@ class Coloring(NamedTuple):
 
 
 def build_view(run: RunData) -> View | None:
-    """Take the first case of each series, within the limits; None if no case is done."""
+    """Take the first case of each series, within the limits; None if no case is done.
+
+    The view opens on the first two.
+    """
     shown: list[dict[str, Any]] = []
     notes = []
-    for case in [cases[0] for cases in run.series.values()][:_MOST_CASES]:
+    first = first_series(run)
+    series = [*first, *(name for name in run.series if name not in first)]
+    for case in [run.series[name][0] for name in series][:_MOST_CASES]:
         seed = case.name.partition("-")[0]
         view = replace(read_case_view(case), name=f"{case.series or case.name}, seed {seed}")
         values = [("error", "R", view.error), (SD, "R", view.sd)]
         values.append(("sensed force", "dock weights", view.force))
         data = view_data(view, [Coloring(*value) for value in values])
-        data["measurements"] = case.measurements
         if sum(len(other["robot"]) for other in [*shown, data]) > MOST_ROBOTS:
             break
         if data["robot"]:
@@ -81,6 +88,23 @@ def build_view(run: RunData) -> View | None:
         choice="Case",
         note=" ".join(notes),
     )
+
+
+def first_series(run: RunData) -> list[str]:
+    """Choose the series of the greatest interest: the least mean RMSE, and Algorithm 1.
+
+    Both are of the first point of the sweep that Algorithm 1 localizes; of the first point where
+    it localizes none, and then the other series is that with the next least RMSE.
+    """
+    if "rmse_R" not in run.summary:
+        return []
+    error = run.summary.groupby("series", sort=False)["rmse_R"].mean()
+    known = {name: cases[0] for name, cases in run.series.items() if math.isfinite(error[name])}
+    rivals = [name for name, case in known.items() if case.method in ALGORITHM_1]
+    start = known[next(iter([*rivals, *known]))].point if known else ""
+    alike = sorted((name for name in known if known[name].point == start), key=lambda n: error[n])
+    others = [name for name in rivals if name in alike[1:]] or alike[1:]
+    return [*alike[:1], *others[:1]]
 
 
 def _places(data: dict[str, Any]) -> int:

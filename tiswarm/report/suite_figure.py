@@ -7,6 +7,7 @@ import pandas as pd
 
 from tiswarm.base.aliases import Reals
 from tiswarm.report import figure_style
+from tiswarm.report.comparison import FEWEST
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
     Painter,
@@ -18,7 +19,6 @@ from tiswarm.report.figure_style import (
     set_title,
     shortened,
 )
-from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import RunData, swept_words
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def draw_suites(run: RunData, most: float = np.inf) -> "Figure":
     table = run.table("suites.csv", ["condition", "suite", "way"], gaps, after="cases")
     table = table[table["cases"] > 0]
     # Of fewer structures, the interval says nothing.
-    table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST_FOR_CI, 0.0)
+    table[_HALF] = table[_HALF].where(table["cases"] >= FEWEST, 0.0)
     swept = [name for name in swept_words(table) if name not in {"condition", "suite", "way"}]
     swept.remove("needs")
     points = [*table.groupby(swept, sort=False)] if swept else [((), table)]

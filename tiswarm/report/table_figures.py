@@ -12,6 +12,7 @@ from tiswarm.records import outputs
 from tiswarm.records.frames import read_frame
 from tiswarm.records.messages import counted
 from tiswarm.report import figure_style
+from tiswarm.report.comparison import FEWEST
 from tiswarm.report.figure_style import (
     PAGE_WIDTH,
     Painter,
@@ -23,7 +24,6 @@ from tiswarm.report.figure_style import (
     new_panels,
     shortened,
 )
-from tiswarm.report.headline import FEWEST_FOR_CI
 from tiswarm.report.run_data import RunData, swept_words
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def draw_accuracy(run: RunData, most: float = np.inf) -> "Figure":
     names = list(dict.fromkeys(table["condition"]))
     points = list(dict.fromkeys(table["point"]))
     shown = points[: max(1, _MOST_ROWS // len(names))]
-    few = table["cases"].max() < FEWEST_FOR_CI
+    few = table["cases"].max() < FEWEST
     height = 0.9 + 0.12 * len(names) * (1 + len(shown))
     figure, panels = new_panels(
         PAGE_WIDTH, height, len(_MEASURES), len(_MEASURES), share="y", most=most

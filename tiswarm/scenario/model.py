@@ -27,6 +27,7 @@ from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.run_folder import LABEL
+from tiswarm.scenario.questions import Question
 from tiswarm.scenario.validation import (
     CONDITION_SECTIONS,
     Mistake,
@@ -113,6 +114,8 @@ class Scenario:
 
     description: str = ""
     """Purpose of the study."""
+
+    question: Question = "least-error"
 
     robots: Annotated[int, Field(ge=2, lt=2**31)] = 100
     """Robots in each structure."""
@@ -216,12 +219,12 @@ def dump_scenario(scenario: Scenario) -> str:
 
 
 def scenario_hash(scenario: Scenario) -> str:
-    """Hash a scenario without its description and labels to eight hex digits.
+    """Hash a scenario without its description, question and labels to eight hex digits.
 
     The order of keys, comments and defaults written out make no difference.
     """
     data = to_plain(scenario)
-    del data["description"]
+    del data["description"], data["question"]
     for entries in data["conditions"].values():
         entries.pop(LABEL, None)
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))

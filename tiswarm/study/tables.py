@@ -24,7 +24,8 @@ from tiswarm.base.robot import RobotGeometry
 from tiswarm.evaluation.metrics import least_and_most, mean_std_ci95, paired_difference
 from tiswarm.evaluation.paper import MM_PER_RADIUS, PAPER, PAPER_ROBOTS, Published
 from tiswarm.evaluation.profiles import error_profile, relative_profile
-from tiswarm.localization.params import VirtualForceParams
+from tiswarm.localization import registry
+from tiswarm.localization.params import LocalizationParams, VirtualForceParams
 from tiswarm.records.frames import read_frame, write_frame
 from tiswarm.records.terrain import NO_EDGE, Terrain
 from tiswarm.scenario.model import Scenario
@@ -41,11 +42,11 @@ _ACCURACY = (
 )  # fmt: skip
 _AVERAGED = (
     "joined", "disconnected",
-    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "beyond_edge", "crossed",
-    "flips_as_planned", "failed_flips",
-    "peak_stress", "floppy_modes", "coverage_50",
-    "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "misfit_sd",
-    "sd_factor", "mirrored", "suspects", "steps_per_robot", "located", "rmse_located_R",
+    "contacts_per_robot", "rms_radius_R", "height_R", "reach_R", "depth_R", "beyond_edge",
+    "crossed", "flips_as_planned", "failed_flips", "peak_stress", "floppy_modes", "coverage_50",
+    "coverage_90", "outlier_precision", "outlier_recall", "converged", "consistent", "testable",
+    "spare_measurements", "misfit_sd", "sd_factor", "mirrored", "suspects", "steps_per_robot",
+    "located", "rmse_located_R",
     "rmse_at_join_R", "within_dock", "contacts_within_dock", "doubtful", "sent_B", "worst_sent_B",
     "heard_B", "worst_heard_B", "memory_B", "worst_memory_B", "messages", "rounds", "operations",
     "worst_operations",
@@ -53,6 +54,9 @@ _AVERAGED = (
 )  # fmt: skip
 _OF_SUITES = ("located", "rmse_located_R", "rmse_R", "procrustes_disparity", "floppy_modes")
 _RECRUITMENT = ("force_threshold", "recruit_base", "recruit_limit")
+_ROUNDING_R = 1e-9
+"""RMSE [R] that rounding explains: no other one is a multiple of it."""
+
 _PRICED = (1, 100, 1_000, 10_000)
 """Robots whose sensors have a price in `suites.csv`."""
 
@@ -91,6 +95,7 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
             "condition": record.condition,
             "point": record.point_text,
             "kind": setting.structure.kind,
+            "method": _title(setting.localization),
             **record.point_cells,
             "robots": setting.robots,
             "measurements": record.measurements,
@@ -103,6 +108,11 @@ def summary(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.D
         for record, setting in zip(records, settings, strict=True)
     ]
     return pd.DataFrame(rows)
+
+
+def _title(method: LocalizationParams) -> str:
+    """Name a method, with what else makes it another one."""
+    return " ".join([registry.title(method), *filter(None, [getattr(method, "scheme", None)])])
 
 
 def _edges(terrain: Terrain) -> dict[str, float]:
@@ -123,7 +133,8 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         for group in _grouped(of_point, lambda record: record.condition):
             first, ours = group[0], _with_statistics(group)
             setting = setting_of[first.case]
-            used = {"measurements": _shared(record.measurements for record in group)}
+            used = {"measurements": _used(record.measurements for record in group)}
+            used |= {"kind": setting.structure.kind, "method": _title(setting.localization)}
             row = {"condition": first.condition, **first.point_cells, **ours, **used}
             at_point.append(row | _rounds(setting) | _paper(setting, ours))
         of_paper = [row for row in at_point if row["paper_rmse_radii"] > 0.0]
@@ -131,7 +142,7 @@ def table(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Dat
         for row, (name, rmse) in itertools.product(
             at_point, (("", "rmse_R_mean"), ("paper_", "paper_rmse_radii"))
         ):
-            change = row[rmse] / base[rmse] - 1.0 if base[rmse] else math.nan
+            change = row[rmse] / base[rmse] - 1.0 if base[rmse] > _ROUNDING_R else math.nan
             row[f"{name}rmse_change_percent"] = 100.0 * change
         rows += at_point
     return pd.DataFrame(rows)
@@ -195,16 +206,17 @@ def _with_statistics(records: Sequence[CaseRecord]) -> dict[str, Any]:
     return full
 
 
-def _shared(measurements: Iterable[str]) -> str:
-    """Return the measurements of all structures; empty if these differ, or none is known."""
-    found = {each for each in measurements if each}
-    return found.pop() if len(found) == 1 else ""
+def _used(measurements: Iterable[str]) -> str:
+    """List what was measured of some structures, those with most measurements first."""
+    found = sorted({*measurements}, key=len, reverse=True)
+    return ", ".join(dict.fromkeys(name for each in found for name in each.split(", ") if name))
 
 
 def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.DataFrame:
     """Tabulate differences between conditions of a point on the same structures, by measure.
 
-    Measurements of two conditions are equal if robots sense alike and the methods use the same.
+    Measurements of two conditions are equal if robots sense alike and the methods use the same of
+    each structure.
     """
     sensed = dict(zip([record.case for record in records], settings, strict=True))
     rows = []
@@ -214,9 +226,13 @@ def paired(records: Sequence[CaseRecord], settings: Sequence[Scenario]) -> pd.Da
             if sensed[first[0].case].structure.navigate_by == "estimate":
                 continue  # each condition built structures of its own
             names = {"condition": second[0].condition, "against": first[0].condition}
-            used = {_shared(record.measurements for record in group) for group in (first, second)}
             senses = {repr(sensed[group[0].case].sensing) for group in (first, second)}
-            is_equal = len(used) == len(senses) == 1 and "" not in used
+            used, others = (
+                {r.seed: r.measurements for r in group if r.is_done} for group in (first, second)
+            )
+            both = used.keys() & others.keys()
+            is_equal = bool(both) and len(senses) == 1
+            is_equal = is_equal and all(used[seed] == others[seed] != "" for seed in both)
             rows += differences(
                 {**names, **first[0].point_cells},
                 accuracy_by_key({record.seed: record for record in first}),

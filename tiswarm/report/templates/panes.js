@@ -67,16 +67,6 @@ function paneOf(view, data) {
   return pane;
 }
 
-// The places of two cases of the first structure with the same measurements: the most accurate one, and the first other one. If no two have the same, the most accurate of all is alone.
-function firstCases(cases) {
-  const structure = JSON.stringify(cases[0].true), errors = cases.map(({ true: truth, estimate }) => rmseOf(truth, estimate));
-  const alike = cases.flatMap((each, n) => (each.true.length && JSON.stringify(each.true) === structure ? [n] : []));
-  const rival = (n) => alike.find((other) => other !== n && cases[other].measurements === cases[n].measurements) ?? "";
-  const compared = alike.filter((n) => rival(n) !== ""), offered = compared.length ? compared : alike;
-  const best = offered.reduce((least, n) => (errors[n] < errors[least] ? n : least), offered[0] ?? 0);
-  return [best, rival(best)];
-}
-
 // What a pane shows, in words.
 function titleOf(at, { name }, { radius, unit, score }) {
   const rmse = radius * rmseOf(at.true, at.estimate);
@@ -97,7 +87,7 @@ function showSpace(view) {
   let look = { ...START }, panes = [], box, due = 0, began = null;
   data.cases.forEach((each, n) => { picker.add(new Option(each.name, n)); beside.add(new Option(each.name, n)); });
   beside.parentElement.hidden = data.cases.length < 2;
-  if (data.compared) [picker.value, beside.value] = firstCases(data.cases);
+  if (data.compared) [picker.value, beside.value] = [0, data.cases.length > 1 ? 1 : ""];
   if (innerWidth <= WIDE) beside.value = "";
 
   const isTracked = () => track.value === "iterations";

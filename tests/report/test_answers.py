@@ -1,0 +1,299 @@
+"""The last line of a run, and the first of its page: true of any table."""
+
+import itertools
+import re
+from typing import get_args
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiswarm.localization.cue_params import all_cues
+from tiswarm.report.answers import ANSWERS, Results, answer
+from tiswarm.report.comparison import FEWEST, conclusion, two_digits
+from tiswarm.report.headline import headline, result_of
+from tiswarm.report.run_data import CUE_WORDS, measured_words
+from tiswarm.scenario.questions import AnyQuestion
+
+NONE = pd.DataFrame()
+CUES = ("contacts", "contacts, height", "contacts, height, walk_contacts, non_overlap")
+HEADER = re.compile(r"(?:Mean )?RMSE of (\d+) structures?(?: at each of (\d+) points)?: ")
+WON = re.compile(r"(\w+) [\d.e-]+(?: to [\d.e-]+)? R \(the smallest on every structure")
+COUNTED = re.compile(WON.pattern + r" at (\d+) of (\d+) points\)")
+
+
+@st.composite
+def studies(draw):
+    """Draw the RMSE of each structure under some conditions at some points, and what they use."""
+    shape = (draw(st.integers(1, 3)), draw(st.integers(1, 5)), draw(st.integers(1, 7)))
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    is_clear = draw(st.booleans())
+    level = random.permuted(np.tile(np.arange(shape[1]), (shape[0], 1)), axis=1)[..., None]
+    rmse = 10.0 ** random.uniform(-2.0, 2.0, shape) if not is_clear else np.ones(shape)
+    rmse = rmse + level * random.uniform(1.0, 2.0, shape) if is_clear else rmse
+    used = [draw(st.sampled_from(CUES)) for _ in range(shape[1])]
+    return rmse, used
+
+
+def tables(rmse, used):
+    """Tabulate a study as `table.csv` and `paired.csv` do."""
+    points, conditions, structures = rmse.shape
+    names = [f"c{n}" for n in range(conditions)]
+    rows = [
+        {
+            "condition": name, "tilt": str(point), "cases": structures,
+            "rmse_R_mean": rmse[point, n].mean(), "measurements": used[n],
+        }
+        for point in range(points)
+        for n, name in enumerate(names)
+    ]  # fmt: skip
+    pairs = [
+        {
+            "condition": names[b], "against": names[a], "tilt": str(point), "measure": "rmse_R",
+            "structures": structures, "smaller": int((rmse[point, b] < rmse[point, a]).sum()),
+            "larger": int((rmse[point, b] > rmse[point, a]).sum()),
+            "equal_measurements": used[a] == used[b],
+        }
+        for point in range(points)
+        for a, b in itertools.combinations(range(conditions), 2)
+    ]  # fmt: skip
+    return pd.DataFrame(rows), pd.DataFrame(pairs)
+
+
+def wins(rmse, used):
+    """Count the points at which a condition errs least on each structure, by condition."""
+    points, conditions, structures = rmse.shape
+    found = {}
+    for n in range(conditions) if structures >= FEWEST else ():
+        others = [m for m in range(conditions) if m != n and used[m] == used[n]]
+        won = [(rmse[p, n] < rmse[p, others]).all() for p in range(points)]
+        found |= {f"c{n}": sum(won)} if others and any(won) else {}
+    return found
+
+
+@settings(max_examples=25)
+@given(study=studies())
+def test_a_sentence_contains_the_least_error_of_all(study):
+    """No sentence is about losers alone."""
+    rmse, used = study
+    table, pairs = tables(rmse, used)
+
+    texts = [answer(question, Results(table, pairs, NONE)) for question in get_args(AnyQuestion)]
+
+    least = two_digits(rmse.mean(axis=2).min())
+    assert all(re.search(rf"\b{re.escape(least)} (?:R|to)", text) for text in texts)
+
+
+@settings(max_examples=25)
+@given(study=studies())
+def test_the_smallest_error_is_so_on_each_of_enough_structures(study):
+    """Points are points of the sweep, and fewer than five structures have numbers alone."""
+    rmse, used = study
+
+    text = conclusion(*tables(rmse, used))
+
+    structures, points = HEADER.match(text).groups()
+    assert (int(structures), int(points or 1)) == (rmse.shape[2], rmse.shape[0])
+    if rmse.shape[0] == 1:
+        assert dict.fromkeys(WON.findall(text), 1) == wins(rmse, used)
+    else:
+        stated = {name: (int(won), int(of)) for name, won, of in COUNTED.findall(text)}
+        assert stated == {name: (won, rmse.shape[0]) for name, won in wins(rmse, used).items()}
+
+
+def compared(*errors, structures=FEWEST, equal=True):
+    """Tabulate conditions a, b, ... whose order is that of their mean errors on each structure."""
+    names = "abcdefg"[: len(errors)]
+    table = pd.DataFrame({"condition": [*names], "cases": structures, "rmse_R_mean": errors})
+    pairs = [
+        {
+            "condition": names[j], "against": names[i], "measure": "rmse_R",
+            "structures": structures, "smaller": structures * (errors[j] < errors[i]),
+            "larger": structures * (errors[j] > errors[i]), "equal_measurements": equal,
+        }
+        for i, j in itertools.combinations(range(len(errors)), 2)
+    ]  # fmt: skip
+    return table.assign(measurements=CUES[1]), pd.DataFrame(pairs)
+
+
+def test_conditions_with_equal_measurements_are_named_by_these():
+    """A reader sees what each group knows, in words, and how much more the others err."""
+    table, pairs = compared(0.52, 2.56, 1.3, 0.13)
+    table.loc[3, "measurements"] = CUES[2]
+    pairs["equal_measurements"] = ~(pairs["condition"] == "d")
+
+    text = conclusion(table, pairs)
+
+    assert text == (
+        "Mean RMSE of 5 structures: with contacts, heights, contacts on the way and non-overlap, "
+        "d 0.13 R; with contacts and heights, a 0.52 R (the smallest on every structure), "
+        "c 1.3 R (about 2 times), b 2.6 R (about 5 times)"
+    )
+
+
+@pytest.mark.parametrize("structures", [1, 3, FEWEST - 1])
+def test_few_structures_have_numbers_alone(structures):
+    """Three differences of one sign are chance in a quarter of all studies."""
+    text = conclusion(*compared(0.5, 1.3, structures=structures))
+
+    assert "smallest" not in text
+    assert "a 0.50 R, b 1.3 R (about 3 times)" in text
+
+
+def test_many_conditions_with_measurements_of_their_own_are_one_list():
+    """The names of their measurements would fill a page; the table has them."""
+    table, pairs = compared(0.5, 1.3, 0.2, 7.0, 2.0, equal=False)
+
+    text = conclusion(table, pairs)
+
+    assert text == (
+        "Mean RMSE of 5 structures: 5 conditions, each with other measurements or noise, "
+        "c 0.20 R, a 0.50 R, b 1.3 R, and 2 more up to 7.0 R"
+    )
+
+
+def test_large_ratios_have_no_exponent():
+    """Nobody reads 2.56e+03 at a glance."""
+    assert conclusion(*compared(0.001, 2.56, structures=2)).endswith("(about 2600 times)")
+
+
+def test_swept_methods_are_compared_under_each_condition():
+    """Conditions are levels of noise there, and no noise would always win."""
+    table = pd.DataFrame({"condition": ["none", "much"] * 2, "cases": FEWEST})
+    table.insert(1, "localization.method", [*"aabb"])
+    rmse = np.array([1.0, 9.0, 2.0, 10.0])
+    table = table.assign(rmse_R_mean=rmse, rmse_R_least=rmse - 0.1, rmse_R_most=rmse + 0.1)
+
+    text = conclusion(table.assign(measurements="contacts"), NONE)
+    others = conclusion(table.assign(measurements=["contacts"] * 2 + ["ranges"] * 2), NONE)
+
+    assert text == (
+        "Mean RMSE of 5 structures under each of 2 conditions: with contacts, "
+        "a 1.0 to 9.0 R (the smallest on every structure at 2 of 2 points), b 2.0 to 10 R"
+    )
+    assert "smallest" not in others
+
+
+def test_each_question_has_an_answer():
+    """The schema offers what the report can answer, and nothing else."""
+    assert {*ANSWERS} == {*get_args(AnyQuestion)}
+
+
+def test_each_cue_has_words():
+    """Nobody has to know the keys of settings to read a page."""
+    assert {*CUE_WORDS} == {*all_cues()}
+    assert measured_words("my_cue, contacts") == "contacts and my cue"
+    assert measured_words("") == ""
+
+
+def test_what_structures_reached_is_counted_by_row():
+    """Bridges are closed or not; where robots know the truth, all conditions share structures."""
+    table = pd.DataFrame({"condition": ["online", "first"] * 3})
+    table["structure"] = ["kind: tower"] * 2 + ["kind: bridge, gap: 20.0"] * 4
+    table["structure.navigate_by"] = ["truth"] * 4 + ["estimate"] * 2
+    table = table.assign(
+        cases=4, rmse_R_mean=1.0, kind=["tower"] * 2 + ["bridge"] * 4,
+        height_R_mean=[31.7, 31.7, 9.0, 9.0, 9.0, 9.0], crossed_mean=[0, 0, 0.75, 0.75, 1.0, 0.25],
+    )  # fmt: skip
+
+    text = answer("reached", Results(table, NONE, NONE))
+
+    assert text == (
+        "Means of 4 structures: tower, navigate_by truth: height 32 R; "
+        "bridge, gap 20.0, navigate_by truth: bridges closed 3 of 4; "
+        "bridge, gap 20.0, navigate_by estimate: bridges closed 4 of 4 (online), 1 of 4 (first)"
+    )
+
+
+def test_what_structures_reached_at_many_points_is_a_range_of_each_kind():
+    """Thirty rows would be no sentence."""
+    table = pd.DataFrame({"condition": "a", "force": [*map(str, range(12))], "cases": 2})
+    table = table.assign(kind=["chain"] * 6 + ["bridge"] * 6, rmse_R_mean=1.0)
+    table = table.assign(depth_R_mean=np.arange(12) + 4.0, crossed_mean=0.5)
+
+    text = answer("reached", Results(table, NONE, NONE))
+
+    assert text == "Means of 2 structures: depth of chains 4.0 to 9.0 R; bridges closed 6 of 12"
+
+
+def test_rmse_at_a_budget_names_what_robots_send():
+    """Methods that have all logs in one place are no rivals of those that send bytes."""
+    table, pairs = compared(0.2, 0.35, 0.3, 3.0, structures=2)
+    sent = [np.nan, 700.0, 4000.0, 90.0]
+
+    text = answer("traffic", Results(table.assign(sent_B_mean=sent), pairs, NONE))
+
+    assert text == (
+        "Mean RMSE of 2 structures: of those whose robots send at most 1 kB each, "
+        "b 0.35 R at 0.70 kB, d 3.0 R at 0.090 kB; of those that send more, c 0.30 R at 4.0 kB; "
+        "with the log of all robots in one place, a 0.20 R"
+    )
+
+
+@pytest.mark.parametrize(
+    ("structures", "end"), [(4, ""), (5, "; in the paper's order at 1 of 2 points")]
+)
+def test_the_order_of_the_cues_is_beside_that_of_the_paper(structures, end):
+    """Rows without a published number have no place in its order."""
+    table = pd.DataFrame({"condition": ["all", "no-z", "own"] * 2, "kind": [*"aaabbb"]})
+    table = table.assign(cases=structures, rmse_R_mean=[2.0, 3.0, 9.0, 4.0, 3.0, 8.0])
+    table["paper_rmse_radii"] = [1.6, 1.8, None, 3.9, 5.3, None]
+
+    text = answer("cues", Results(table, NONE, NONE))
+
+    assert text == (
+        f"Mean RMSE of {structures} structures at each of 2 points: all 2.0 to 4.0 R, "
+        f"no-z 3.0 R (-25 to +50 %), own 8.0 to 9.0 R (+100 to +350 %){end}"
+    )
+
+
+def test_exponents_are_those_of_the_table():
+    """A power is what a study of scaling asks about."""
+    robots = [100, 1000] * 2
+    scaling = pd.DataFrame({"series": ["a"] * 4 + ["b"] * 4, "robots": robots * 2})
+    scaling["measure"] = ["rmse_R", "rmse_R", "localize_cpu_s", "localize_cpu_s"] * 2
+    scaling = scaling.assign(
+        mean=[2.0, 4.0, 1.0, 10.0, 0.5, 0.6, 2.0, 30.0],
+        exponent=[0.3, 0.3, 1, 1, 0.08, 0.08, 1.2, 1.2],
+    )
+    table, pairs = compared(0.5, 2.0, structures=3)
+
+    text = answer("scaling", Results(table, pairs, scaling))
+    without = answer("scaling", Results(table, pairs, scaling.assign(exponent=np.nan)))
+
+    assert text == (
+        "From 100 to 1000 robots, 3 structures each, RMSE of b 0.50 to 0.60 R as N^0.08, "
+        "a 2.0 to 4.0 R as N^0.30; CPU time of localization of b as N^1.20, a as N^1.00"
+    )
+    assert without.startswith("Mean RMSE of 3 structures: ")  # two sizes have no exponent
+
+
+@pytest.mark.parametrize("question", [*get_args(AnyQuestion), "nonsense", "None"])
+def test_a_question_without_its_results_has_the_answer_on_errors(question):
+    """A run that was made smaller than its study, or by an older version, has a sentence too."""
+    table, pairs = compared(0.5, 1.3, structures=2)
+
+    text = answer(question, Results(table, pairs, NONE))
+
+    assert text.startswith("Mean RMSE of 2 structures: ")
+    assert "a 0.50 R, b 1.3 R" in text
+
+
+def test_the_question_of_a_run_is_that_of_its_scenario(tmp_path):
+    """The terminal and the page have the same answer, with the names and with the labels."""
+    measures = dict.fromkeys(["rmse_R_ci95", "rmse_R_least", "rmse_R_most"], 1.0)
+    table, pairs = compared(0.5, 1.3, structures=2)
+    table = table.assign(procrustes_disparity_mean=0.1, **measures)
+    pairs = pairs.assign(difference_mean=0.8, wilcoxon_p=0.5)
+    table = table.assign(kind="tower", height_R_mean=[12.0, 13.0])
+    table.to_csv(tmp_path / "table.csv", index=False)
+    pairs.to_csv(tmp_path / "paired.csv", index=False)
+    (tmp_path / "scenario.yaml").write_text("question: reached\n")
+
+    last = headline(tmp_path).splitlines()[-1]
+    shown = result_of(tmp_path, table.replace({"condition": {"a": "A"}}), {"a": "A"})
+
+    assert last == "Means of 2 structures: height 12 R (a), 13 R (b)."
+    assert shown == "Means of 2 structures: height 12 R (A), 13 R (b)."

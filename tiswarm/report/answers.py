@@ -1,0 +1,259 @@
+"""Answers to the question of a scenario, a sentence each, from the tables of a run.
+
+To add a question, write a function and add a line to `ANSWERS`, and its name to `AnyQuestion` of
+`tiswarm/scenario/questions.py`.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import pandas as pd
+
+from tiswarm.records.messages import counted
+from tiswarm.report.comparison import (
+    FEWEST,
+    Row,
+    at_points,
+    conclusion,
+    least_error,
+    mean_of,
+    range_of,
+    structures_of,
+    two_digits,
+)
+
+BUDGET_B = 1_000
+"""Bytes that a robot may send, in the mean over robots and structures."""
+
+_MOST_NAMED = 6
+_MOST_POINTS = 8
+_MEASURES = {
+    "tower": ("height", "height_R_mean"),
+    "cantilever": ("reach", "reach_R_mean"),
+    "chain": ("depth", "depth_R_mean"),
+}
+"""By kind of structure, what it is built for, and the column of that [R]."""
+
+_BRIDGES, _SENT, _PUBLISHED = "crossed_mean", "sent_B_mean", "paper_rmse_radii"
+
+
+class Results(NamedTuple):
+    """Tables of a run; all but the first may be empty."""
+
+    table: pd.DataFrame  # rows of `table.csv` with finished cases
+    pairs: pd.DataFrame  # `paired.csv`
+    scaling: pd.DataFrame  # `scaling.csv`
+
+
+def answer(question: str, results: Results) -> str:
+    """Answer a question in a sentence; empty without any RMSE.
+
+    Where the results do not have what a question asks about, they answer `least-error`.
+    """
+    return ANSWERS.get(question, _least_error)(results) or _least_error(results)
+
+
+def _least_error(results: Results) -> str:
+    """State mean RMSE by groups of conditions with equal measurements."""
+    return conclusion(results.table, results.pairs)
+
+
+def _reached(results: Results) -> str:
+    """State what structures reached: heights, reaches and depths, and bridges closed."""
+    points = at_points(results.table)
+    rows = [row for of_point in points.values() for row in of_point]
+    if len(points) <= _MOST_POINTS:
+        texts = [_reached_at(of_point, _point_words(of_point[0])) for of_point in points.values()]
+    else:
+        kinds = dict.fromkeys(row.get("kind") for row in rows)
+        texts = [_reached_by([row for row in rows if row.get("kind") == kind]) for kind in kinds]
+    if not any(texts):
+        return ""
+    return f"Means of {structures_of(rows)}: {'; '.join(filter(None, texts))}"
+
+
+def _reached_at(rows: Sequence[Row], place: str) -> str:
+    """State what structures of a point reached, once where all conditions have the same."""
+    what, values = _reaches(rows)
+    if not what:
+        return ""
+    by_name = [f"{value} ({row['condition']})" for row, value in zip(rows, values, strict=True)]
+    shown = by_name if len({*values}) > 1 else values[:1]
+    return f"{f'{place}: ' if place else ''}{what} {', '.join(shown)}"
+
+
+def _reached_by(rows: Sequence[Row]) -> str:
+    """State what structures of a kind reached at many points."""
+    kind = rows[0].get("kind")
+    if kind == "bridge" and _BRIDGES in rows[0]:
+        closed = sum(round(row[_BRIDGES] * row["cases"]) for row in rows)
+        return f"bridges closed {closed} of {sum(int(row['cases']) for row in rows)}"
+    if kind not in _MEASURES or _MEASURES[kind][1] not in rows[0]:
+        return ""
+    what, column = _MEASURES[kind]
+    return f"{what} of {kind}s {range_of(float(row[column]) for row in rows)}"
+
+
+def _reaches(rows: Sequence[Row]) -> tuple[str, list[str]]:
+    """Return what structures of a kind are built for, and what those of each row reached."""
+    kind = rows[0].get("kind")
+    if kind == "bridge" and _BRIDGES in rows[0]:
+        closed = [f"{round(row[_BRIDGES] * row['cases'])} of {row['cases']:.0f}" for row in rows]
+        return "bridges closed", closed
+    what, column = _MEASURES.get(str(kind), ("", ""))
+    known = column in rows[0]
+    return (what, [f"{two_digits(row[column])} R" for row in rows]) if known else ("", [])
+
+
+def _point_words(row: Row) -> str:
+    """Name a point of the sweep by its values, and by keys where values alone say too little."""
+    names = [*map(str, row)]
+    texts = []
+    for name in names[names.index("condition") + 1 : names.index("cases")]:
+        value, key = str(row[name]), name.rpartition(".")[2]
+        is_section = ": " in value
+        texts.append(
+            value.replace("kind: ", "").replace(": ", " ")
+            if is_section or key == "kind"
+            else f"{key} {value}"
+        )
+    return ", ".join(texts)
+
+
+def _traffic(results: Results) -> str:
+    """State the errors of methods whose robots send little, and the least ones of all others."""
+    rows = _by_condition(results.table)
+    sent = {name: [float(row.get(_SENT, math.nan)) for row in each] for name, each in rows.items()}
+    if not any(max(of_name) >= 0.0 for of_name in sent.values()):
+        return ""
+    limit = f"{BUDGET_B / 1e3:.0f} kB each"
+    kinds: dict[str, dict[str, list[Row]]] = {
+        f"of those whose robots send at most {limit}": {},
+        "of those that send more": {},
+        "with the log of all robots in one place": {},
+    }
+    few, many, alone = kinds.values()
+    for name, of_name in sent.items():
+        most = max(of_name)
+        (alone if math.isnan(most) else few if most <= BUDGET_B else many)[name] = rows[name]
+    notes = {
+        name: f" at {range_of((count / 1e3 for count in of_name), ' kB')}"
+        for name, of_name in sent.items()
+        if name not in alone
+    }
+    texts = [f"{kind}, {_listed(each, notes)}" for kind, each in kinds.items() if each]
+    if not few:
+        texts.insert(0, f"no condition's robots send at most {limit}")
+    return f"{_head(results.table)}: {'; '.join(texts)}"
+
+
+def _cues(results: Results) -> str:
+    """State errors by condition beside the first one, and whether the order is the paper's."""
+    table, rows = results.table, _by_condition(results.table)
+    if len(rows) < 2:  # noqa: PLR2004 - nothing was left out
+        return ""
+    first = next(iter(rows))
+    notes = {name: _changes(rows[first], each) for name, each in rows.items() if name != first}
+    ordered = sorted(rows, key=lambda name: sum(_errors(rows[name])) / len(rows[name]))
+    return f"{_head(table)}: {_listed(rows, notes, ordered)}{_paper_order(table)}"
+
+
+def _changes(first: Sequence[Row], rows: Sequence[Row]) -> str:
+    """Write by how much errors differ from those of the first condition, point by point."""
+    of_first = {_point_words(row): float(row["rmse_R_mean"]) for row in first}
+    found = [
+        100.0 * (float(row["rmse_R_mean"]) / base - 1.0)
+        for row in rows
+        if (base := of_first.get(_point_words(row), 0.0))
+    ]
+    if not found:
+        return ""
+    least, most = (f"{round(pick(found)):+d}" for pick in (min, max))
+    return f" ({least if least == most else f'{least} to {most}'} %)"
+
+
+def _paper_order(table: pd.DataFrame) -> str:
+    """Count the points where conditions have the paper's order; empty of few structures."""
+    if _PUBLISHED not in table or table["cases"].min() < FEWEST:
+        return ""
+    points = [
+        [row[_PUBLISHED] for row in sorted(rows, key=lambda row: float(row["rmse_R_mean"]))]
+        for rows in at_points(table[table[_PUBLISHED].notna()]).values()
+    ]
+    points = [published for published in points if len({*published}) > 1]
+    if not points:
+        return ""
+    alike = sum(published == sorted(published) for published in points)
+    return f"; in the paper's order at {alike} of {counted(len(points), 'point')}"
+
+
+def _scaling(results: Results) -> str:
+    """State errors and exponents of RMSE and CPU time against the number of robots N."""
+    table = results.scaling
+    if table.empty:
+        return ""
+    table = table[table["mean"].notna()]
+    rmse, time = (table[table["measure"] == name] for name in ("rmse_R", "localize_cpu_s"))
+    sizes = rmse["robots"]
+    if not rmse["exponent"].notna().any():  # of fewer than three sizes
+        return ""
+    errors = {str(name): rows for name, rows in rmse.groupby("series", sort=False)}
+    ordered = sorted(errors, key=lambda name: float(errors[name]["mean"].min()))
+    of_rmse = [f"{name} {range_of(errors[name]['mean'])}{_power(errors[name])}" for name in ordered]
+    times = {str(name): rows for name, rows in time.groupby("series", sort=False)}
+    of_time = [f"{name}{_power(times[name])}" for name in ordered if name in times]
+    seeds = structures_of(results.table.to_dict("records"))
+    text = f"From {sizes.min():.0f} to {sizes.max():.0f} robots, {seeds} each, RMSE of "
+    text += ", ".join(of_rmse)
+    return f"{text}; CPU time of localization of {', '.join(of_time)}" if of_time else text
+
+
+def _power(rows: pd.DataFrame) -> str:
+    """Write the exponent of a measure against N; empty where there is none."""
+    exponent = float(rows["exponent"].iloc[0])
+    return "" if math.isnan(exponent) else f" as N^{exponent:.2f}"
+
+
+def _by_condition(table: pd.DataFrame) -> dict[str, list[Row]]:
+    """List the rows of each condition."""
+    found: dict[str, list[Row]] = {}
+    for rows in at_points(table).values():
+        for row in rows:
+            found.setdefault(str(row["condition"]), []).append(row)
+    return found
+
+
+def _head(table: pd.DataFrame) -> str:
+    """State what the numbers of a sentence are means of."""
+    return mean_of(table.to_dict("records"), len(at_points(table)))
+
+
+def _listed(
+    rows: Mapping[str, Sequence[Row]],
+    notes: Mapping[str, str],
+    ordered: Sequence[str] = (),
+) -> str:
+    """List some conditions with notes: the first ones, by least error, and that with the least."""
+    by_least = sorted(rows, key=lambda name: least_error(rows[name]))
+    ordered = ordered or by_least
+    named = [name for n, name in enumerate(ordered) if n < _MOST_NAMED or name == by_least[0]]
+    texts = [f"{name} {range_of(_errors(rows[name]))}{notes.get(name, '')}" for name in named]
+    if rest := [name for name in ordered if name not in named]:
+        most = max(error for name in rest for error in _errors(rows[name]))
+        texts.append(f"and {len(rest)} more up to {two_digits(most)} R")
+    return ", ".join(texts)
+
+
+def _errors(rows: Iterable[Row]) -> list[float]:
+    return [float(row["rmse_R_mean"]) for row in rows]
+
+
+ANSWERS: dict[str, Callable[[Results], str]] = {
+    "least-error": _least_error,
+    "reached": _reached,
+    "traffic": _traffic,
+    "cues": _cues,
+    "scaling": _scaling,
+}
+"""What answers each question, from the tables of a run; empty where they do not have the answer."""
