@@ -30,12 +30,15 @@ OTHER = "AMD EPYC, libraries without AVX2 and FMA"
 README_ROWS = ("algorithm-1", "algorithm-1-all-at-once", "height", "noisy-walks")
 
 
-def _stored(condition, structure, measure="rmse_R"):
-    """Find the results of the scenario joint, a row for each kind of processor."""
+def _stored(condition, structure, measure="rmse_R", *, scenario="joint"):
+    """Find the results of a scenario, a row for each kind of processor.
+
+    `structure` is a kind, or settings of a structure in braces.
+    """
     table = results.read_results()
+    point = f"structure={structure}" if "{" in structure else f"structure.kind={structure}"
     keys = {
-        "scenario": "joint", "condition": condition, "point": f"structure.kind={structure}",
-        "measure": measure,
+        "scenario": scenario, "condition": condition, "point": point, "measure": measure,
     }  # fmt: skip
     found = table[(table[list(keys)] == pd.Series(keys)).all(axis=1)]
     assert len(found) > 0, keys
@@ -139,6 +142,89 @@ def test_sizes_and_verdicts_of_the_page_of_accuracy_are_in_the_file():
     for (_, condition), structure in ((c, s) for c in ROWS.values() for s in kinds):
         for name in ("converged", "consistent"):
             assert _stored(condition, structure, name)["value"][KIND] == 1.0
+
+
+PAPER_SETS = {
+    ("tower", "F = 3.5"): "{kind: tower, force_threshold: 3.5}",
+    ("tower", "F = 10"): "{kind: tower}",
+    ("cantilever", "F = 3.5"): (
+        "{kind: cantilever, force_threshold: 3.5, anchor: 5.0, founders: 2, spawn_behind: placed}"
+    ),
+    ("cantilever", "F = 10"): "{kind: cantilever, anchor: 6.5, founders: 2}",
+}
+"""Structures of the scenario paper by kind and set, as docs/paper.md names them."""
+
+
+def test_the_page_of_the_paper_has_the_file_s_results():
+    """Means and intervals of RMSE and disparity: two sets of two kinds in three conditions."""
+    page = _page("docs", "paper.md")
+    table = re.search(r"\| \| paper: RMSE, d \|.*?\n\n", page, re.DOTALL)[0].splitlines()[2:-1]
+    conditions = ("all-cues", "no-z", "no-z-no-undock")
+
+    rows = itertools.product(("tower", "cantilever"), conditions, ("F = 3.5", "F = 10"))
+
+    for line, (kind, condition, name) in zip(table, rows, strict=True):
+        cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
+        structure = PAPER_SETS[kind, name]
+        assert name in cells
+        for cell, measure in (
+            (cells[cells.index(name) + 1], "rmse_R"),
+            (cells[cells.index(name) + 5], "procrustes_disparity"),
+        ):
+            row = _stored(condition, structure, measure, scenario="paper").loc[KIND]
+            mean, half = _numbers(cell)[:2]
+            assert _is_rounded(mean, row["value"]), line
+            assert _is_rounded(half, (row["high"] - row["low"]) / 2), line
+
+
+def test_the_page_of_the_paper_states_what_its_structures_are():
+    """Heights, reach and robots beyond the edge, by set and kind."""
+    page = _page("docs", "paper.md")
+    for (kind, name), structure in PAPER_SETS.items():
+        cells = _cells(page, f"{name} | {kind}")
+        size = {"tower": "height_R", "cantilever": "reach_R"}[kind]
+        reached = _stored("all-cues", structure, size, scenario="paper")["value"][KIND]
+        assert _is_rounded(cells[3], reached)
+        if kind == "cantilever":
+            found = _stored("all-cues", structure, "beyond_edge", scenario="paper")
+            assert _is_rounded(_numbers(cells[4])[0], 100.0 * found["value"][KIND])
+
+
+@pytest.mark.parametrize(
+    ("start", "condition"),
+    [("`online` | 0 to 7", "online"), ("Algorithm 1 | 0 to 15", "algorithm-1")],
+)
+def test_the_page_of_closed_loops_has_the_file_s_flips(start, condition):
+    """Failed flips for each one taken, and the shares that went as planned."""
+    cells = _cells(_page("docs", "guides", "closed-loop.md"), start)
+    for place, structure in enumerate(("kind: tower", "kind: bridge, gap: 30.0")):
+        point = f"{{{structure}}}, structure.navigate_by=estimate"
+        failed, planned = (
+            _stored(condition, point, name, scenario="closed-loop")["value"][KIND]
+            for name in ("failed_flips", "flips_as_planned")
+        )
+        assert _is_rounded(_numbers(cells[2])[place], failed)
+        assert _is_rounded(_numbers(cells[3])[place], 100.0 * planned)
+        assert abs(float(_numbers(cells[4])[place]) - 100.0 * planned / (1.0 + failed)) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("start", "condition"),
+    [("default: the anchor solves for all", "touch"), ("`reach: 3`", "reach-3")],
+)
+def test_the_page_of_messages_has_the_file_s_errors_and_bytes(start, condition):
+    """RMSE with its interval, and what a robot and the worst one send."""
+    cells = _cells(_page("docs", "guides", "distributed.md"), start)
+    for place, structure in enumerate(("tower", "cantilever")):
+        error, sent, worst = (
+            _stored(condition, structure, name, scenario="between").loc[KIND]
+            for name in ("rmse_R", "sent_B", "worst_sent_B")
+        )
+        mean, half = _numbers(cells[1])[2 * place : 2 * place + 2]
+        assert _is_rounded(mean, error["value"])
+        assert _is_rounded(half, (error["high"] - error["low"]) / 2)
+        assert _is_rounded(_numbers(cells[3])[place], sent["value"] / 1000.0)
+        assert _is_rounded(_numbers(cells[4])[place], worst["value"] / 1000.0)
 
 
 @pytest.fixture
