@@ -252,7 +252,7 @@ def import_poses(
 
     Args:
         poses: Table `robot,x,y,z,qw,qx,qy,qz` or `robot,sphere,x,y,z`, in motion with a column
-            `time`; a GSD file; or a folder of TUM trajectories.
+            `time`; a GSD file; a folder of TUM trajectories; or an export of motion capture.
         docks: Table `dock,x,y,z` of the docks in the body frame, in place of `dock_offset_body`.
         out: Folder for `sensing.jsonl` and `truth.csv`; nothing is written if None.
         overwrite: Whether to replace files that no tiswarm command wrote.

@@ -242,7 +242,7 @@ def import_(
         Path,
         Argument(
             help="Table robot,x,y,z,qw,qx,qy,qz or robot,sphere,x,y,z; .gsd; .tum or a folder of "
-            "such files."
+            "such files; an export of Motive, Qualisys or Vicon."
         ),
     ],
     out: Annotated[Path, Option(help="Folder for sensing.jsonl and truth.csv.")],

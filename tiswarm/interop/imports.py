@@ -21,6 +21,7 @@ from tiswarm.interop.docking import (
 )
 from tiswarm.interop.glitches import without_glitches
 from tiswarm.interop.hints import few_contacts, off_the_ground
+from tiswarm.interop.mocap import read_mocap
 from tiswarm.interop.pose_table import PoseTable, read_table
 from tiswarm.interop.poses import UPWARD, Poses, poses_by_run
 from tiswarm.interop.stances import Rests, find_rests, stances_of
@@ -86,6 +87,8 @@ def _read(path: Path, assumed: Assumptions) -> PoseTable:
         )
     if path.suffix == ".gsd":
         return read_gsd(path, dock_radius=assumed.dock_radius)
+    if exported := read_mocap(path, dock_radius=assumed.dock_radius):
+        return exported
     return read_table(
         path,
         dock_radius=assumed.dock_radius,

@@ -23,7 +23,7 @@ from tiswarm.records.sensing_builder import FAR_FROM_UNIT
 
 _TUM = ["time", *"xyz", "qx", "qy", "qz", "qw"]
 
-_LONGEST_TEXT = 2**28
+LONGEST_TEXT = 2**28
 """Largest content of a file of trajectories [byte], whose rows are all in memory."""
 
 
@@ -125,7 +125,7 @@ def read_tum(path: Path, *, dock_radius: float, drop_incomplete: bool) -> PoseTa
 def _trajectory(path: Path, dock_radius: float) -> tuple[pd.DataFrame, list[int]]:
     """Read the lines of a file, with their numbers, and list the lines that have a NaN."""
     rows, lines, incomplete = [], [], []
-    for line, text in numbered_lines(path, _LONGEST_TEXT):
+    for line, text in numbered_lines(path, LONGEST_TEXT):
         cells = text.split()
         if not cells or cells[0].startswith("#"):
             continue
