@@ -191,7 +191,13 @@ def test_structures_side_by_side_are_as_if_alone():
     np.testing.assert_array_equal(together.position[70:], alone.position)
 
 
-both_small = pytest.mark.parametrize("small", [2_000, 0], ids=["by structure", "all at once"])
+both_small = pytest.mark.parametrize(
+    "small",
+    [
+        pytest.param(2_000, id="by structure"),
+        pytest.param(0, id="all at once", marks=pytest.mark.trial),
+    ],
+)
 
 
 @both_small

@@ -113,7 +113,7 @@ def short(towers):
     )
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(steps=st.integers(1, 40), dwell=st.integers(1, 4), waiting=st.booleans())
 def test_any_sampling_of_motions_gives_the_same_stances(
     short, tmp_path_factory, steps, dwell, waiting

@@ -219,9 +219,9 @@ def test_the_second_solution_can_be_chosen():
     assert "mirrored" not in second.known
 
 
-def test_a_wrong_height_and_a_wrong_fix_are_outliers(towers):
+def test_a_wrong_height_and_a_wrong_fix_are_outliers(tall_towers):
     """Each is listed by robot and stance, flips from the first on; others hold the robots."""
-    history = towers[0]
+    history = tall_towers[0]
     log = observe(history, SensingParams(tilt_noise_deg=0.5, yaw_noise_deg=1.0))
     height = log.flip_height.copy()
     height[17] += 3.0
@@ -239,10 +239,10 @@ def test_a_wrong_height_and_a_wrong_fix_are_outliers(towers):
     assert np.sqrt((off**2).mean()) < 1.0
 
 
-@pytest.fixture(scope="module")
-def tower():
-    """A tower of 50 robots."""
-    return grow(TowerParams(), robots=50, seeds=[0], robot=RobotGeometry())[0]
+@pytest.fixture(scope="module", params=[12, pytest.param(50, marks=pytest.mark.trial)])
+def tower(request):
+    """A tower of 12 robots, and of 50 in a trial."""
+    return grow(TowerParams(), robots=request.param, seeds=[0], robot=RobotGeometry())[0]
 
 
 def test_a_clean_tower_converges_and_is_consistent(tower):
@@ -279,18 +279,20 @@ def _stated(sd, seed):
     return foreign.room_of_tags(foreign.ROOM, seed, count=12, stated=sd)[0]
 
 
-def test_sd_is_what_residuals_show_where_a_log_states_too_little_noise():
+@pytest.mark.parametrize("logs_of_each", [2, pytest.param(4, marks=pytest.mark.trial)])
+def test_sd_is_what_residuals_show_where_a_log_states_too_little_noise(logs_of_each):
     """Ranges that are stated 2.5 times too good make an sd as if they were stated right."""
-    logs = [_stated(sd, seed) for sd in (0.1, 0.04) for seed in range(4)]
+    logs = [_stated(sd, seed) for sd in (0.1, 0.04) for seed in range(logs_of_each)]
 
-    estimates = localize_many(logs, [ALL] * 8)
+    estimates = localize_many(logs, [ALL] * len(logs))
 
     verdicts = [estimate.convergence for estimate in estimates]
     sd = np.array([np.median(estimate.sd[4:]) for estimate in estimates])
-    assert [v.sd_factor for v in verdicts[:4]] == [1.0] * 4
-    assert not any(v.consistent for v in verdicts[4:])
-    assert np.mean([v.sd_factor for v in verdicts[4:]]) == pytest.approx(2.5, rel=0.2)
-    assert np.mean(sd[4:] / sd[:4]) == pytest.approx(1.0, rel=0.3)
+    right, wrong = slice(logs_of_each), slice(logs_of_each, None)
+    assert [v.sd_factor for v in verdicts[right]] == [1.0] * logs_of_each
+    assert not any(v.consistent for v in verdicts[wrong])
+    assert np.mean([v.sd_factor for v in verdicts[wrong]]) == pytest.approx(2.5, rel=0.2)
+    assert np.mean(sd[wrong] / sd[right]) == pytest.approx(1.0, rel=0.3)
 
 
 def test_the_factor_of_sd_is_the_birge_ratio():
@@ -371,7 +373,7 @@ def test_measurements_that_are_no_inliers_do_not_pull(towers):
     misled = replace(log, contacts=contacts)
     wrong = pose_problem(misled, ALL)
     missed = np.abs(wrong.rows.residual(history.position)) > 0.5
-    sd = np.full(30, 0.3)
+    sd = np.full(log.robot_count, 0.3)
 
     right, without, pulled = (
         _minimum(log, known, history.position, sd),
@@ -390,10 +392,10 @@ def test_where_measurements_leave_a_robot_open_its_chains_say_how_far_off_it_is(
     """A robot of one contact and no height turns about it, as well as others are known."""
     log = observe(towers[0], NOISY)
     known = pose_problem(log, ALL)
-    alone = 29
+    alone = log.robot_count - 1
     inlier = known.rows.robot != alone
     inlier[: len(known.rows.other)] &= known.rows.other != alone
-    sd = np.full(30, 0.3)
+    sd = np.full(log.robot_count, 0.3)
 
     found = _minimum(log, known, towers[0].position, sd, inlier)
 
@@ -403,9 +405,10 @@ def test_where_measurements_leave_a_robot_open_its_chains_say_how_far_off_it_is(
     assert np.median(found.sd[1:alone] / sd[1:alone]) < 0.5
 
 
-def test_chains_do_not_hold_back_what_many_robots_share():
-    """All of 300 moved alike go back, though each by itself was off by what is likely."""
-    robots, off = 300, 0.3
+@pytest.mark.parametrize("robots", [40, pytest.param(300, marks=pytest.mark.trial)])
+def test_chains_do_not_hold_back_what_many_robots_share(robots):
+    """All that moved alike go back, though each by itself was off by what is likely."""
+    off = 0.3
     params = TowerParams(force_threshold=1e9)
     (history,) = grow(params, robots=robots, seeds=[5], robot=RobotGeometry())
     log = observe(history, NOISY)
@@ -420,14 +423,15 @@ def test_chains_do_not_hold_back_what_many_robots_share():
     assert np.linalg.norm(back - there, axis=1).mean() < 0.03 * off
 
 
-def test_refined_robots_end_nearer_and_sd_says_how_near():
+@pytest.mark.parametrize("robots", [16, pytest.param(30, marks=pytest.mark.trial)])
+def test_refined_robots_end_nearer_and_sd_says_how_near(robots):
     """Than where chains that know nothing of shared errors ended.
 
     Robots that settled touch so many others that no mirror image is in the way.
     """
     settled = TowerParams(climb=ClimbParams(settle=1.0))
     far, near, sd = [], [], []
-    for history in grow(settled, robots=30, seeds=[0, 1, 2], robot=RobotGeometry()):
+    for history in grow(settled, robots=robots, seeds=[0, 1, 2], robot=RobotGeometry()):
         log = observe(history, NOISY)
         before, after = (localize(log, replace(ALL, refine=choice)) for choice in (False, True))
         far, near = (
@@ -446,7 +450,7 @@ def test_structures_that_are_not_refined_are_as_their_chains_leave_them(towers):
     log = observe(towers[0], NOISY)
     known = pose_problem(log, AS_ENDED)
     rng = np.random.default_rng(0)
-    position = towers[0].position + 0.05 * rng.normal(size=(4, 30, 3))
+    position = towers[0].position + 0.05 * rng.normal(size=(4, log.robot_count, 3))
     position[:, 0] = towers[0].position[0]
 
     ends = ranked(log, AS_ENDED, known, chains_at(position), SOUND)

@@ -28,10 +28,10 @@ DRIFT = np.radians([0.0, 6.0, 0.0])
 """Error that an orientation gains at each stance, about a horizontal axis."""
 
 
-@pytest.fixture(scope="module")
-def tower():
-    """A tower of 40 robots."""
-    return grow(TowerParams(), robots=40, seeds=[1000], robot=RobotGeometry())[0]
+@pytest.fixture(scope="module", params=[24, pytest.param(40, marks=pytest.mark.trial)])
+def tower(request):
+    """A tower of 24 robots, and of 40 in a trial."""
+    return grow(TowerParams(), robots=request.param, seeds=[1000], robot=RobotGeometry())[0]
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,7 @@ def _moved(log: SensingLog, by: np.ndarray, part: float) -> SensingLog:
 
 
 @pytest.mark.parametrize("params", METHODS, ids=lambda p: p.method)
-@settings(max_examples=4)
+@settings(max_examples=2)
 @given(power=st.integers(-10, 10))
 def test_the_unit_of_length_does_not_matter(log, params, power):
     """Places, their certainty and what is told of the log; bit for bit, as scales are exact."""

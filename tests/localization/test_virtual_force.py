@@ -107,7 +107,7 @@ def test_a_wrong_reference_would_be_noticed(log):
 
 
 @pytest.mark.parametrize("params", [SHORT, TOGETHER], ids=lambda params: params.schedule)
-@settings(max_examples=20)
+@settings(max_examples=6)
 @given(shift=vectors)
 def test_moving_the_anchor_moves_the_estimate(log, params, shift):
     """Nothing but the anchor, the ground and the heights says where the world's origin is."""
@@ -123,7 +123,7 @@ def test_moving_the_anchor_moves_the_estimate(log, params, shift):
     np.testing.assert_allclose(estimate, localize(log, params).position, atol=1e-6)
 
 
-@settings(max_examples=20)
+@settings(max_examples=6)
 @given(turn=rotations)
 def test_turning_the_world_turns_the_estimate(log, turn):
     """Without a height and with a body-fixed start no direction is special."""
@@ -143,7 +143,7 @@ def test_turning_the_world_turns_the_estimate(log, turn):
     np.testing.assert_allclose(estimate, localize(log, params).position, atol=1e-6)
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(angle=st.floats(-4.0, 4.0))
 def test_turning_the_world_about_the_vertical_turns_all_robots_alike(log, angle):
     """Docks and forces turn with it, those of back-propagation too."""

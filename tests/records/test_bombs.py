@@ -73,6 +73,7 @@ def _refusal(path: Path) -> str:
     return done.stdout.strip().removeprefix(str(path))
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize(
     ("stated", "said"),
     [
@@ -98,6 +99,7 @@ def test_a_record_that_states_a_huge_size_is_not_made_room_for(size, tmp_path):
     assert _refusal(path).startswith(":1: ")
 
 
+@pytest.mark.trial
 def test_a_compressed_log_is_inflated_line_by_line(tmp_path):
     """The first line is longer than any line may be; no more of it is read."""
     path = tmp_path / "bomb.jsonl.zst"

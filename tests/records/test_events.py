@@ -104,7 +104,7 @@ def histories(draw):
     return lines, [*robot_of.values()], gone
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(history=histories())
 def test_a_log_with_events_is_that_of_its_lines_after_them(scratch, history):
     """Who writes the lines as they are at the end, and then who has left, has the same log."""

@@ -274,7 +274,7 @@ def written(path, *lines):
     return path
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(log=logs())
 def test_a_log_comes_back_bit_for_bit(scratch, log):
     """A file stores every array of a log; written again, the file keeps its bytes."""
@@ -459,7 +459,7 @@ def test_rows_are_put_in_order_once():
     assert ordered.tolist() == [[0, 1, 1, 2], [0, 2, 2, 0], [1, 0, 2, 1]]
 
 
-@settings(max_examples=400)
+@settings(max_examples=150)
 @given(
     edits=st.lists(
         st.tuples(st.sampled_from("dif"), st.integers(0, 2000), st.binary(min_size=1, max_size=3)),

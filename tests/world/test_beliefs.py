@@ -73,7 +73,7 @@ def test_robots_that_believe_the_truth_build_what_robots_build_that_know_it(para
         assert np.isnan([totals(one)["flips_as_planned"], totals(one)["failed_flips"]]).all()
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(
     sd=st.floats(0.0, 6.0),
     params=st.sampled_from(KINDS),
