@@ -28,17 +28,17 @@ assert tiswarm.read_log(log).localize(chains=1, steps=10, hold_steps=5).position
 
 ASKED = {
     "tiswarm.app.live": "view runs --live",
-    "tiswarm.interop": "export sensing.jsonl estimate.csv",
+    "tiswarm.interop": "export sensing.jsonl known.csv",
     "tiswarm.localization.distributed": "localize sensing.jsonl --method distributed",
     "tiswarm.localization.hop_by_hop": "localize sensing.jsonl --method hop-by-hop",
     "tiswarm.localization.least_squares": "localize sensing.jsonl --method least-squares",
     "tiswarm.localization.online": "localize sensing.jsonl --method online",
     "tiswarm.localization.together": "localize sensing.jsonl --method virtual-force "
     "--set schedule=together",
-    "tiswarm.measurements.advice": "advise sensing.jsonl estimate.csv",
-    "tiswarm.measurements.placement": "explain sensing.jsonl 1 estimate.csv",
-    "tiswarm.report.placement_figure": "explain sensing.jsonl 1 estimate.csv",
-    "tiswarm.report.render": "render sensing.jsonl estimate.csv",
+    "tiswarm.measurements.advice": "advise sensing.jsonl known.csv",
+    "tiswarm.measurements.placement": "explain sensing.jsonl 1 known.csv",
+    "tiswarm.report.placement_figure": "explain sensing.jsonl 1 known.csv",
+    "tiswarm.report.render": "render sensing.jsonl known.csv",
     "tiswarm.study.navigation": "run tower --set structure.navigate_by=estimate --set robots=4 "
     "--set seeds=1 --no-pictures --quiet",
     "tiswarm.sensing.suites": "run tower --set sensing.suite=zooids --plan",
@@ -109,8 +109,8 @@ def _copy_without(parts, folder, case) -> Path:
 def test_a_part_that_is_missing_is_named(tiswarm, small_run, tmp_path, monkeypatch, part):
     """A command that needs it ends in a line, here where its import fails."""
     case = small_run / "cases" / "0-baseline"
-    for name in ("sensing.jsonl", "estimate.csv"):
-        shutil.copy(case / name, tmp_path)
+    shutil.copy(case / "sensing.jsonl", tmp_path)
+    shutil.copy(case / "estimate.csv", tmp_path / "known.csv")
     for name in [*sys.modules]:
         if f"{name}.".startswith(f"{part}."):
             monkeypatch.delitem(sys.modules, name)
