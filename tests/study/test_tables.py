@@ -49,6 +49,49 @@ def test_published_numbers_stand_beside_their_own_setting_only(changed, publishe
         assert (table["rmse_change_percent"] == 0.0).all()
 
 
+def test_no_error_is_a_multiple_of_rounding():
+    """A change of 1e12 percent is no number of a table, and a run ended with its refusal."""
+    path = REPOSITORY / "scenarios" / "tower.yaml"
+    cases = study.plan(load_scenario(path, ["seeds=1"])).cases
+    errors = [2e-11, 0.5, 0.6, 0.7]
+    records = [
+        replace(failure(case, ""), status="done", scores={"rmse_R": error})
+        for case, error in zip(cases, errors, strict=True)
+    ]
+
+    table = tables.table(records, [case.settings for case in cases])
+
+    assert table["rmse_change_percent"].isna().all()
+
+
+def test_measurements_are_equal_if_they_are_on_each_structure():
+    """One chain may stand on the ground and another may not: methods know as much of either."""
+    path = REPOSITORY / "scenarios" / "tower.yaml"
+    only = (
+        "conditions={a: {}, b: {localization.schedule: together}, c: {localization.ground: false}}"
+    )
+    cases = study.plan(load_scenario(path, ["seeds=2", only])).cases
+    used = {"a": ["contacts, ground", "contacts"], "c": ["contacts", "contacts"]}
+    records = [
+        replace(
+            failure(case, ""), status="done", scores={"rmse_R": 1.0 + case.seed},
+            measurements=used[case.variant.condition.replace("b", "a")][case.seed],
+        )
+        for case in cases
+    ]  # fmt: skip
+    settings = [case.settings for case in cases]
+
+    paired, table = tables.paired(records, settings), tables.table(records, settings)
+
+    rmse = paired[paired["measure"] == "rmse_R"].set_index(["against", "condition"])
+    assert rmse["equal_measurements"].to_dict() == {
+        ("a", "b"): True, ("a", "c"): False, ("b", "c"): False,
+    }  # fmt: skip
+    assert rmse[["smaller", "larger"]].to_numpy().tolist() == [[0, 0]] * 3
+    assert table["measurements"].tolist() == ["contacts, ground"] * 2 + ["contacts"]
+    assert table["method"].tolist() == ["virtual-force", "virtual-force together", "virtual-force"]
+
+
 def test_rounds_of_back_propagation_are_in_the_table():
     """A round follows the last join at the latest; conditions without rounds have gaps."""
     path = REPOSITORY / "scenarios" / "back-propagation.yaml"

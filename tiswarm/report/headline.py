@@ -76,7 +76,7 @@ def result_of(folder: Path, table: pd.DataFrame, labels: Mapping[str, str] | Non
     question = stated_scenario(folder).get("question")
     text = answer(str(question), Results(rows, pairs, scaling)) if len(rows) > 1 else ""
     text = text or "; ".join(map(_in_words, rows.to_dict("records")))
-    return f"{text}{_disconnected_somewhere(rows)}."
+    return f"{text}{_disconnected_somewhere(rows) if 'RMSE' in text else ''}."
 
 
 def _disconnected_somewhere(rows: pd.DataFrame) -> str:
