@@ -108,6 +108,23 @@ def tiny():
     return load_scenario(tower, ["robots=5", "seeds=3", "conditions={a: {}}"])
 
 
+def test_a_folder_that_no_run_made_is_refused(tiny, tmp_path):
+    """Files of somebody else would be taken for results; an option takes the folder."""
+    with RunFolder.opened(tiny, tmp_path) as folder:
+        made = folder.path
+    RunFolder.refuse_foreign(tiny, tmp_path)
+    (made / ".lock").unlink()
+    RunFolder.refuse_foreign(tiny, tmp_path)  # the scenario is that of the name
+
+    (made / "scenario.yaml").write_text("mine")
+
+    with pytest.raises(InputError, match=r"this folder has files, and no run made it; choose ano"):
+        RunFolder.refuse_foreign(tiny, tmp_path)
+    RunFolder.refuse_foreign(tiny, tmp_path, overwrite=True)
+    (made / "scenario.yaml").unlink()
+    RunFolder.refuse_foreign(tiny, tmp_path)  # there is nothing but empty folders
+
+
 @pytest.fixture(scope="module")
 def tiny_run(tiny, tmp_path_factory):
     """Folder of its run, without pictures."""

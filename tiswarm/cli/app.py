@@ -187,5 +187,5 @@ def _status(arguments: list[str]) -> int:
     except SystemExit as end:  # of SIGTERM, or because nobody reads the output
         status = end.code
     if status in _INTERRUPTED:
-        fail("interrupted; finished results are kept, and the same command continues from there")
+        fail("interrupted; the same command starts anew, and a run goes on from its finished cases")
     return status if isinstance(status, int) else 0
