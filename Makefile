@@ -11,6 +11,9 @@ ARCH = cuda
 GPU_OPTIONS =
 # Rooms whose tests `make check` runs: those without kernels and whole runs.
 ROOMS = base evaluation measurements records scenario sensing
+# Roundings, and rooms or files of tests, of `make roundings`; all if empty.
+KINDS =
+TESTS =
 # `make run SYSTEM_LIBRARIES=no` leaves the machine's own packages alone.
 SYSTEM_LIBRARIES = yes
 
@@ -28,7 +31,7 @@ made_in = .venv/.made-in
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help run test trial check docs gpu lint format clean unusable
+.PHONY: help run test trial roundings check docs gpu lint format clean unusable
 
 help:  ## List what can be made
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -41,6 +44,9 @@ test: lint $(system_checked)  ## Set up with the developers' tools, then check e
 
 trial: $(installed_dev) $(system_checked)  ## Check claims at full size, processes, packages, devices
 	$(tests) -m "trial and not slow" --durations=25
+
+roundings: $(installed_dev) $(system_checked)  ## Test numbers under other roundings (KINDS=busy TESTS=world)
+	$(bin)/python -m tests.roundings $(if $(KINDS),--kinds $(KINDS)) -- $(TESTS)
 
 check: lint  ## Check style, types and contracts, and run quick tests (ROOMS='world study')
 	$(tests) --quiet tests/test_architecture.py tests/test_language.py tests/test_pages.py \

@@ -7,6 +7,7 @@ import pytest
 
 from tiswarm.app import doctor
 from tiswarm.app.doctor import draw_test_picture, missing_packages
+from tiswarm.compute import numerics
 
 
 @pytest.fixture
@@ -33,6 +34,15 @@ def test_missing_libraries_are_named_as_packages(bare_machine):
 
     for_tests = ["mesa-vulkan-drivers", "gcc", "libc6-dev"]
     assert missing_packages() == packages.split() + for_tests
+
+
+def test_what_decides_the_last_bits_has_a_line_each():
+    """Who compares two machines compares these lines; the manifest of a run has the same."""
+    found = {each.subject: each for each in doctor.name_roundings()}
+
+    assert list(found) == [f"numbers by {name}" for name in ("kernels", "numpy", "blas", "libm")]
+    assert all(each.works for each in found.values())
+    assert [each.detail for each in found.values()] == list(numerics.here())
 
 
 def test_no_packages_are_named_off_linux(bare_machine, monkeypatch):

@@ -18,6 +18,7 @@ from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results
 from tiswarm import study
 from tiswarm.base.errors import EnvironmentTroubleError, InputError
 from tiswarm.base.progress import Progress
+from tiswarm.compute import numerics
 from tiswarm.records.temporary import path_for
 from tiswarm.scenario.expansion import load_scenario
 from tiswarm.study import provenance, runner, store
@@ -135,6 +136,37 @@ def tiny_run(tiny, tmp_path_factory):
 def damaged(tiny_run, tmp_path):
     """A copy of that folder."""
     return Path(shutil.copytree(tiny_run, tmp_path / tiny_run.name))
+
+
+def test_a_run_that_goes_on_under_other_roundings_says_so(tiny, damaged, monkeypatch):
+    """Its bytes are those of two kinds of processor; the manifest names both."""
+    [own] = json.loads((damaged / "manifest.json").read_text())["numerics"]
+    other = numerics.Numerics(**own)._replace(blas="numpy openblas 0.3.29 SkylakeX (269757)")
+    monkeypatch.setattr(numerics, "here", lambda: other)
+    shutil.rmtree(damaged / "cases" / "0-a")
+    progress = Recorder()
+
+    study.run(tiny, damaged.parent, progress=progress)
+
+    [line] = [line for line in progress.lines if "rounded" in line]
+    assert line == (
+        f"stored cases may be rounded otherwise than those to come: blas {own['blas']}, here "
+        f"{other.blas}; remove {damaged} to compute all alike"
+    )
+    manifest = json.loads((damaged / "manifest.json").read_text())
+    assert manifest["numerics"] == [own, other._asdict()]
+    assert manifest["tiswarm"]
+
+
+def test_a_killed_run_keeps_what_rounded_its_cases(damaged):
+    """It has no manifest of a complete run, but it names this before the first case."""
+    [own] = json.loads((damaged / "manifest.json").read_text())["numerics"]
+
+    RunFolder(damaged).reopen(Progress(), computes=True)
+    RunFolder(damaged).reopen(Progress(), computes=False)
+
+    manifest = json.loads((damaged / "manifest.json").read_text())
+    assert (manifest["tiswarm"], manifest["numerics"]) == ("", [own])
 
 
 def test_no_damage_of_a_record_goes_unseen(damaged):
@@ -271,11 +303,11 @@ def test_equal_runs_whose_locks_do_not_reach_each_other_store_the_same(
     monkeypatch.setattr(store.fcntl, "flock", _flock())
     method, found = getattr(RunFolder, moment), []
 
-    def with_another_run(folder, *arguments):
+    def with_another_run(folder, *arguments, **settings):
         if not found:
             found.append(None)
             found.append(study.run(tiny, tmp_path, progress=Progress()))
-        return method(folder, *arguments)
+        return method(folder, *arguments, **settings)
 
     monkeypatch.setattr(RunFolder, moment, with_another_run)
 

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import importlib.util
 import io
+import json
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError
 from tiswarm.base.params import ARCHS, Arch
 from tiswarm.base.robot import RobotGeometry
-from tiswarm.compute.machine import machine
+from tiswarm.compute import machine
 from tiswarm.records.terrain import Terrain
 from tiswarm.report.render.open3d_library import import_open3d
 from tiswarm.report.render.raycast import TRACERS, draw_scenes
@@ -66,9 +67,10 @@ class Finding(NamedTuple):
 
 def examine() -> Iterator[Finding]:
     """Examine the machine, the backends and the renderers, one after the other."""
-    for name, value in machine().items():
+    for name, value in machine.machine().items():
         unit = " MB" if name.endswith("_MB") else ""
         yield Finding(name.replace("_MB", ""), works=True, detail=f"{value}{unit}")
+    yield from name_roundings()
     yield Finding("kernel cache", *_in_child(start_cache, "cpu"))
     for arch in ARCHS:
         yield Finding(f"backend {arch}", *_in_child(try_backend, arch))
@@ -77,6 +79,21 @@ def examine() -> Iterator[Finding]:
     if packages := missing_packages():
         detail = f"apt-get install {' '.join(packages)}"
         yield Finding("system packages", works=False, detail=detail)
+
+
+def name_roundings() -> Iterator[Finding]:
+    """Name what decides the last bits of numbers, in a line each."""
+    works, said = _in_child(name_numerics, "cpu")
+    found = json.loads(said) if works else {"": said}
+    for name, text in found.items():
+        yield Finding(f"numbers by {name}".removesuffix(" by "), works, text)
+
+
+def name_numerics(_arch: Arch) -> str:
+    """Return what decides the last bits of numbers, as JSON."""
+    from tiswarm.compute import numerics  # noqa: PLC0415 - the kernel language
+
+    return json.dumps(numerics.here()._asdict())
 
 
 def _in_child(probe: Callable[[Any], str], name: str) -> tuple[bool, str]:

@@ -57,6 +57,7 @@ class Manifest:
     devices: Mapping[str, str] = field(default_factory=dict)  # device and precision, by stage
     force_error: float = 0.0  # largest error of a force by rounding, relative to the largest force
     machine: _Facts = field(default_factory=dict)
+    numerics: tuple[Mapping[str, str], ...] = ()  # what rounded numbers; one if machines agree
     python: str = ""
     libraries: Mapping[str, str] = field(default_factory=dict)  # versions
     stages: Mapping[str, Spent] = field(default_factory=dict)

@@ -286,6 +286,11 @@ def machine_table(manifest: Manifest) -> PageTable:
         "peak_memory_MB": manifest.peak_memory_MB,
         "python": manifest.python,
         **manifest.libraries,
+        **{
+            f"numbers by {name}": " and ".join(dict.fromkeys(each[name] for each in every))
+            for every in [manifest.numerics]
+            for name in (every[0] if every else ())
+        },
     }
     for name, spent in manifest.stages.items():
         facts[f"{name} [s wall, s CPU]"] = f"{spent.wall_s}, {spent.cpu_s}"

@@ -26,7 +26,6 @@ from tiswarm.base.child import child_command
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 from tiswarm.base.progress import Progress
 from tiswarm.compute import backend, kernel_cache
-from tiswarm.compute.backend import available_threads
 from tiswarm.study.jobs import Job
 from tiswarm.study.runner import Outcome, run_job
 
@@ -111,7 +110,7 @@ def open_executor(
         width = execution.processes
         with ThreadPoolExecutor(width) as waiting:
             try:
-                each = max(1, (threads or available_threads()) // width)
+                each = max(1, (threads or backend.available_threads()) // width)
                 yield Executor(lambda job: waiting.submit(_run_in_process, job, limit), width, each)
             finally:
                 waiting.shutdown(wait=False, cancel_futures=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
-from tiswarm.localization.registry import joining, localize_many
+from tiswarm.localization import registry
 from tiswarm.measurements.orientations import with_orientations
 from tiswarm.records.sensing_builder import SensingLogBuilder
 from tiswarm.records.sensing_file import log_entries
@@ -85,9 +85,9 @@ def believe_by(settings: Scenario) -> Believe:
         return docks
 
     def centers(parts: Sequence[_Part]) -> dict[tuple[int, int], Reals]:
-        if not (joins := joining(params)):
+        if not (joins := registry.joining(params)):
             logs = [part.log() for part in parts]
-            estimates = localize_many(logs, [params] * len(logs))
+            estimates = registry.localize_many(logs, [params] * len(logs))
             return {part.key: e.position for part, e in zip(parts, estimates, strict=True)}
         for part in parts:
             if part.key not in swarms:

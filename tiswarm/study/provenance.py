@@ -19,8 +19,8 @@ from pydantic import Field
 
 from tiswarm.base.plugins import registered
 from tiswarm.base.version import __version__, code_digest
+from tiswarm.compute import machine, numerics
 from tiswarm.compute.backend import Backend
-from tiswarm.compute.machine import machine
 from tiswarm.localization import registry
 from tiswarm.records.run_folder import Manifest, Spent
 from tiswarm.world.growth import grow
@@ -103,6 +103,14 @@ class Used(NamedTuple):
     force_error: float = 0.0
     """Largest error of a force by rounding, relative to the largest force [1]."""
 
+    rounding: numerics.Numerics | None = None
+    """What rounded its numbers; None where that is unknown."""
+
+    @classmethod
+    def here(cls, stage: str, backend: Backend, force_error: float = 0.0) -> "Used":
+        """Note what computed a stage in this process."""
+        return cls(stage, backend, force_error, numerics.here())
+
 
 def peak_memory_mb() -> int:
     """Return the peak of memory since the stage began; off Linux, since the process began [MB]."""
@@ -113,13 +121,20 @@ def peak_memory_mb() -> int:
     return peak_bytes // (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def manifest(used: Collection[Used], costs: Sequence[Mapping[str, Cost]]) -> Manifest:
+def manifest(
+    used: Collection[Used],
+    costs: Sequence[Mapping[str, Cost]],
+    earlier: Sequence[Mapping[str, str]] = (),
+) -> Manifest:
     """Gather what a reader needs to judge or repeat a run.
 
     Args:
         used: What computed the stages, at least one.
         costs: Costs by case and stage.
+        earlier: What rounded numbers of cases that were stored before.
     """
+    own = sorted({each.rounding for each in used if each.rounding})
+    rounded = [*earlier, *(each._asdict() for each in own if each._asdict() not in earlier)]
     main = max(used, key=lambda each: (each.backend.on_card, each.force_error)).backend
     devices: dict[str, set[str]] = {}
     for each in used:
@@ -140,7 +155,8 @@ def manifest(used: Collection[Used], costs: Sequence[Mapping[str, Cost]]) -> Man
         },
         devices={stage: " and ".join(sorted(devices[stage])) for stage in sorted(devices)},
         force_error=max((each.force_error for each in used), default=0.0),
-        machine=machine(),
+        machine=machine.machine(),
+        numerics=tuple(rounded),
         python=platform.python_version(),
         libraries={name: installed[name] for name in _LIBRARIES if name in installed},
         stages={

@@ -81,7 +81,7 @@ def run(
         missing = _without(mine, stored)
         outcomes: list[Outcome] = []
         if missing:
-            folder.reopen()
+            folder.reopen(progress, computes=execution.scheduler is None)
             with open_executor(execution, threads, progress) as executor:
                 jobs = batch(
                     missing, folder, arch=running, threads=executor.threads, width=executor.width,

@@ -22,7 +22,7 @@ from tiswarm.base.params import STRICT
 from tiswarm.base.plugins import registered
 from tiswarm.base.progress import Progress
 from tiswarm.base.version import __version__
-from tiswarm.compute import backend
+from tiswarm.compute import backend, numerics
 from tiswarm.records import temporary
 from tiswarm.records.estimate import Estimate
 from tiswarm.records.frames import write_frame
@@ -35,7 +35,7 @@ from tiswarm.records.io import (
     write_json,
 )
 from tiswarm.records.positions import Truth, write_estimate, write_positions
-from tiswarm.records.run_folder import check_folders, read_manifest, write_manifest
+from tiswarm.records.run_folder import Manifest, check_folders, read_manifest, write_manifest
 from tiswarm.records.sensing_file import write_sensing_log
 from tiswarm.records.sensing_log import SensingLog
 from tiswarm.records.trace import write_trace
@@ -339,10 +339,26 @@ class RunFolder:
 
         _again_while_replaced(keep)
 
-    def reopen(self) -> None:
-        """Remove what describes a complete run, as cases are to be computed."""
+    def reopen(self, progress: Progress, *, computes: bool) -> None:
+        """Remove what describes a complete run, as cases are to be computed.
+
+        The manifest keeps what rounded the numbers of stored cases; a run that is killed leaves it.
+
+        Args:
+            progress: Receives how that differs from what rounds numbers here.
+            computes: Whether this machine computes cases, or others alone.
+        """
+        earlier, here = self._rounded_by(), [numerics.here()._asdict()] if computes else []
         for name in ("manifest.json", "report.html"):
             remove(self.path / name)
+        others = [each for each in earlier if each not in here]
+        if others or here:
+            write_manifest(self.path, Manifest(numerics=(*others, *here)))
+        if others and computes:
+            progress.info(
+                "stored cases may be rounded otherwise than those to come: "
+                f"{numerics.difference(others[0])}; remove {self.path} to compute all alike"
+            )
 
     def complete(
         self,
@@ -361,7 +377,7 @@ class RunFolder:
         """
         if not self._has_manifest():
             used = used or {Used("grow", backend.current())}
-            write_manifest(self.path, manifest(used, [*costs.values()]))
+            write_manifest(self.path, manifest(used, [*costs.values()], self._rounded_by()))
         if all(record.is_done for record in records.values()):
             for kept in self.path.glob(f"{_STRUCTURES}/seed*-*.*"):
                 remove(kept)
@@ -373,6 +389,12 @@ class RunFolder:
             return bool(read_manifest(self.path).tiswarm)
         except InputError:
             return False
+
+    def _rounded_by(self) -> tuple[Mapping[str, str], ...]:
+        try:
+            return read_manifest(self.path).numerics
+        except InputError:
+            return ()
 
     def _structure_path(self, case: Case) -> Path:
         key = sha256(repr((case.structure_key, structure_code())).encode()).hexdigest()[:12]

@@ -71,7 +71,7 @@ class Change(NamedTuple):
 class Tracker:
     """Estimates the positions of all robots while they join.
 
-    The same lines give the same bytes, at any number of threads.
+    The same lines give the same bytes, at any number of threads of one machine.
     """
 
     def __init__(self, header: Line, params: LocalizationParams | None = None) -> None:

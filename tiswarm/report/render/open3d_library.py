@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tiswarm.base.child import child_command
-from tiswarm.compute import kernel_cache
-from tiswarm.compute.machine import machine
+from tiswarm.compute import kernel_cache, machine
 
 _LONGEST_S = 120.0
 """Time that the import may take, on a slow disk that has not read it before."""
@@ -64,7 +63,9 @@ def try_in_child() -> None:
     if spec is None or spec.origin is None:
         return
     changed = Path(spec.origin).stat().st_mtime_ns
-    key = repr((spec.origin, changed, sys.version, platform.release(), machine()["processor"]))
+    key = repr(
+        (spec.origin, changed, sys.version, platform.release(), machine.machine()["processor"])
+    )
     mark = kernel_cache.find_folder("open3d") / sha256(key.encode()).hexdigest()[:16]
     if mark.exists():
         return

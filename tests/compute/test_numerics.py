@@ -1,0 +1,29 @@
+"""What decides the last bits of numbers is named, and its digests follow the values."""
+
+import re
+
+from threadpoolctl import threadpool_limits
+
+from tiswarm.compute import numerics
+from tiswarm.compute.lang import LIBRARY
+
+
+def test_libraries_that_round_numbers_are_named_with_digests_of_their_values():
+    """Two machines with the same text give the same bytes, whatever else differs."""
+    found = numerics.here()
+
+    assert found.kernels.startswith(f"{LIBRARY} ")
+    assert "blas" in found.blas
+    for text in (found.numpy, found.blas, found.libm):
+        assert re.fullmatch(r".+ \([0-9a-f]{6}\)", text)
+
+
+def test_the_digest_of_blas_is_that_of_any_number_of_threads():
+    """It names the code that was chosen, not how busy the machine is."""
+    numerics.here.cache_clear()
+    with threadpool_limits(1):
+        alone = numerics.here()
+
+    numerics.here.cache_clear()
+
+    assert numerics.here() == alone

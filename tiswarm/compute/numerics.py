@@ -1,0 +1,136 @@
+"""What decides the last bits of all numbers: compiled kernels, numpy, BLAS and libm.
+
+Each of them chooses its code by the features of the processor. Where all choose alike, runs give
+the same bytes. Six hex digits in parentheses are a digest of computed values: they differ where
+values do, even under equal names.
+"""
+
+import math
+import platform
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+from threadpoolctl import threadpool_info
+
+from tiswarm.base.aliases import Reals
+from tiswarm.compute.lang import LIBRARY, ti
+
+_FEATURES = ("fma", "avx2", "avx512f")
+"""Features of x86 that change how compilers round."""
+
+_VALUES = 256
+_SIZE = 48
+_DIGITS = 6
+
+
+class Numerics(NamedTuple):
+    """The libraries that round numbers, and the code that each chooses on a processor."""
+
+    kernels: str
+    """Compiler of kernels, and the processor that it compiles for."""
+
+    numpy: str
+    """Version of numpy, and the latest instructions that it uses."""
+
+    blas: str
+    """Linear algebra of numpy and scipy, with the family of processors that it has chosen."""
+
+    libm: str
+    """Library of elementary functions."""
+
+
+@cache
+def here() -> Numerics:
+    """Examine what rounds numbers in this process."""
+    latest = (simd_features() or ["baseline"])[-1]
+    libc = " ".join(platform.libc_ver()).strip() or platform.system()
+    return Numerics(
+        kernels=f"{LIBRARY} {version(LIBRARY)}, {_llvm()} for {_target()}",
+        numpy=f"{np.__version__}, {latest} ({_digest(*_by_numpy())})",
+        blas=f"{_blas()} ({_digest(*_by_blas())})",
+        libm=f"{libc} ({_digest(*_by_libm())})",
+    )
+
+
+def difference(other: Mapping[str, str]) -> str:
+    """Name what another machine, or this one at another time, rounded numbers by, and what here."""
+    pairs = ((name, other.get(name, own), own) for name, own in here()._asdict().items())
+    return "; ".join(f"{name} {there}, here {own}" for name, there, own in pairs if there != own)
+
+
+def _llvm() -> str:
+    support = getattr(ti._lib.core, "get_llvm_target_support", None)  # noqa: SLF001
+    return f"LLVM {support()}" if support else "LLVM"
+
+
+def _target() -> str:
+    """Name the processor as LLVM distinguishes them: by vendor, family, model and features."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+        said = {key.strip(): value.strip() for key, _, value in (x.partition(":") for x in lines)}
+        if "vendor_id" in said:
+            names = said["vendor_id"], "family", said.get("cpu family"), "model", said.get("model")
+            features = {*said.get("flags", "").split()}
+            return " ".join(filter(None, [*names, *(n for n in _FEATURES if n in features)]))
+    return platform.processor() or platform.machine()
+
+
+def simd_features() -> list[str]:
+    """List instructions for which numpy has code of its own and which it uses, the latest last."""
+    return list(np.show_config(mode="dicts")["SIMD Extensions"].get("found", []))
+
+
+def _blas() -> str:
+    """Name the kernels of BLAS that numpy and scipy loaded."""
+    found = []
+    for each in threadpool_info():
+        if each["user_api"] == "blas":
+            of = next(
+                (name for name in ("numpy", "scipy") if f"{name}.libs" in each["filepath"]), ""
+            )
+            parts = [of, each["internal_api"], each["version"], each.get("architecture")]
+            found.append(" ".join(str(part) for part in parts if part))
+    return ", ".join(sorted(found)) or "unknown"
+
+
+def _fixed(rows: int, columns: int) -> Reals:
+    """Return a matrix of fixed numbers in (-1, 1), exact on all machines."""
+    number = np.arange(1, rows * columns + 1, dtype=np.int64)
+    return ((number * 2654435761) % 2**32 / 2.0**31 - 1.0).reshape(rows, columns)
+
+
+def _by_libm() -> list[float]:
+    one = [math.exp, math.log1p, math.sin, math.cos, math.tan, math.atan, math.sinh]
+    values = 0.99 * _fixed(1, _VALUES)[0]
+    return [f(x) for x in values.tolist() for f in one] + [
+        math.pow(2.5, x) for x in values.tolist()
+    ]
+
+
+def _by_numpy() -> list[object]:
+    values = 0.99 * _fixed(_VALUES, 3)
+    one = (np.exp, np.log1p, np.sin, np.cos, np.tan, np.arctan, np.sqrt)
+    return [
+        *(f(np.abs(values)) for f in one),
+        values.sum(axis=0),
+        np.einsum("ij,ij->i", values, values),
+    ]
+
+
+def _by_blas() -> list[object]:
+    matrix = _fixed(_SIZE, _SIZE)
+    square = matrix @ matrix.T + np.eye(_SIZE)
+    solved = np.linalg.solve(square, matrix)
+    return [square, solved, np.linalg.eigvalsh(square), scipy.linalg.cholesky(square)]
+
+
+def _digest(*values: object) -> str:
+    flat = np.concatenate([np.ravel(np.asarray(each, np.float64)) for each in values])
+    return sha256(flat.tobytes()).hexdigest()[:_DIGITS]
