@@ -117,3 +117,35 @@ def test_noise_is_what_a_quarter_of_the_samples_show(rests, is_found):
     noise = _step_of_noise(docks, np.zeros(102, int), most=2.0)
 
     assert (noise > 0.0) == is_found
+
+
+def without(tracks, robot, first, last):
+    """Drop some rows of a robot, from one to another of its frames."""
+    gone = {*rows_of_robot(tracks, robot)[first : last + 1]}
+    return [row for place, row in enumerate(tracks) if place not in gone]
+
+
+@pytest.mark.parametrize("rest", [1, 2, 3])
+def test_a_rest_that_the_cameras_missed_follows_from_the_flips_beside_it(tracks, tmp_path, rest):
+    """Robots rest for four frames and flip in five steps; two frames of each flip are left."""
+    whole = bring_in(tmp_path, tracks).log.stances
+
+    imported = bring_in(tmp_path, without(tracks, 3, 8 * rest - 2, 8 * rest + 5))
+
+    found = imported.log.stances
+    assert "1 stance without a pose: where flips beside a gap lead" in imported.notes
+    np.testing.assert_array_equal(found.pivot_dock, whole.pivot_dock)
+    np.testing.assert_array_equal(found.contacts, whole.contacts)
+    np.testing.assert_array_equal(found.ground_docks, whole.ground_docks)
+    turn, true = (
+        Rotation.from_quat(each.orientation_wxyz, scalar_first=True) for each in (found, whole)
+    )
+    assert (turn * true.inv()).magnitude().max() < 1e-4
+
+
+def test_two_rests_that_the_cameras_missed_cut_the_history(tracks, tmp_path):
+    """No flip leads over both, so earlier poses are left out as before, and a note says so."""
+    imported = bring_in(tmp_path, without(tracks, 3, 6, 21))
+
+    assert not any("without a pose" in note for note in imported.notes)
+    assert any("earlier poses of 1 robot (3) left out" in note for note in imported.notes)

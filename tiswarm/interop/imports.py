@@ -286,6 +286,8 @@ def _describe_rests(poses: Poses, rests: Rests | None) -> Iterator[str]:
     number = len(rests.position) - len(poses.robot_id)
     many = counted(len(poses.samples.time), "pose")
     yield f"{counted(number, 'stance')} before the final poses, from {many} over time"
+    if rests.unseen:
+        yield f"{counted(rests.unseen, 'stance')} without a pose: where flips beside a gap lead"
     if len(rests.cut):
         why = "no flip about a dock leads from them to later ones"
         yield f"earlier poses of {_named(poses, rests.cut)} left out: {why}"

@@ -12,18 +12,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from tiswarm.base.aliases import Bools, Ints, Reals
+from tiswarm.base.aliases import Ints, Reals
 from tiswarm.compute.math import dock_offsets
 from tiswarm.interop.assumptions import Assumptions
+from tiswarm.interop.dropouts import Track, are_flips, continues, motions, with_unseen_rests
 from tiswarm.interop.poses import Poses, Samples
 from tiswarm.records.sensing_log import Stances
-
-_SAME_AXIS = 0.9
-"""Least cosine of the angle between two axes that are the same but for noise."""
-
-_STAYS = 0.5
-"""A pivot moves less than this part of what the dock farthest from it moves."""
-
 
 _NEAR = 3.0
 """Runs of samples, in a row and within this many limits of stillness, are one rest."""
@@ -67,6 +61,9 @@ class Rests(NamedTuple):
 
     cut: Ints
     """Robots whose earlier poses are left out, since no flip leads from them to later ones."""
+
+    unseen: int
+    """Number of rests that no pose shows."""
 
     @property
     def in_motion(self) -> Ints:
@@ -128,35 +125,39 @@ def find_rests(poses: Poses, assumed: Assumptions) -> Rests | None:
     still, put = motion_limits(samples, docks, assumed)
     turn = Rotation.from_quat(samples.orientation_wxyz, scalar_first=True)
     start = np.searchsorted(samples.robot, np.arange(len(poses.robot_id) + 1))
-    chosen, begin, end, pivot, cut = [], [], [], [], []
+    tracks, pivot, cut, unseen = [], [], [], 0
     for robot, (first, after) in enumerate(pairwise(start.tolist())):
         runs = first + _runs_at_rest(docks[first:after], still)
         ends = np.append(runs[1:], after) - 1
         middle = np.array([_middle(docks, *run) for run in zip(runs, ends, strict=True)])
-        rests = np.flatnonzero(~_continues(docks[middle], turn[middle]))
+        rests = np.flatnonzero(~continues(docks[middle], turn[middle]))
         begins, lasts = _joined(docks[middle], rests, _NEAR * still)
         middle = _corners(docks, runs, ends, begins, lasts)
-        runs, ends = runs[begins], ends[lasts]
-        about, moved, farthest = _motions(docks[middle])
-        is_flip = (moved <= put) & (moved < _STAYS * farthest)
-        if not is_flip.all():
+        track = Track(
+            samples.time[runs[begins]],
+            samples.time[ends[lasts]],
+            samples.position[middle],
+            samples.orientation_wxyz[middle],
+        )
+        track, inserted = with_unseen_rests(track, poses.dock_offset_body, put)
+        lost = np.flatnonzero(~are_flips(track.docks(poses.dock_offset_body), put))
+        if len(lost):
             cut.append(robot)
-            later = np.flatnonzero(~is_flip)[-1] + 1
-            runs, ends, middle, about = runs[later:], ends[later:], middle[later:], about[later:]
-        chosen.append(middle)
-        begin.append(samples.time[runs])
-        end.append(samples.time[ends])
-        pivot.append(np.append(about, -1))
-    rows = np.concatenate(chosen)
+            track = track.chosen(slice(lost[-1] + 1, None))
+        tracks.append(track)
+        pivot.append(np.append(motions(track.docks(poses.dock_offset_body))[0], -1))
+        unseen += inserted
+    whole = Track(*(np.concatenate(parts) for parts in zip(*tracks, strict=True)))
     return Rests(
-        start=np.cumsum([0, *map(len, chosen)]),
-        begin=np.concatenate(begin),
-        end=np.concatenate(end),
-        position=samples.position[rows],
-        orientation_wxyz=samples.orientation_wxyz[rows],
+        start=np.cumsum([0, *(len(track.begin) for track in tracks)]),
+        begin=whole.begin,
+        end=whole.end,
+        position=whole.position,
+        orientation_wxyz=whole.orientation_wxyz,
         pivot=np.concatenate(pivot),
         appeared=samples.time[start[:-1]],
         cut=np.array(cut, np.int64),
+        unseen=unseen,
     )
 
 
@@ -239,29 +240,6 @@ def _corners(docks: Reals, runs: Ints, ends: Ints, first: Ints, last: Ints) -> I
         detour = sum(np.linalg.norm(between - docks[at], axis=2).sum(axis=1) for at in (start, end))
         corners[k] = start + 1 + detour.argmax()
     return np.array(corners)
-
-
-def _motions(docks: Reals) -> tuple[Ints, Reals, Reals]:
-    """Find the dock that moves least from each of K poses, (K, D, 3), to the next one.
-
-    Returns:
-        The dock, how far it moves, and how far the dock that moves most does, shapes (K - 1,).
-    """
-    moved = np.linalg.norm(np.diff(docks, axis=0), axis=2)
-    return moved.argmin(axis=1), moved.min(axis=1), moved.max(axis=1)
-
-
-def _continues(docks: Reals, turn: Rotation) -> Bools:
-    """Whether the motion out of each of K poses goes on with that into it, shape (K,)."""
-    continues = np.zeros(len(docks), np.bool_)
-    if len(docks) > 1:
-        about, moved, farthest = _motions(docks)
-        stays = moved < _STAYS * farthest
-        axis = (turn[1:] * turn[:-1].inv()).as_rotvec()
-        axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(float).tiny)
-        along = (axis[1:] * axis[:-1]).sum(axis=1) > _SAME_AXIS
-        continues[1:-1] = stays[1:] & stays[:-1] & (about[1:] == about[:-1]) & along
-    return continues
 
 
 def stances_of(
