@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from tests.engine.test_relax import GAINS, ROBOT, swarm
-from tests.localization.test_annealing_by_messages import QUICK as BY_MESSAGES
 from tests.localization.test_branch_sums import annealer
 from tests.localization.test_distributed import QUICK as DISTRIBUTED
 from tests.localization.test_joint_estimates import BIASED
@@ -181,8 +180,6 @@ WORKS: dict[str, Work] = {
     "online": _method(ONLINE),
     "distributed by touch": _messages(DISTRIBUTED, "touch"),
     "distributed by radio": _messages(DISTRIBUTED, "radio"),
-    "distributed annealing by touch": _messages(BY_MESSAGES, "touch"),
-    "distributed annealing by radio": _messages(BY_MESSAGES, "radio"),
     "relax, dense": _relax((1, 1, 1)),
     "relax, tall": _relax((1, 1, 400)),
     "run": _run("robots=12", "seeds=2"),

@@ -68,8 +68,6 @@ def test_every_shipped_scenario_runs(tmp_path, scenario):
             "robots=8",
             "localization.chains=2",
             "localization.steps=40",
-            "conditions.annealing.localization.steps=200",
-            "conditions.annealing-loss-30.localization.steps=200",
             "conditions.joint.localization.steps=200",
         ],
         "fireant2d": ["robots=8", *briefly],

@@ -154,7 +154,6 @@ def test_a_forecast_tells_schemes_of_messages_apart():
     measured = {
         0.052: per_robot(),
         0.013: per_robot(chains=0),
-        0.021: per_robot(scheme="annealing"),
         0.0019: per_robot(scheme="algorithm-1"),
         0.0062: per_robot(scheme="algorithm-1", back_propagation={"every": 10}),
     }

@@ -21,7 +21,7 @@ _ONE_BY_ONE = (
 """Settings of `virtual-force` that have no meaning where robots move together."""
 
 _OF_SCHEME = {
-    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains"),
+    "joiner": ("hops", "robots", "solver", "reach", "growth", "chains", "steps", "start_sigma"),
     "algorithm-1": ("poses", "back_propagation", "undocked_repulsion"),
 }
 """Settings of `distributed` that have a meaning in one scheme only."""
@@ -284,10 +284,9 @@ class DistributedParams(ChiSquareParams):
     solve_yaw: Literal[False] = False
     """No bias of yaw is solved for."""
 
-    scheme: Literal["joiner", "annealing", "algorithm-1"] = "joiner"
+    scheme: Literal["joiner", "algorithm-1"] = "joiner"
     """joiner: where a robot joins, one robot asks those nearby for what they measured, solves for
-    their positions and sends them the answer. annealing: all robots anneal at once after the last
-    has joined, and send their positions at each step. algorithm-1: the paper's, by the defaults of
+    their positions and sends them the answer. algorithm-1: the paper's, by the defaults of
     `virtual-force`, whose positions are those without losses and rounding."""
 
     poses: Literal["once", "every-join"] = "every-join"
@@ -336,12 +335,11 @@ class DistributedParams(ChiSquareParams):
     chains: Annotated[int, Field(ge=0, le=1000)] = 8
     """Annealings of the robots nearby by the robot that solves; 0 for none."""
 
-    steps: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
-    """Steps of each of them, or of all robots in `annealing`; if null 400 and 3,900."""
+    steps: Annotated[int, Field(ge=1, le=10_000_000)] = 400
+    """Steps of each of them."""
 
-    start_sigma: Annotated[float, Field(gt=0.0)] | None = None
-    """Square root of the temperature at which annealing begins [R]; if null 0.4, and 0.6 in
-    `annealing`, which begins farther from where robots are."""
+    start_sigma: Annotated[float, Field(gt=0.0)] = 0.4
+    """Square root of the temperature at which they begin [R]."""
 
     def __post_init__(self) -> None:
         """Refuse settings of another scheme."""
@@ -352,16 +350,6 @@ class DistributedParams(ChiSquareParams):
                     raise ValueError(
                         f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
                     )
-
-    @property
-    def all_steps(self) -> int:
-        """Steps of an annealing."""
-        return self.steps or (3900 if self.scheme == "annealing" else 400)
-
-    @property
-    def sigma(self) -> float:
-        """Square root of the temperature at which annealing begins [R]."""
-        return self.start_sigma or (0.6 if self.scheme == "annealing" else 0.4)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)

@@ -27,7 +27,6 @@ _LEAST_SQUARES_S = 0.01  # localization of a robot
 _ONLINE_S = 0.07  # join of a robot
 _PEER_S = 0.01  # join of a robot by messages, without annealing
 _PEER_STEP_S = 8e-6, 1e-7  # step of one chain of it: at all, for each robot
-_RADIO_STEP_S = 4.5e-6, 3e-8  # step of a robot that anneals by messages: at all, for each robot
 _SENDING_S = 1.5e-3  # messages of a robot in Algorithm 1
 _REST_S = 5e-4  # sensing, evaluation and storage of a robot
 _BASE_MB = 270.0  # memory of the program
@@ -116,11 +115,8 @@ def _distributed_s(params: methods.DistributedParams, n: int) -> float:
     if params.scheme == "algorithm-1":
         steps = methods.VirtualForceParams().iterations + _sweeps(params.back_propagation, n)
         return n * (_SENDING_S + _VIRTUAL_FORCE_S * steps)
-    if params.scheme == "annealing":
-        once, each = _RADIO_STEP_S
-        return n * params.all_steps * (once + each * n)
     once, each = _PEER_STEP_S
-    return n * (_PEER_S + params.chains * params.all_steps * (once + each * n))
+    return n * (_PEER_S + params.chains * params.steps * (once + each * n))
 
 
 def _sweeps(rounds: methods.BackPropagation | None, n: int) -> float:

@@ -1,10 +1,9 @@
 """Chains of annealing whose robots each move by their own forces. Lengths in R.
 
-Peer i has a view: where it takes each robot to be. In a chain of one robot that solves for others,
-all share a view; in a swarm, the view of each is what it heard. At the temperature sigma^2 a row of
-variance v has the stiffness sigma^2 / (sigma^2 + v + e^2 / 9), so that a row missed by far gives
-way, and docks that do not touch repel with stiffness 1. Motions are Langevin dynamics: a robot
-keeps a part of its velocity, and kicks keep it at the temperature.
+A chain has a view: where it takes each robot to be. At the temperature sigma^2 a row of variance
+v has the stiffness sigma^2 / (sigma^2 + v + e^2 / 9), so that a row missed by far gives way, and
+docks that do not touch repel with stiffness 1. Motions are Langevin dynamics: a robot keeps a part
+of its velocity, and kicks keep it at the temperature.
 """
 
 from typing import NamedTuple
@@ -118,7 +117,7 @@ def _push_of_docks(v, i, here, robots, reach, docks: Ref, view: Ref):
 
 
 @ti.func
-def force_on(v, i, here, robots, reach, square, rows: Ref, docks: Ref, view: Ref):
+def _force_on(v, i, here, robots, reach, square, rows: Ref, docks: Ref, view: Ref):
     """Compute the force on robot i in view v, and the mass that it needs."""
     pull, held = _pull_of_rows(v, i, here, square, rows, view)
     push, pressed = _push_of_docks(v, i, here, robots, reach, docks, view)
@@ -126,10 +125,10 @@ def force_on(v, i, here, robots, reach, square, rows: Ref, docks: Ref, view: Ref
 
 
 @ti.func
-def moved(sigma, force, mass, kick, speed, memory):
+def _moved(sigma, force, mass, kick, speed):
     """Change a velocity; return it, and how far it leads in a step."""
     fast = speed + force / mass
-    slow = memory * fast + sigma * ti.sqrt((1.0 - memory * memory) / mass) * kick
+    slow = MEMORY * fast + sigma * ti.sqrt((1.0 - MEMORY * MEMORY) / mass) * kick
     return slow, 0.5 * (fast + slow)
 
 
@@ -160,12 +159,12 @@ def anneal_near(
                 for i in range(moves.shape[0]):
                     if moves[i] == 1:
                         here = _seen(view_out, c, i)
-                        force, mass = force_on(
+                        force, mass = _force_on(
                             c, i, here, moves.shape[0], reach, sigma * sigma, rows, docks, view_out
                         )
                         kick = kick_of(seed, c, i, t)
                         speed = _seen(speed_out, c, i)
-                        slow, way = moved(sigma, force, mass, kick, speed, MEMORY)
+                        slow, way = _moved(sigma, force, mass, kick, speed)
                         for a in ti.static(range(3)):
                             speed_out[c, i, a] = slow[a]
                             step_out[c, i, a] = way[a]

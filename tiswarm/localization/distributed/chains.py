@@ -58,8 +58,8 @@ def annealed(
     reach = 2.0 * float(np.linalg.norm(arm, axis=2).max()) + SPACING
     anneal_near(
         (params.seed * 4_099 + number) % 2**31, reach,
-        schedule(params.sigma, params.all_steps), moves,
-        *rows_of(problem, len(begin)), *docks_of(problem),
+        _schedule(params.start_sigma, params.steps), moves,
+        *_rows_of(problem, len(begin)), *_docks_of(problem),
         view, np.zeros_like(view), np.zeros_like(view),
     )  # fmt: skip
     found = [problem.solved(Configuration(begin.copy(), layers.state.turn.copy()))]
@@ -75,7 +75,7 @@ def annealed(
     return NearAnnealed(state, np.sqrt(problem.sd(linear) ** 2 + spread))
 
 
-def schedule(begin: float, steps: int) -> Reals:
+def _schedule(begin: float, steps: int) -> Reals:
     """Cool from a sigma to the least by the same factor at each step, shape (steps,)."""
     return begin * (CHAINS.end_sigma / begin) ** (np.arange(steps) / max(steps - 1, 1))
 
@@ -92,7 +92,7 @@ def _gain(layers: LocalLayers, moving: Ints, state: Configuration, reach: float)
     return total
 
 
-def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
+def _rows_of(problem: Neighborhood, robots: int) -> ChainRows:
     """List the rows about robots that may move, by robot; turns of orientations are noise here."""
     block, member, number, real, _ = problem.table
     rows, first = np.diff(block[:, ROW]), np.repeat(block[:-1, MEMBERS], np.diff(block[:, ROW]))
@@ -119,7 +119,7 @@ def rows_of(problem: Neighborhood, robots: int) -> ChainRows:
     return ChainRows(start, partner.astype(np.int32), arms, axes, values)
 
 
-def docks_of(problem: Neighborhood) -> ChainDocks:
+def _docks_of(problem: Neighborhood) -> ChainDocks:
     """List the docks of all robots, and by robot those in contact."""
     arm, touch, robots = problem.shapes.arm, problem.shapes.touch, len(problem.shapes.arm)
     later = np.repeat(np.arange(robots), np.diff(problem.shapes.touch_start))

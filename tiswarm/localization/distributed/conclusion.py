@@ -19,8 +19,8 @@ class Found:
     position: Reals
     """Where each robot takes itself to be; at the anchor if it does not know, shape (N, 3)."""
 
-    at_join: Reals | None
-    """The same as it joined, shape (N, 3); None if robots join before they localize themselves."""
+    at_join: Reals
+    """The same as it joined, shape (N, 3)."""
 
     sd: Reals
     """Standard deviation of each position, as its robot knows it, shape (N,)."""
@@ -35,7 +35,7 @@ class Found:
     """As in `Estimate.traffic`."""
 
     steps: int
-    """Number of joins, or of rounds."""
+    """Number of joins."""
 
     reason: str
     """Why the search is not to be relied on."""
@@ -59,7 +59,7 @@ def estimate_of(log: SensingLog, params: DistributedParams, found: Found) -> Est
         **verdicts,
         iteration=np.array([found.steps]),
         trace=position[None] * unit,
-        at_join=None if found.at_join is None else found.at_join * unit,
+        at_join=found.at_join * unit,
         residual=rms(gap) * unit,
         doubtful=found.doubtful,
         traffic=found.traffic,

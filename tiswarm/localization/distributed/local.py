@@ -200,7 +200,7 @@ class LocalSwarm:
         linear = sum(OF_ROW * m**2 for m in rows) + (2 * _AXES * len(near)) ** 3 / 3
         step = OF_ROW * 2 * sum(rows) + OF_PAIR * len(near) * len(self.numbers)
         rounds = NEIGHBORS.rounds * (1 + params.chains)
-        return float(search + rounds * linear + params.chains * params.all_steps * step)
+        return float(search + rounds * linear + params.chains * params.steps * step)
 
     def _block(self, number: int, lines: Mapping[int, bytes], stays: Whereabouts | None) -> Block:
         """Measure the rows of a robot about those that are held, and where it stays, if it does."""

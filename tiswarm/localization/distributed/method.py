@@ -14,7 +14,6 @@ import numpy as np
 
 from tiswarm.base.errors import InputError
 from tiswarm.base.progress import ignore
-from tiswarm.localization.distributed.annealing import annealed_by_messages
 from tiswarm.localization.distributed.conclusion import estimate_of
 from tiswarm.localization.distributed.local import Program
 from tiswarm.localization.distributed.published import algorithm_1
@@ -81,8 +80,6 @@ def _localized(
     if params.scheme == "algorithm-1":
         return algorithm_1(log, params)
     program = Program(params, header)
-    if params.scheme == "annealing":
-        return estimate_of(log, params, annealed_by_messages(program, lines, on_progress))
     swarm = PeerSwarm(program, len(lines))
     for line in lines:
         swarm.join(line)

@@ -17,14 +17,6 @@ class ChainSettings:
     """Divisor of costs by which ends of chains weigh in standard deviations [1]: few chains meet
     few of the likely minima."""
 
-    held: float = 0.25
-    """Share of the steps at that temperature, over which positions are averaged, where robots
-    anneal at once [1]."""
-
-    memory: float = 0.8
-    """What friction leaves of a velocity in a step, where robots anneal at once [1]. What they hear
-    is a round old: without such friction, the delay gives motions more energy than it takes."""
-
     extension: float = 1.5
     """Gain in log-likelihood for each R more between robots that share a row [R^-1], shared among
     the rows of a robot, as in `joint`."""
