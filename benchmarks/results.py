@@ -2,7 +2,7 @@
 
     tiswarm run scenarios/joint.yaml --no-pictures
     python -m benchmarks.results reports/joint-6470b495
-    python -m benchmarks.results reports/joint-1a2b3c4d --kind "AMD EPYC, libraries without FMA"
+    python -m benchmarks.results reports/joint-1a2b3c4d --kind "AMD EPYC, no FMA in libraries"
 
 A row is the mean of a measure over the structures of a condition and point, with its 95 %
 confidence interval. Rows of the same structures, computed on the same kind of processor, are
@@ -11,10 +11,12 @@ replaced; all others stay. `tests/benchmarks/test_results.py` compares the pages
 
 import argparse
 import json
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -54,7 +56,7 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
 
     Args:
         run: Folder of the run.
-        kind: Kind of processor; the name of the manifest's if empty.
+        kind: Kind of processor; that of the manifest if empty.
 
     Raises:
         InputError: the folder has no summary or manifest.
@@ -67,7 +69,7 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
         raise InputError("this is no finished run; give the folder of one", path=run) from error
     shared = {
         "version": manifest["tiswarm"],
-        "kind": kind or manifest["machine"]["processor"],
+        "kind": kind or _kind(manifest),
         "date": f"{datetime.fromtimestamp(written, timezone.utc):%Y-%m-%d}",
     }
     scenario = run.name.rpartition("-")[0]
@@ -90,6 +92,13 @@ def rows_of(run: Path, kind: str = "") -> pd.DataFrame:
                 | shared
             )
     return pd.DataFrame(rows)
+
+
+def _kind(manifest: Mapping[str, Any]) -> str:
+    """Name a processor with its family and model, by which LLVM distinguishes it."""
+    kernels = " ".join(each["kernels"] for each in manifest.get("numerics", ()))
+    model = re.search(r"family \d+ model \d+", kernels)
+    return " ".join(filter(None, [manifest["machine"]["processor"], model and model[0]]))
 
 
 def merged(old: pd.DataFrame, new: pd.DataFrame) -> pd.DataFrame:

@@ -12,7 +12,7 @@ from benchmarks import results
 from tests.runs import REPOSITORY
 from tiswarm.interop.imports import GAINS
 
-KIND = "AMD EPYC"
+KIND = "AMD EPYC family 26 model 2"
 """Kind of processor that docs/accuracy.md names."""
 
 ROWS = {
@@ -24,7 +24,7 @@ ROWS = {
 }
 """Conditions of Algorithm 1 and of `joint`, by the first cells of rows in docs/accuracy.md."""
 
-OTHER = "AMD EPYC, libraries without AVX2 and FMA"
+OTHER = f"{KIND}, libraries without AVX2 and FMA"
 """The other kind, whose first row the page states."""
 
 README_ROWS = ("algorithm-1", "algorithm-1-all-at-once", "height", "noisy-walks")
@@ -242,7 +242,9 @@ def run(tmp_path):
         }
     )
     table.to_csv(folder / "summary.csv", index=False)
+    kernels = "taichi 1.7.4, LLVM 15 for AuthenticAMD family 26 model 2 fma avx2"
     manifest = {"tiswarm": "0.2.0", "machine": {"processor": "Some CPU"}}
+    manifest["numerics"] = [{"kernels": kernels}]
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
@@ -256,7 +258,7 @@ def test_the_command_takes_means_of_finished_cases_and_replaces_rows(run, tmp_pa
 
     table = results.read_results(out)
     assert capsys.readouterr().out.splitlines()[-1] == f"{out}: 4 results"
-    assert table["kind"].tolist() == ["Other CPU", "Some CPU"] * 2
+    assert table["kind"].tolist() == ["Other CPU", "Some CPU family 26 model 2"] * 2
     assert table["value"].tolist() == [2.0, 2.0, 0.5, 0.5]
     assert table["structures"].tolist() == [2, 2, 3, 3]
     assert table["seeds"].tolist() == ["4-5", "4-5", "4-6", "4-6"]
