@@ -23,6 +23,11 @@ ROOMS_WITH_KERNELS = {"compute", "engine", "world"}
 ROOMS_OF_TRIALS = ROOMS_WITH_KERNELS | {"localization"}
 """Rooms whose kernels check bounds: those of localization in trials alone, which need half as long
 without."""
+ROOMS_WITHOUT_KERNELS = {
+    "base", "evaluation", "interop", "measurements", "records", "scenario", "sensing",
+}  # fmt: skip
+"""Rooms whose tests compute little or nothing."""
+
 THREADS = "test_threads.py"
 """File of all tests that compute on several numbers of threads."""
 
@@ -31,17 +36,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Sort tests by the program that their kernels need; the rest of their order stays.
 
     A program traces every kernel that it runs anew, seconds for growth alone. So each worker of
-    pytest starts each program once, as far as tests allow. Those on numbers of threads come first:
-    they run the methods once more, and a worker hands on its last tests, not its first.
+    pytest starts each program as few times as tests allow. Workers begin with equal numbers of
+    tests in a row: of two, one has the rooms without checks, the other one those with checks, and
+    both have tests without kernels, to hand on at the end. Tests on numbers of threads come first,
+    as a worker hands on its last tests.
     """
-    items.sort(key=lambda item: (item.path.name != THREADS, _checks_bounds(item), _choice(item)))
+    items.sort(
+        key=lambda item: (
+            item.path.name != THREADS,
+            _checks_bounds(item),
+            _room(item) in ROOMS_WITHOUT_KERNELS,
+            _choice(item),
+        )
+    )
+
+
+def _room(node: pytest.Item | pytest.Module) -> str:
+    return node.path.parent.name
 
 
 def _checks_bounds(node: pytest.Item | pytest.Module) -> bool:
     """Whether kernels check the bounds of arrays in a test or a module."""
     in_trial = node.config.option.markexpr.startswith("trial")
     rooms = ROOMS_OF_TRIALS if in_trial else ROOMS_WITH_KERNELS
-    return node.path.parent.name in rooms and node.get_closest_marker("unchecked") is None
+    return _room(node) in rooms and node.get_closest_marker("unchecked") is None
 
 
 def _choice(item: pytest.Item) -> list[tuple[str, object]]:

@@ -2,6 +2,7 @@
 
 import shutil
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from tiswarm.study.provenance import all_code, case_code, module_code, structure
 
 PACKAGE = Path(__file__).parents[2] / "tiswarm"
 METHODS = tuple(registry.METHODS)
+trial = partial(pytest.param, marks=pytest.mark.trial)
 
 
 @pytest.fixture(scope="module")
@@ -71,12 +73,12 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
     ("name", "changed"),
     [
         ("world/growth.py", {*METHODS, "structures", "all"}),
-        ("base/robot.py", {*METHODS, "structures", "all"}),
-        ("evaluation/metrics.py", {*METHODS, "all"}),
+        trial("base/robot.py", {*METHODS, "structures", "all"}),
+        trial("evaluation/metrics.py", {*METHODS, "all"}),
         ("sensing/observation.py", {*METHODS, "all"}),
-        ("study/runner.py", {*METHODS, "all"}),
+        trial("study/runner.py", {*METHODS, "all"}),
         ("scenario/validation.py", {*METHODS, "all"}),
-        ("localization/registry.py", {*METHODS, "all"}),
+        trial("localization/registry.py", {*METHODS, "all"}),
         (
             "localization/joint/chains.py",
             {"joint", "least-squares", "online", "all"},
@@ -85,11 +87,11 @@ def _edited(path, old=b"e", new=b"a", *, count=1):
         ("localization/together.py", {"virtual-force", "distributed", "all"}),
         ("localization/online/layers.py", {"online", "distributed", "all"}),
         ("localization/distributed/wire.py", {"distributed", "all"}),
-        ("sensing/suites/beacons.py", {*METHODS, "all"}),
+        trial("sensing/suites/beacons.py", {*METHODS, "all"}),
         ("localization/least_squares.py", {"least-squares", "all"}),
         ("report/page.py", set()),
-        ("study/executors.py", set()),
-        ("cli/run.py", set()),
+        trial("study/executors.py", set()),
+        trial("cli/run.py", set()),
     ],
 )
 def test_an_edit_changes_the_digests_of_the_cases_that_use_it(copy, before, name, changed):

@@ -200,6 +200,7 @@ def test_the_command_grades_methods_plugins_and_estimates(tmp_path):
     assert again["verdict"].tolist() == ["none", "none"]
 
 
+@pytest.mark.trial
 def test_peers_minimize_what_least_squares_does(tmp_path):
     """On ranges of a few tags, and on a chain, all solvers get to the limit."""
     pytest.importorskip("gtsam")

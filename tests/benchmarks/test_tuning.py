@@ -22,7 +22,7 @@ PAPER = REPOSITORY / "scenarios" / "paper.yaml"
 def _fit(path, *, trials=3):
     """Fit gains on two small structures of each point."""
     tune(
-        load_scenario(PAPER, ["robots=8"]), path, trials=trials, training_seeds=2, conditions=[],
+        load_scenario(PAPER, ["robots=5"]), path, trials=trials, training_seeds=2, conditions=[],
         progress=Progress(),
     )  # fmt: skip
     return path
@@ -61,7 +61,7 @@ def test_a_fit_goes_on_as_if_it_had_never_been_left(tmp_path, record):
 @pytest.mark.trial
 def test_the_command_writes_the_record(tmp_path, record):
     """Its options are the arguments of the call."""
-    small = ("--set", "robots=8", "--training-seeds", "2", "--trials", 3)
+    small = ("--set", "robots=5", "--training-seeds", "2", "--trials", 3)
 
     done = call("tuning", PAPER, *small, "--out", tmp_path / "fit.json")
 
@@ -72,8 +72,8 @@ def test_the_command_writes_the_record(tmp_path, record):
 @pytest.mark.parametrize(
     ("robots", "seeds", "conditions", "message"),
     [
-        (8, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
-        (8, "1", ["no-zz"], "condition: no condition 'no-zz'; choose among all-cues"),
+        (5, "[3, 1001]", [], "seeds: the scenario reports on seed 1001"),
+        (5, "1", ["no-zz"], "condition: no condition 'no-zz'; choose among all-cues"),
         (
             9,
             "1",

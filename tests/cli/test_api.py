@@ -13,24 +13,24 @@ import pytest
 import yaml
 
 import tiswarm as library
-from tests.runs import REPOSITORY, assert_same_results
+from tests.runs import REPOSITORY, assert_same_bytes, assert_same_results
 from tiswarm.base.errors import InputError
 
-SMALL = {"robots": 6, "seeds": 2, "localization.iterations": 40}
+SMALL = {"robots": 12, "seeds": 2}
+"""Settings of the small run."""
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """Two towers under three conditions, run from Python."""
-    out = tmp_path_factory.mktemp("reports")
-    return library.run("tests/tower.yaml", SMALL, out=out, quiet=True)
+def run(small_run):
+    """Two towers under three conditions, which the command ran."""
+    return library.open_run(small_run)
 
 
 def test_tables_are_data_frames(run):
     """Results by condition, by case and of one case are those of the files."""
     assert list(run.summary["status"]) == ["done"] * 6
     assert run.table["rmse_R_mean"].notna().all()
-    assert len(run.frame("estimate", case=run.summary["case"][0])) == 6
+    assert len(run.frame("estimate", case=run.summary["case"][0])) == 12
     pd.testing.assert_frame_equal(run.table, pd.read_csv(run.folder / "table.csv"))
     with pytest.raises(InputError, match=r"^name: .* choose one of .*summary, table"):
         run.frame("nothing")
@@ -78,25 +78,19 @@ def test_what_is_no_path_is_refused(name):
         getattr(library, name)({"name": "tower"})
 
 
-@pytest.mark.parametrize("command", ["tiswarm", pytest.param("process", marks=pytest.mark.trial)])
-def test_the_command_writes_the_same(run, request, tmp_path, command):
+@pytest.mark.parametrize("pictures", [False, pytest.param(True, marks=pytest.mark.trial)])
+def test_a_call_writes_what_the_command_writes(run, tmp_path, pictures):
     """Same scenario, same folder, same bytes."""
-    settings = [f"--set={key}={value}" for key, value in SMALL.items()]
+    again = library.run("tests/tower.yaml", SMALL, out=tmp_path, pictures=pictures, quiet=True)
 
-    call = request.getfixturevalue(command)
-    done = call("run", "tests/tower.yaml", *settings, "--out", tmp_path)
-
-    assert done.returncode == 0, done.stderr
-    assert_same_results(run.folder, tmp_path / run.folder.name)
+    assert again.folder.name == run.folder.name
+    compare = assert_same_results if pictures else assert_same_bytes
+    compare(run.folder, again.folder)
 
 
 def test_numbers_of_numpy_are_plain_numbers(run):
     """A scenario changed by them is the same scenario; a finished run is found."""
-    overrides = {
-        "robots": np.int64(6),
-        "seeds": np.uint8(2),
-        "localization.iterations": np.int32(40),
-    }
+    overrides = {"robots": np.int64(12), "seeds": np.uint8(2)}
 
     again = library.run("tests/tower.yaml", overrides, out=run.folder.parent, quiet=True)
 
@@ -162,7 +156,7 @@ def test_an_estimate_is_scored_and_shown(run, tmp_path):
     """As an object as well as by its table."""
     case = run.folder / "cases" / "0-baseline"
     log = library.read_log(case / "sensing.jsonl")
-    estimate = library.localize(log, "virtual-force", iterations=40)
+    estimate = library.localize(log, "virtual-force")
 
     page = library.view(log, estimate, case / "truth.csv", out=tmp_path / "view.html")
     rmse = library.score(case / "truth.csv", estimate)["RMSE"]
@@ -260,9 +254,13 @@ def test_a_mistake_in_a_dictionary_names_its_key(changes, problem):
         library.run(scenario | changes)
 
 
-def test_a_comparison_prints_its_table(run, small_run, tmp_path):
+def test_a_comparison_prints_its_table(run, tmp_path):
     """A row for each run and condition; the whole tables stand in files."""
-    found = library.compare([run, small_run], out=tmp_path)
+    smaller = library.run(
+        "tests/tower.yaml", SMALL | {"robots": 4}, out=tmp_path, pictures=False, quiet=True
+    )
+
+    found = library.compare([run, smaller], out=tmp_path)
 
     printed = str(found).splitlines()
     assert printed[0].split()[:2] == ["run", "condition"]
@@ -279,10 +277,10 @@ def test_large_objects_have_short_names(run):
     estimate = library.localize(log, "virtual-force", iterations=5)
 
     assert re.fullmatch(
-        r"SensingLog\(6 robots, \d+ contacts, \d+ stances, lengths in R\)", repr(log)
+        r"SensingLog\(12 robots, \d+ contacts, \d+ stances, lengths in R\)", repr(log)
     )
-    assert repr(estimate) == "Estimate(6 robots, lengths in R, not converged)"
-    assert repr(replace(estimate, sd=np.full(6, 0.25))).endswith(
+    assert repr(estimate) == "Estimate(12 robots, lengths in R, not converged)"
+    assert repr(replace(estimate, sd=np.full(12, 0.25))).endswith(
         "R, sd 0.25 in the median, not converged)"
     )
     assert "array" not in repr(estimate.observability)
@@ -296,7 +294,7 @@ def test_commands_are_calls(run, tmp_path):
     imported = library.import_poses(poses, dock_radius=0.5, out=tmp_path / "imported")
 
     assert {path.name for path in exported.iterdir()} >= {"structure.csv", "estimate.csv"}
-    assert checked.summary.startswith("6 robots")
+    assert checked.summary.startswith("12 robots")
     assert not checked.mistakes
     assert imported[""].log.robot_count == 36
     assert library.read_log(tmp_path / "imported" / "sensing.jsonl").robot_count == 36

@@ -199,18 +199,25 @@ def test_an_estimate_that_did_not_converge_is_written_with_a_warning(tiswarm, tm
     assert len(out.read_text().splitlines()) == 21
 
 
-def test_outliers_are_listed_with_their_line(tiswarm, tmp_path):
+@pytest.mark.parametrize(
+    ("robots", "seed"), [(12, 1), pytest.param(20, 0, marks=pytest.mark.trial)]
+)
+def test_outliers_are_listed_with_their_line(tiswarm, tmp_path, robots, seed):
     """One planted in a log is named where it stands, and a run says how many were found."""
     noise = ["sensing.tilt_noise_deg=1", "sensing.yaw_noise_deg=2", "sensing.false_contacts=0.1"]
-    joint = "localization={method: joint, chains: 2, steps: 600, hold_steps: 200}"
-    sets = [part for text in (*noise, joint, "robots=20", "seeds=1") for part in ("--set", text)]
+    joint = "localization={method: joint, chains: 2, steps: 400, hold_steps: 100}"
+    sets = [
+        part
+        for text in (*noise, joint, f"robots={robots}", f"seeds=[{seed}]")
+        for part in ("--set", text)
+    ]
     settings = ("--set", "conditions={one: {}}", *sets, "--no-pictures", "--out", tmp_path)
     done = tiswarm("run", "tests/tower.yaml", *settings)
     assert done.returncode == 0, done.stderr
     case = next(tmp_path.glob("*/cases/*"))
     scores = json.loads((case / "case.json").read_text())["scores"]
 
-    chosen = ("--set", "chains=2", "--set", "steps=600", "--set", "hold_steps=200")
+    chosen = ("--set", "chains=2", "--set", "steps=400", "--set", "hold_steps=100")
     out = ("--out", tmp_path / "estimate.csv")
     printed = tiswarm("localize", case / "sensing.jsonl", "--method", "joint", *chosen, *out).stdout
 
@@ -220,7 +227,7 @@ def test_outliers_are_listed_with_their_line(tiswarm, tmp_path):
     )
     assert len(found) == scores["outliers"] > 0
     assert scores["outlier_precision"] > 0.8
-    assert scores["wrong_contacts"] > 5
+    assert scores["wrong_contacts"] > robots / 4
     lines = [json.loads(line) for line in (case / "sensing.jsonl").read_text().splitlines()]
     for line, stance, robot, contact in found:
         entry = lines[int(line) - 1]

@@ -4,6 +4,7 @@ import json
 import pickle
 import re
 import runpy
+import shutil
 import sys
 import textwrap
 from hashlib import sha256
@@ -71,11 +72,23 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """Folder of a run of the scenario."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "own.py").write_text(ORIGIN)
+    (folder / "own.yaml").write_text(SCENARIO)
+    run = _run(folder)
+    plugins.forget()
+    return run.folder
+
+
 @pytest.fixture
-def log(files):
-    """A sensing log in the working folder."""
-    run = _run(files)
-    return next(run.folder.glob("cases/0-own/sensing.jsonl"))
+def log(files, whole):
+    """A sensing log in a run of the working folder, whose plug-in is loaded."""
+    run = shutil.copytree(whole, files / "runs" / whole.name)
+    library.check("own.yaml", plugins=["own.py"])
+    return run / "cases" / "0-own" / "sensing.jsonl"
 
 
 def _run(files, **options):
@@ -123,14 +136,18 @@ def test_a_setting_is_checked_as_any_other(files):
 
 
 def test_the_schema_has_settings_of_plugins(files):
-    """Editors complete them, with their docstrings and defaults."""
+    """Editors complete them, with their docstrings and defaults, and lose none of the others."""
     (files / "own.py").write_text(CHAIN)
 
     plugins.load_plugins(["own.py"])
 
-    gap = scenario_schema()["$defs"]["OwnChainParams"]["properties"]["gap"]
+    schema = scenario_schema()
+    gap = schema["$defs"]["OwnChainParams"]["properties"]["gap"]
     assert gap["default"] == 2.0
     assert gap["description"] == "Distance of docks that touch [dock radii]."
+    for section in (schema, *schema["$defs"].values()):
+        for key, each in section.get("properties", {}).items():
+            assert each.get("description"), key
 
 
 def test_positions_get_verdicts(log):

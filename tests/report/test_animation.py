@@ -74,6 +74,7 @@ def test_without_a_video_library_the_best_movie_is_a_webp(run_folder, monkeypatc
         assert movie.width <= 960
 
 
+@pytest.mark.trial
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # its reader leaks
 def test_a_movie_for_slides_holds_the_same(run_folder):
     """MP4 is read back frame by frame by the library that wrote it."""

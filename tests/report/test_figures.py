@@ -417,7 +417,11 @@ def test_profiles_show_how_errors_of_like_robots_differ(run_folder):
 
 @pytest.mark.parametrize(
     ("points", "conditions", "panels", "lines"),
-    [(12, 2, 12, 2), (1, 9, 9, 1), (5, 9, 32, 1)],
+    [
+        (1, 9, 9, 1),
+        pytest.param(12, 2, 12, 2, marks=pytest.mark.trial),
+        pytest.param(5, 9, 32, 1, marks=pytest.mark.trial),
+    ],
 )
 def test_profiles_of_more_series_than_colors_are_small_multiples(
     run_folder, points, conditions, panels, lines

@@ -71,7 +71,7 @@ scenarios = st.builds(
 ).map(lambda made: replace(made, **{key: DEFAULTS[key] for key in DEFAULTS if key in made.sweep}))
 
 
-@settings(max_examples=100)
+@settings(max_examples=30)
 @given(scenario=scenarios)
 def test_a_scenario_loads_back_from_its_text(scratch, scenario):
     """Whatever it says, its YAML says too, written the same way each time."""

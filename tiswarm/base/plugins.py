@@ -19,7 +19,10 @@ from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+from pydantic.dataclasses import rebuild_dataclass
 
 from tiswarm.base.errors import EnvironmentTroubleError, InputError, TiswarmError
 
@@ -83,17 +86,37 @@ class PluginError(TiswarmError):
 
 
 _known: dict[tuple[str, str], Registered] = {}
-_watchers: list[Callable[[], None]] = []
+_watchers: list[Callable[[], object]] = []
 _loaded: dict[Path, Plugin] = {}
 _loading: list[Plugin] = []
 
 
-def watch(refresh: Callable[[], None]) -> Callable[[], None]:
-    """Call a function whenever what is registered has changed, and now if anything is."""
-    _watchers.append(refresh)
+def watch(refresh: Callable[[], object], section: Any = None) -> None:  # noqa: ANN401 - a class
+    """Call a function whenever what is registered has changed, and now if anything is.
+
+    Args:
+        refresh: The function.
+        section: Parameter class in which the function changes types of fields; it is then rebuilt.
+    """
+    _watchers.append(refresh if section is None else lambda: _rebuild(section, refresh))
     if _known:
-        refresh()
-    return refresh
+        _watchers[-1]()
+
+
+def _rebuild(section: Any, retype: Callable[[], object]) -> None:  # noqa: ANN401 - a class
+    """Rebuild a parameter class whose fields get other types.
+
+    Pydantic reads docstrings of fields as it makes a class, but not as it rebuilds it, so the types
+    carry them from then on.
+    """
+    fields = section.__dataclass_fields__
+    texts = {name: each.description for name, each in section.__pydantic_fields__.items()}
+    retype()
+    for name, text in texts.items():
+        notes = getattr(fields[name].type, "__metadata__", ())
+        if text and not any(getattr(note, "description", None) for note in notes):
+            fields[name].type = Annotated[fields[name].type, Field(description=text)]
+    rebuild_dataclass(section, force=True)
 
 
 def registered(kind: str) -> dict[str, Registered]:

@@ -229,7 +229,8 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
     Raises:
         InputError: the settings are no frozen dataclass, or have a field that cannot be checked.
     """
-    described: list[tuple[str, Any, Any]] = [("method", Literal[name], field(default=name))]
+    kind: Any = Annotated[Literal[name], pydantic.Field(description="Name of the method.")]
+    described: list[tuple[str, Any, Any]] = [("method", kind, field(default=name))]
     if settings is not None:
         if not is_dataclass(settings) or not settings.__dataclass_params__.frozen:  # type: ignore[attr-defined]
             problem = f"settings of {name}: {settings!r} is no frozen dataclass"
@@ -239,9 +240,7 @@ def _section(name: str, settings: type[Any] | None) -> type[OwnParams]:
             if each.name in _TAKEN:
                 problem = f"settings of {name}: {each.name} has a meaning already; rename it"
                 raise InputError(problem)
-            kind: Any = Annotated[
-                kinds[each.name], pydantic.Field(description=texts.get(each.name))
-            ]
+            kind = Annotated[kinds[each.name], pydantic.Field(description=texts.get(each.name))]
             described.append((each.name, kind, _default(each)))
 
     def check(self: OwnParams) -> None:

@@ -23,7 +23,6 @@ from pydantic import (
 from pydantic.dataclasses import dataclass
 
 from tiswarm.base.params import STRICT
-from tiswarm.base.plugins import watch
 from tiswarm.base.robot import RobotGeometry
 from tiswarm.localization.params import LocalizationParams
 from tiswarm.records.run_folder import LABEL
@@ -175,7 +174,7 @@ class Scenario:
 
 
 ADAPTER = TypeAdapter(Scenario)
-watch(lambda: take_methods(Scenario, ADAPTER))
+take_methods(Scenario, ADAPTER)
 
 
 def from_plain(data: Plain) -> Scenario | list[Mistake]:

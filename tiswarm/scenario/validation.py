@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass, rebuild_dataclass
+from pydantic.dataclasses import dataclass
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from tiswarm.base.errors import InputError
@@ -299,11 +299,14 @@ def _schema(adapter: TypeAdapter[Any]) -> Plain:
 
 
 def take_methods(section: Any, adapter: TypeAdapter[Any]) -> None:  # noqa: ANN401 - a dataclass
-    """Let a class with settings of any method have those of plug-ins, too."""
-    section.__dataclass_fields__["localization"].type = all_params()
-    rebuild_dataclass(section, force=True)
-    adapter.rebuild(force=True)
-    _schema.cache_clear()
+    """Let a class with settings of any method have those of plug-ins, too, from now on."""
+
+    def retype() -> None:
+        section.__dataclass_fields__["localization"].type = all_params()
+
+    watch(retype, section)
+    watch(lambda: adapter.rebuild(force=True))
+    watch(_schema.cache_clear)
 
 
-watch(lambda: take_methods(_LocalizationSection, _LOCALIZATION))
+take_methods(_LocalizationSection, _LOCALIZATION)

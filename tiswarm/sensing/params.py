@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, Strict, model_validator
-from pydantic.dataclasses import dataclass, rebuild_dataclass
+from pydantic.dataclasses import dataclass
 from pydantic_core import ArgsKwargs
 
 from tiswarm.base.params import STRICT
@@ -231,10 +231,11 @@ def _received(plugin: Plugin, values: dict[str, Any]) -> SensingParams:  # noqa:
     return SensingParams(**values)
 
 
-@watch
 def _take_suites() -> None:
     """Let settings name the suites of plug-ins, too."""
     names = (*get_args(SuiteName), *registered("sensor"))
     section: Any = SensingParams
     section.__dataclass_fields__["suite"].type = Literal[names]
-    rebuild_dataclass(section, force=True)
+
+
+watch(_take_suites, SensingParams)
