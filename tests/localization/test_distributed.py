@@ -288,6 +288,16 @@ def test_without_undocked_repulsion_robots_hear_of_those_they_touch(log, channel
     np.testing.assert_array_equal(estimates[0].position, estimates[1].position)
 
 
+@pytest.mark.parametrize("local", [{}, {"undocked_repulsion": False}])
+def test_the_scheme_of_the_paper_uses_the_cues_of_algorithm_1(local):
+    """Tables do not put it beside methods that use contacts on the way, too."""
+    paper = DistributedParams(scheme="algorithm-1", **local)
+
+    assert paper.cues == VirtualForceParams(**local).cues
+    assert "walk_contacts" not in paper.cues
+    assert "walk_contacts" in DistributedParams().cues
+
+
 def test_branches_carry_the_parts_of_those_behind_them():
     """Three robots in a row: the first transmission has both parts, the second one is left."""
     heard = []

@@ -231,7 +231,8 @@ class Run:
         page, table = self.page, self.table
         name = html.escape(self.folder.name)
         link = f'<a href="{quote(page.as_posix())}">{name}</a>' if page.is_file() else name
-        return link + _short(table).to_html(index=False, na_rep="")
+        answer = f"<p>{html.escape(self.answer)}</p>"
+        return link + answer + _short(table).to_html(index=False, na_rep="")
 
 
 @dataclass(frozen=True)

@@ -351,6 +351,18 @@ class DistributedParams(ChiSquareParams):
                         f"{name} is of scheme {scheme}; remove it, or set scheme to {scheme}"
                     )
 
+    @property
+    def published(self) -> VirtualForceParams:
+        """Settings of Algorithm 1, for the scheme `algorithm-1`."""
+        return VirtualForceParams(
+            back_propagation=self.back_propagation, undocked_repulsion=self.undocked_repulsion
+        )
+
+    @property
+    def cues(self) -> tuple[str, ...]:
+        """What of the log is used; Algorithm 1 knows fewer cues."""
+        return self.published.cues if self.scheme == "algorithm-1" else super().cues
+
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class HopByHopParams(CueParams):

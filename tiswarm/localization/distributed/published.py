@@ -34,9 +34,7 @@ def algorithm_1(log: SensingLog, params: DistributedParams) -> Estimate:
         The estimate without losses and rounding, with the traffic of the channel. Robots do not
         judge for themselves.
     """
-    settings = VirtualForceParams(
-        back_propagation=params.back_propagation, undocked_repulsion=params.undocked_repulsion
-    )
+    settings = params.published
     [found] = virtual_force.localize_batch([log], [settings])
     robots = log.robot_count
     channel = Channel(params, robots, lambda _, message: message)
