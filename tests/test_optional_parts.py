@@ -100,8 +100,8 @@ def _copy_without(parts, folder, case) -> Path:
             shutil.rmtree(place)
         else:
             place.with_suffix(".py").unlink()
-    for name in ("sensing.jsonl", "estimate.csv"):
-        shutil.copy(case / name, folder)
+    shutil.copy(case / "sensing.jsonl", folder)
+    shutil.copy(case / "estimate.csv", folder / "known.csv")
     return folder
 
 
