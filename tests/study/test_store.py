@@ -139,9 +139,9 @@ def damaged(tiny_run, tmp_path):
 
 
 def test_a_run_that_goes_on_under_other_roundings_says_so(tiny, damaged, monkeypatch):
-    """Its bytes are those of two kinds of processor; the manifest names both."""
+    """Its bytes are those of two kinds of processor; manifest and cases name both."""
     [own] = json.loads((damaged / "manifest.json").read_text())["numerics"]
-    other = numerics.Numerics(**own)._replace(blas="numpy openblas 0.3.29 SkylakeX (269757)")
+    other = numerics.here()._replace(blas="numpy openblas 0.3.29 SkylakeX (269757)")
     monkeypatch.setattr(numerics, "here", lambda: other)
     shutil.rmtree(damaged / "cases" / "0-a")
     progress = Recorder()
@@ -154,8 +154,13 @@ def test_a_run_that_goes_on_under_other_roundings_says_so(tiny, damaged, monkeyp
         f"{other.blas}; remove {damaged} to compute all alike"
     )
     manifest = json.loads((damaged / "manifest.json").read_text())
-    assert manifest["numerics"] == [own, other._asdict()]
+    assert manifest["numerics"] == [own, other.facts]
     assert manifest["tiswarm"]
+    cases = {path.parent.name: json.loads(path.read_text()) for path in damaged.rglob("case.json")}
+    on = {name: case["computed_on"] for name, case in cases.items()}
+    assert on.pop("0-a") == f"cpu in f64, numerics {other.key}"
+    assert {*on.values()} == {f"cpu in f64, numerics {own['key']}"}
+    assert own["key"] != other.key
 
 
 def test_a_killed_run_keeps_what_rounded_its_cases(damaged):

@@ -45,6 +45,16 @@ class Numerics(NamedTuple):
     libm: str
     """Library of elementary functions."""
 
+    @property
+    def key(self) -> str:
+        """Eight hex digits that stand for all of it."""
+        return sha256(repr((*self,)).encode()).hexdigest()[:8]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Key and libraries, as a manifest lists them."""
+        return {"key": self.key, **self._asdict()}
+
 
 @cache
 def here() -> Numerics:

@@ -1,7 +1,7 @@
 """By which code, on which machine and at which cost a run is computed.
 
 `manifest.json` and the `cost.json` of each case hold everything that differs between machines and
-between repetitions; all other files of a run are the same to the byte.
+between repetitions; all other files of a run are the same to the byte on one kind of machine.
 """
 
 import importlib.metadata
@@ -134,7 +134,7 @@ def manifest(
         earlier: What rounded numbers of cases that were stored before.
     """
     own = sorted({each.rounding for each in used if each.rounding})
-    rounded = [*earlier, *(each._asdict() for each in own if each._asdict() not in earlier)]
+    rounded = [*earlier, *(each.facts for each in own if each.facts not in earlier)]
     main = max(used, key=lambda each: (each.backend.on_card, each.force_error)).backend
     devices: dict[str, set[str]] = {}
     for each in used:

@@ -14,7 +14,7 @@ from tiswarm.base.params import AnyPrecision
 from tiswarm.base.parts import load
 from tiswarm.base.plugins import registered
 from tiswarm.base.progress import Advance, Progress
-from tiswarm.compute import backend
+from tiswarm.compute import backend, numerics
 from tiswarm.compute.backend import Backend
 from tiswarm.evaluation.evaluate import evaluate
 from tiswarm.localization import registry
@@ -223,7 +223,9 @@ class _CaseRunner:
         """Evaluate and store one case."""
         found = evaluate(history, log, estimate, case.settings.localization.cues)
         record = _record(case, "done", history.ended, found.scores)
-        record = replace(record, measurements=found.measurements)
+        running = registry.start_for(case.settings.localization)
+        on = f"{running}, numerics {numerics.here().key}"
+        record = replace(record, measurements=found.measurements, computed_on=on)
         if estimate.convergence is not None:
             record = replace(record, distrust=estimate.convergence.reason)
         return self.job.folder.store(

@@ -74,7 +74,7 @@ _COSTS_KIND = TypeAdapter(Mapping[str, Cost], config=STRICT)
 
 @dataclass(frozen=True, kw_only=True, config=ConfigDict(strict=True, extra="forbid"))
 class CaseRecord:
-    """Content of `case.json`; nothing in it depends on the machine or the clock."""
+    """Content of `case.json`; of machine and clock, it has the kind of machine alone."""
 
     case: str
     seed: int
@@ -88,6 +88,7 @@ class CaseRecord:
     version: str = __version__  # version of the package that computed the case
     method: str  # localization method
     code: str  # digest of the code that computed the case
+    computed_on: str = ""  # device, precision and key of what rounded numbers, if it was computed
     files: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of all others but the cost
     digest: str = ""  # SHA-256 of the record without it
 
@@ -348,7 +349,7 @@ class RunFolder:
             progress: Receives how that differs from what rounds numbers here.
             computes: Whether this machine computes cases, or others alone.
         """
-        earlier, here = self._rounded_by(), [numerics.here()._asdict()] if computes else []
+        earlier, here = self._rounded_by(), [numerics.here().facts] if computes else []
         for name in ("manifest.json", "report.html"):
             remove(self.path / name)
         others = [each for each in earlier if each not in here]
