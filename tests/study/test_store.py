@@ -111,7 +111,7 @@ def tiny():
 
 def test_a_folder_that_no_run_made_is_refused(tiny, tmp_path):
     """Files of somebody else would be taken for results; an option takes the folder."""
-    with RunFolder.opened(tiny, tmp_path) as folder:
+    with RunFolder.opened(tiny, tmp_path, Progress()) as folder:
         made = folder.path
     RunFolder.refuse_foreign(tiny, tmp_path)
     (made / ".lock").unlink()
